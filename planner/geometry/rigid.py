@@ -1,0 +1,145 @@
+"""Rigid motions as (..., 4, 4) arrays: exponential and logarithm, frames, Euler angles and quaternions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp_rotation(w: FloatArray) -> FloatArray:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    k = skew(w)
+    return np.asarray(np.eye(3) + _sinc(angle) * k + _cosc(angle) * (k @ k))
+
+
+def log_rotation(r: FloatArray) -> FloatArray:
+    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), angle in [0, pi]."""
+    q = to_quaternion(r)
+    vector = q[..., 1:]
+    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(norm, q[..., :1])
+    small = norm < 1e-12
+    scale = np.where(small, 2.0, angle / np.where(small, 1.0, norm))
+    return np.asarray(scale * vector)
+
+
+def exp_twist(xi: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) of twists (..., 6), angular part first (Murray, Li, Sastry 1994, section 2.3)."""
+    w, v = xi[..., :3], xi[..., 3:]
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    k = skew(w)
+    left = np.eye(3) + _cosc(angle) * k + _sinc3(angle) * (k @ k)
+    return from_parts(exp_rotation(w), (left @ v[..., None])[..., 0])
+
+
+def log_pose(pose: FloatArray) -> FloatArray:
+    """Twists (..., 6), angular part first, of poses (..., 4, 4); rotation angle below pi."""
+    w = log_rotation(pose[..., :3, :3])
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    k = skew(w)
+    left = np.eye(3) + _cosc(angle) * k + _sinc3(angle) * (k @ k)
+    v = np.linalg.solve(left, pose[..., :3, 3, None])[..., 0]
+    return np.concatenate([w, v], axis=-1)
+
+
+def from_parts(rotation: FloatArray, position: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) from rotations (..., 3, 3) and positions (..., 3)."""
+    shape = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
+    pose = np.zeros((*shape, 4, 4))
+    pose[..., :3, :3] = rotation
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def inverse(pose: FloatArray) -> FloatArray:
+    """Inverses of rigid poses (..., 4, 4), by transposing."""
+    rt = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return from_parts(rt, -(rt @ pose[..., :3, 3, None])[..., 0])
+
+
+def from_rpy(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
+    """Pose (4, 4) from a position [m] and roll, pitch, yaw [rad] about fixed x, then y, then z (as in URDF)."""
+    roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
+    rotation = (
+        exp_rotation(np.array([0.0, 0.0, yaw]))
+        @ exp_rotation(np.array([0.0, pitch, 0.0]))
+        @ exp_rotation(np.array([roll, 0.0, 0.0]))
+    )
+    return from_parts(rotation, np.asarray(xyz, dtype=np.float64))
+
+
+def to_rpy(rotation: FloatArray) -> FloatArray:
+    """Roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3); the inverse of :func:`from_rpy`."""
+    pitch = np.arctan2(-rotation[..., 2, 0], np.hypot(rotation[..., 2, 1], rotation[..., 2, 2]))
+    roll = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
+    yaw = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def to_quaternion(rotation: FloatArray) -> FloatArray:
+    """Unit quaternions (..., 4) as w, x, y, z with w >= 0 (Shepperd's choice of the largest component)."""
+    r = np.asarray(rotation, dtype=np.float64)
+    trace = np.trace(r, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(r, axis1=-2, axis2=-1)
+    table = np.empty((*r.shape[:-2], 4, 4))
+    table[..., 0, 0] = 1.0 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        table[..., i + 1, i + 1] = 1.0 + 2.0 * diagonal[..., i] - trace
+        table[..., 0, i + 1] = table[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
+        table[..., j + 1, k + 1] = table[..., k + 1, j + 1] = r[..., k, j] + r[..., j, k]
+    best = np.argmax(np.diagonal(table, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., :1] < 0.0, -q, q))
+
+
+def from_quaternion(q: FloatArray) -> FloatArray:
+    """Rotations (..., 3, 3) of quaternions (..., 4) w, x, y, z, normalised first."""
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def interpolate(a: FloatArray, b: FloatArray, t: FloatArray) -> FloatArray:
+    """Poses between a and b (..., 4, 4) at t (...,): straight line in position, constant rate in rotation."""
+    turn = log_rotation(np.swapaxes(a[..., :3, :3], -1, -2) @ b[..., :3, :3])
+    rotation = a[..., :3, :3] @ exp_rotation(t[..., None] * turn)
+    position = a[..., :3, 3] + t[..., None] * (b[..., :3, 3] - a[..., :3, 3])
+    return from_parts(rotation, position)
+
+
+def transform(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """Points (..., 3) moved by one pose (4, 4)."""
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _sinc(x: FloatArray) -> FloatArray:
+    return np.sinc(x / np.pi)
+
+
+def _cosc(x: FloatArray) -> FloatArray:
+    return 0.5 * np.sinc(x / (2.0 * np.pi)) ** 2
+
+
+def _sinc3(x: FloatArray) -> FloatArray:
+    small = np.abs(x) < 1e-3
+    safe = np.where(small, 1.0, x)
+    return np.where(small, 1.0 / 6.0 - x * x / 120.0, (safe - np.sin(safe)) / safe**3)

@@ -1,0 +1,122 @@
+"""One type for everything that is wrong, and the error that carries it.
+
+An :class:`Issue` is data. Programs compare its ``code``; people read its ``message``, which says the
+subject, what was got, what is allowed and what to do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from enum import StrEnum
+from typing import Any
+
+from planner.issue_codes import CODES
+
+
+class Severity(StrEnum):
+    """How bad an issue is. Only an ``ERROR`` stops a program from being written."""
+
+    ERROR = "error"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclasses.dataclass(frozen=True)
+class Issue:
+    """One finding.
+
+    ``value`` and ``limit`` are in ``unit`` (mm, deg, s ... as a person reads them). ``index`` is the
+    target's index, ``time`` is in seconds on the job's clock, ``bodies`` names a joint or a pair of bodies.
+    Raises ``KeyError`` when ``code`` is not in the table of codes.
+    """
+
+    code: str
+    message: str
+    severity: Severity = Severity.ERROR
+    file: str | None = None
+    line: int | None = None
+    field: str | None = None
+    arm: str | None = None
+    index: int | None = None
+    target: str | None = None
+    time: float | None = None
+    bodies: tuple[str, ...] = ()
+    value: float | None = None
+    limit: float | None = None
+    unit: str | None = None
+    hint: str | None = None
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if self.code not in CODES:
+            raise KeyError(f"issue code {self.code!r} is not in planner/issue_codes.py; declare it there")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The issue as plain data for JSON, without the fields that are unset."""
+        data = dataclasses.asdict(self)
+        return {k: v for k, v in data.items() if v is not None and v != () and not (k == "count" and v == 1)}
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> Issue:
+        """The inverse of :meth:`to_dict`."""
+        known = dict(data)
+        known["severity"] = Severity(known.get("severity", "error"))
+        known["bodies"] = tuple(known.get("bodies", ()))
+        return Issue(**known)
+
+    def __str__(self) -> str:
+        where = [self.file] if self.file else []
+        if self.line is not None:
+            where.append(f"line {self.line}")
+        if self.field:
+            where.append(self.field)
+        place = f"{', '.join(where)}: " if where else ""
+        many = f" ({self.count} times)" if self.count > 1 else ""
+        hint = f"; {self.hint}" if self.hint else ""
+        return f"{self.severity.value} [{self.code}] {place}{self.message}{many}{hint}"
+
+
+class TandemError(Exception):
+    """Work that cannot go on: the issues that say why, and what was reached before, if anything."""
+
+    def __init__(self, issues: Issue | Sequence[Issue], partial: object | None = None) -> None:
+        self.issues: tuple[Issue, ...] = (issues,) if isinstance(issues, Issue) else tuple(issues)
+        self.partial = partial
+        super().__init__("\n".join(str(issue) for issue in self.issues))
+
+
+def has_errors(issues: Iterable[Issue]) -> bool:
+    """Whether any issue is an error."""
+    return any(issue.severity is Severity.ERROR for issue in issues)
+
+
+def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:
+    """Issues of the same code, severity, arm, field, file and bodies as one, which counts them and keeps the worst.
+
+    The kept issue is the first one (its index, time and message), unless a later one has a value farther
+    beyond the limit. Order of first appearance is kept.
+    """
+    groups: dict[tuple[object, ...], list[Issue]] = {}
+    for issue in issues:
+        key = (issue.code, issue.severity, issue.arm, issue.field, issue.file, issue.bodies)
+        groups.setdefault(key, []).append(issue)
+    return tuple(_merge(group) for group in groups.values())
+
+
+def _merge(group: list[Issue]) -> Issue:
+    count = sum(issue.count for issue in group)
+    first = group[0]
+    if len(group) == 1:
+        return first
+    worst = max(group, key=_excess)
+    message = worst.message
+    if first.index is not None:
+        message += f" [{count} targets, first at {first.index}]"
+    return dataclasses.replace(worst, message=message, count=count)
+
+
+def _excess(issue: Issue) -> float:
+    if issue.value is None or issue.limit is None:
+        return 0.0
+    return abs(issue.value - issue.limit)

@@ -1,0 +1,182 @@
+"""Synchronised tool poses and the freedom that each one leaves: the border between processes and motion.
+
+A process turns a part into :class:`Targets` without knowing a robot; ``motion/`` turns them into joint
+paths without knowing a process. Poses are (..., 4, 4) float64, in metres, in the arm's work frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim
+from planner.geometry.rigid import exp_twist, log_pose
+from planner.issues import Issue
+
+FloatArray = NDArray[np.float64]
+ActionKind = Literal["message", "confirm", "on", "off", "wait"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ScrewFreedom:
+    """Moves a tool along a screw: ``pose @ exp(value * axis)``.
+
+    ``axis`` maps an arm to a twist (6,) in its tool frame, angular part first [-] then linear part [m per unit
+    of value]; an arm that is not named stays. More than one arm means that both share one value.
+    ``lower``, ``upper`` are (N,) bounds of the value, which is in rad for a spin and in m for a slide.
+    ``prefer`` is a wanted value (N,), or None. ``periodic`` says that the value wraps at 2 pi, whatever the bounds.
+    """
+
+    name: str
+    axis: Mapping[str, FloatArray]
+    lower: FloatArray
+    upper: FloatArray
+    prefer: FloatArray | None = None
+    periodic: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class TableFreedom:
+    """Replaces the nominal poses by those of a table over one value that all its arms share.
+
+    ``nodes`` is (K,), ascending; ``pose`` maps an arm to (N, K, 4, 4). Between nodes the pose is the polynomial
+    through all nodes in the logarithm of the pose relative to the middle node, in Lagrange form. That polynomial
+    IS the freedom, so a pose "at a value" is exact, not approximate. ``lower``, ``upper`` are (N,) bounds of the value.
+    """
+
+    name: str
+    nodes: FloatArray
+    pose: Mapping[str, FloatArray]
+    lower: FloatArray
+    upper: FloatArray
+    prefer: FloatArray | None = None
+
+
+Freedom = ScrewFreedom | TableFreedom
+
+
+@dataclasses.dataclass(frozen=True)
+class Action:
+    """Something that happens at a stop at target ``at``, in the order given.
+
+    ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the signal
+    ``signal``, ``wait`` waits ``seconds``.
+    """
+
+    at: int
+    kind: ActionKind
+    text: str = ""
+    signal: str = ""
+    seconds: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Edge:
+    """The tool's flexible edge at every target, for clearance and for pictures.
+
+    ``points`` is (N, P, 3) [m] in the work frame of ``arms[0]``, from the first arm's TCP to the second's;
+    ``radius`` [m] is the half thickness that must stay clear of everything but the stock in cut segments.
+    """
+
+    points: FloatArray
+    radius: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Targets:
+    """N synchronised targets of one or two arms.
+
+    ``pose``: {arm: (N, 4, 4)} nominal TCP pose in the arm's work ``frame``: "stock", "world" or "held:<arm>".
+    ``freedoms``: value j of a target belongs to ``freedoms[j]``; tables apply first, then screws in order.
+    ``feed`` (N,) m/s: upper limit of the speed of the fastest guarded point on the way TO target i, 0-th unused;
+    ``feed_min`` (N,) m/s: its lower limit, 0 for none. ``travel`` (N,) m: how far that point moves on the way to
+    target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there (fine point).
+    ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move keeps the relation that
+    the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
+    ``segment`` (N,): label of the segment that the move to target i belongs to, ``kind`` or ``kind/name``.
+    ``exhibits`` is named data for the report, by kind of picture.
+    """
+
+    arms: tuple[str, ...]
+    pose: Mapping[str, FloatArray]
+    frame: Mapping[str, str]
+    freedoms: tuple[Freedom, ...]
+    feed: FloatArray
+    feed_min: FloatArray
+    travel: FloatArray
+    stop: NDArray[np.bool_]
+    segment: tuple[str, ...]
+    coupled: bool = False
+    edge: Edge | None = None
+    actions: tuple[Action, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    exhibits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    issues: tuple[Issue, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of targets N."""
+        return len(self.segment)
+
+    def name(self, index: int) -> str:
+        """Readable name of a target: its segment and its number within the segment, from 1."""
+        label = self.segment[index]
+        first = index
+        while first > 0 and self.segment[first - 1] == label:
+            first -= 1
+        return f"{label}/{index - first + 1}"
+
+    def neutral(self) -> FloatArray:
+        """Values (N, F) of the freedoms nearest to zero within their bounds, or the preferred ones."""
+        columns = [
+            np.clip(np.zeros(self.count) if f.prefer is None else f.prefer, f.lower, f.upper)
+            for f in self.freedoms
+        ]
+        return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
+
+    def poses(self, values: FloatArray, index: NDArray[np.intp] | None = None) -> dict[str, FloatArray]:
+        """Exact TCP poses {arm: (..., 4, 4)} in the work frames for freedom values (..., F).
+
+        Without ``index`` the leading axis of ``values`` is the N targets; with it, ``index`` (...,) says which target
+        each row of values belongs to, so that many samples of one target go through one call.
+        """
+        rows = np.arange(self.count) if index is None else index
+        return {arm: self._pose(arm, values, rows) for arm in self.arms}
+
+    def _pose(self, arm: str, values: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+        pose = self.pose[arm][rows]
+        for j, freedom in enumerate(self.freedoms):
+            if isinstance(freedom, TableFreedom) and arm in freedom.pose:
+                pose = _table_pose(freedom.nodes, freedom.pose[arm][rows], values[..., j])
+        for j, freedom in enumerate(self.freedoms):
+            if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
+                pose = pose @ exp_twist(values[..., j, None] * freedom.axis[arm])
+        return pose
+
+
+def segment_kind(label: str) -> str:
+    """The kind of a segment label: ``cut`` of ``cut/front``."""
+    return label.split("/", 1)[0]
+
+
+def _table_pose(nodes: FloatArray, table: FloatArray, value: FloatArray) -> FloatArray:
+    """Poses (..., 4, 4) of tables (..., K, 4, 4) at values (...,): Lagrange in the log relative to the middle node."""
+    middle = table[..., len(nodes) // 2, :, :]
+    relative = np.linalg.inv(middle)[..., None, :, :] @ table
+    twists = log_pose(relative)
+    return middle @ exp_twist(np.einsum("...k,...kc->...c", lagrange(nodes, value), twists))
+
+
+def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:
+    """Lagrange weights (..., K) of the nodes (K,) at values (...,)."""
+    count = len(nodes)
+    weights = np.ones((*np.shape(value), count))
+    for k in range(count):
+        for other in range(count):
+            if other != k:
+                weights[..., k] *= (value - nodes[other]) / (nodes[k] - nodes[other])
+    return weights

@@ -1,0 +1,18 @@
+"""Conversions between the units of files and messages (mm, deg) and those inside (m, rad)."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+MM: Final = 1e-3
+"""One millimetre in metres: ``value_mm * MM`` is metres, ``value_m / MM`` is millimetres."""
+
+DEG: Final = math.pi / 180.0
+"""One degree in radians."""
+
+GRAVITY: Final = 9.80665
+"""Standard acceleration of free fall [m/s^2] (3rd CGPM, 1901)."""
+
+LENGTH_UNITS: Final[dict[str, float]] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+"""Length units that a mesh or curve file may be stated in, in metres."""
