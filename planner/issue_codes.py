@@ -18,6 +18,9 @@ CODES: Final[dict[str, str]] = {
     "problem.unknown_arm": "an operation names an arm that the cell does not have",
     "problem.unknown_process": "an operation names a process that is not built in",
     "problem.not_finite": "a number is NaN or infinite",
+    # catalogue and cell
+    "catalogue.missing_data": "a data file that is part of Tandem is missing",
+    "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }
