@@ -21,6 +21,17 @@ CODES: Final[dict[str, str]] = {
     # catalogue and cell
     "catalogue.missing_data": "a data file that is part of Tandem is missing",
     "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
+    # saved plans
+    "plan.missing_file": "a file of a saved plan is missing or cannot be read",
+    "plan.damaged": "a file of a saved plan is damaged",
+    "plan.schema": "a saved plan comes from another format or schema version",
+    "plan.not_saveable": "a plan holds a value that is neither an array nor plain data",
+    # report
+    "report.exhibit": "an exhibit of a process is not of its kind's form and was left out of the report",
+    "report.replay_failed": "the 3D replay could not be written",
+    # the general door, process: targets
+    "targets.file": "a file of targets cannot be read, or a value in it is missing or out of range",
+    "targets.freedom": "a free axis gives both a turn and a slide, or neither",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -1,0 +1,215 @@
+"""Saved plans: a whole and exact round trip, equal bytes for equal plans, refusal of damaged and foreign files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import claims, plan_io
+from planner.issues import Issue, Severity, TandemError
+from planner.plan import OperationPlan, Plan
+from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
+
+RNG = np.random.default_rng(3)
+
+
+def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
+    n, k = 4, 3
+    spin = ScrewFreedom(
+        "spin",
+        {"left": np.array([1.0, 0, 0, 0, 0, 0]), "right": np.array([1.0, 0, 0, 0, 0, 0])},
+        np.full(n, -np.inf),
+        np.full(n, np.inf),
+        periodic=True,
+    )
+    split = TableFreedom(
+        "slack split",
+        np.linspace(-0.01, 0.01, k),
+        {"left": RNG.normal(size=(n, k, 4, 4)), "right": RNG.normal(size=(n, k, 4, 4))},
+        np.full(n, -0.01),
+        np.full(n, 0.01),
+        prefer=np.zeros(n),
+    )
+    held = (
+        claims.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
+        claims.CutsSurface("cut/front", RNG.normal(size=(3, 3)), np.array([[0, 1, 2]]), 1e-3, 5e-4),
+        claims.ContactOnlyIn(("cut",), "doWirePower", 2.0),
+        claims.FeedWindow("cut/front", 0.002, 0.01),
+        claims.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
+    )
+    return Targets(
+        arms=("left", "right"),
+        pose={arm: RNG.normal(size=(n, 4, 4)) for arm in ("left", "right")},
+        frame={"left": "stock", "right": "held:left"},
+        freedoms=(spin, split),
+        feed=np.full(n, 0.01),
+        feed_min=np.zeros(n),
+        travel=RNG.random(n),
+        stop=np.array([True, False, False, True]),
+        segment=("mount", "cut/front", "cut/front", "unmount"),
+        coupled=True,
+        edge=Edge(RNG.normal(size=(n, 5, 3)), 1e-3),
+        actions=(Action(0, "confirm", "Mount the wire – 870,0 mm"), Action(0, "wait", seconds=2.5)),
+        claims=held,
+        exhibits={"wire": {"kind": "table", "rows": [("length", 0.9), ["mixed", None, True]]}}
+        if exhibits is None
+        else exhibits,
+        issues=(Issue("internal.error", "made up", Severity.NOTE, bodies=("a", "b"), value=1.0, count=3),),
+    )
+
+
+def _plan(exhibits: dict[str, Any] | None = None, metrics: dict[str, Any] | None = None) -> Plan:
+    targets = _targets(exhibits)
+    n = targets.count
+    operation = OperationPlan(
+        name="faces",
+        targets=targets,
+        q={arm: RNG.normal(size=(n, 6)) for arm in targets.arms},
+        values=RNG.normal(size=(n, 2)),
+        time=np.cumsum(RNG.random(n)),
+        entry={arm: RNG.normal(size=(2, 6)) for arm in targets.arms},
+        exit={arm: np.zeros((0, 6)) for arm in targets.arms},
+        order=("right", "left"),
+        metrics={"cost": np.float64(1.25), "closest": {"a/b": np.array([1, 2]), "a": {"b": np.float32(2)}}},
+    )
+    return Plan(
+        "made up",
+        "00ff",
+        {"planner": "0.1.0"},
+        RNG.normal(size=(4, 4)),
+        {"left": np.eye(4), "right": -np.eye(4)},
+        (operation,),
+        metrics if metrics is not None else {"nan": float("nan"), "inf": -np.inf, 3: "three", "$odd": "key"},
+    )
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray):
+        return (
+            isinstance(b, np.ndarray)
+            and a.dtype == b.dtype
+            and a.shape == b.shape
+            and a.tobytes() == b.tobytes()
+        )
+    if isinstance(a, float | np.floating):
+        return bool(a == b) or (np.isnan(a) and np.isnan(b))
+    if dataclasses.is_dataclass(a):
+        return type(a) is type(b) and all(
+            _equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a)
+        )
+    if isinstance(a, dict):
+        return isinstance(b, dict) and list(a) == list(b) and all(_equal(a[k], b[k]) for k in a)
+    if isinstance(a, tuple | list):
+        return type(a) is type(b) and len(a) == len(b) and all(map(_equal, a, b))
+    return type(a) is type(b) and bool(a == b)
+
+
+def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
+    plan = _plan()
+    plan_io.save(plan, tmp_path / "out")
+    assert _equal(plan, plan_io.load(tmp_path / "out"))
+
+
+def test_equal_plans_give_equal_bytes_and_leave_nothing_else(tmp_path: Path) -> None:
+    plan = _plan()
+    for folder in ("a", "b"):
+        plan_io.save(plan, tmp_path / folder)
+    for name in ("plan.npz", "plan.json"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["plan.json", "plan.npz"]
+
+
+def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
+    plan_io.save(_plan(), tmp_path)
+    with np.load(tmp_path / "plan.npz", allow_pickle=False) as archive:
+        assert {
+            "operations/0/q/left",
+            "operations/0/targets/edge/points",
+            "operations/0/metrics/closest/a~1b",
+        } <= set(archive.files)
+        for key in archive.files:
+            assert archive[key].dtype != object
+
+
+def test_what_cannot_be_saved_is_named_and_nothing_is_written(tmp_path: Path) -> None:
+    for bad in (object(), np.array([None, 1], dtype=object), {1, 2}):
+        with pytest.raises(TandemError) as caught:
+            plan_io.save(_plan(exhibits={"picture": {"data": bad}}), tmp_path / "out")
+        (issue,) = caught.value.issues
+        assert issue.code == "plan.not_saveable"
+        assert issue.field == "operations/0/targets/exhibits/picture/data"
+    assert not (tmp_path / "out").exists()
+
+
+def _code(folder: Path) -> str:
+    with pytest.raises(TandemError) as caught:
+        plan_io.load(folder)
+    return caught.value.issues[0].code
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    assert _code(tmp_path) == "plan.missing_file"
+    plan_io.save(_plan(), tmp_path)
+    (tmp_path / "plan.npz").unlink()
+    assert _code(tmp_path) == "plan.missing_file"
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"[" * 100_000])
+def test_json_that_is_none_is_damaged(tmp_path: Path, content: bytes) -> None:
+    plan_io.save(_plan(), tmp_path)
+    (tmp_path / "plan.json").write_bytes(content)
+    assert _code(tmp_path) == "plan.damaged"
+
+
+def test_a_pair_of_two_plans_is_damaged(tmp_path: Path) -> None:
+    plan_io.save(_plan(), tmp_path / "a")
+    plan_io.save(_plan(), tmp_path / "b")
+    (tmp_path / "a" / "plan.npz").write_bytes((tmp_path / "b" / "plan.npz").read_bytes())
+    assert _code(tmp_path / "a") == "plan.damaged"
+
+
+@pytest.mark.parametrize("edit", ["type", "field", "array", "missing", "whole"])
+def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
+    plan_io.save(_plan(), tmp_path)
+    path = tmp_path / "plan.json"
+    data = json.loads(path.read_text())
+    plan = data["plan"]
+    if edit == "type":
+        plan["$type"] = "os.system"
+    elif edit == "field":
+        plan["surplus"] = 1
+    elif edit == "array":
+        plan["stock_pose"] = {"$array": "/nowhere"}
+    elif edit == "missing":
+        del plan["digest"]
+    else:
+        data["plan"] = {"a": 1}
+    path.write_text(json.dumps(data))
+    assert _code(tmp_path) == "plan.damaged"
+
+
+@pytest.mark.parametrize("change", [{"schema": 99}, {"format": "something else"}])
+def test_another_schema_or_format_is_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+    plan_io.save(_plan(), tmp_path)
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    assert _code(tmp_path) == "plan.schema"
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "f"
+    plan_io.write_whole(target, b"old")
+
+    def fail(_: int) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(plan_io.os, "fsync", fail)
+    with pytest.raises(OSError, match="disk full"):
+        plan_io.write_whole(target, b"new")
+    assert target.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["f"]
