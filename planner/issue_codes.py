@@ -32,6 +32,9 @@ CODES: Final[dict[str, str]] = {
     # the general door, process: targets
     "targets.file": "a file of targets cannot be read, or a value in it is missing or out of range",
     "targets.freedom": "a free axis gives both a turn and a slide, or neither",
+    # wire shapes
+    "wire.too_short": "a wire is shorter than the distance between its clamps",
+    "wire.no_stable_shape": "no stable shape of a wire was found between its clamps",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -1,0 +1,60 @@
+"""``python -m bench [name ...]``: run measurements, print one table, write ``bench/results/<name>.json``."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+import platform
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+SUFFIX = "_bench"
+PACKAGES = ("drake", "numpy", "scipy", "toppra", "py-opw-kinematics")
+
+
+def names() -> list[str]:
+    """The measurements there are: modules of this package that end in ``_bench``."""
+    found = (module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
+    return sorted(name.removesuffix(SUFFIX) for name in found if name.endswith(SUFFIX))
+
+
+def machine() -> dict[str, str]:
+    """What the figures were measured on."""
+    cpu = Path("/proc/cpuinfo")
+    lines = cpu.read_text().splitlines() if cpu.exists() else []
+    model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+    return {"cpu": model, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+
+
+def main(arguments: list[str]) -> int:
+    """Run the named measurements, all by default; returns 2 for an unknown name."""
+    chosen = arguments or names()
+    unknown = sorted(set(chosen) - set(names()))
+    if unknown:
+        print(f"unknown measurement {', '.join(unknown)}; there are {', '.join(names())}", file=sys.stderr)
+        return 2
+    table = Table("measurement", "median", "p99", "spread", "ratio to peer", "note")
+    results = Path(__file__).parent / "results"
+    results.mkdir(exist_ok=True)
+    for name in chosen:
+        rows: list[dict[str, Any]] = importlib.import_module(f"bench.{name}{SUFFIX}").run()
+        for row in rows:
+            table.add_row(*(_cell(row.get(key)) for key in ("name", "median_s", "p99_s", "spread", "ratio", "note")))
+        data = {"machine": machine(), "rows": rows}
+        (results / f"{name}.json").write_text(json.dumps(data, indent=1) + "\n")
+    Console(width=160).print(table)
+    return 0
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,171 @@
+"""The cell part of a problem file: its schema in mm and degrees, and its conversion to values in SI units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from planner.geometry.mesh import read_mesh
+from planner.geometry.rigid import from_rpy
+from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Tool
+from planner.tools import wire_holder
+from planner.units import DEG, LENGTH_UNITS, MM
+
+Vector = tuple[float, float, float]
+Unit = Literal["mm", "cm", "m", "in", "ft"]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Strict(BaseModel):
+    """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class PoseFile(Strict):
+    """A pose: position and roll, pitch, yaw about fixed x, then y, then z."""
+
+    xyz_mm: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+
+    def matrix(self) -> NDArray[np.float64]:
+        """The pose as (4, 4) in metres."""
+        return from_rpy(np.array(self.xyz_mm) * MM, np.array(self.rpy_deg) * DEG)
+
+
+class BoxFile(Strict):
+    """A box centred on its pose."""
+
+    kind: Literal["box"]
+    size_mm: tuple[Positive, Positive, Positive]
+    pose: PoseFile = PoseFile()
+
+
+class RoundFile(Strict):
+    """A cylinder or capsule along z, centred on its pose."""
+
+    kind: Literal["cylinder", "capsule"]
+    radius_mm: Positive
+    length_mm: Positive
+    pose: PoseFile = PoseFile()
+
+
+class SphereFile(Strict):
+    """A sphere."""
+
+    kind: Literal["sphere"]
+    radius_mm: Positive
+    pose: PoseFile = PoseFile()
+
+
+class MeshFile(Strict):
+    """A mesh file in a stated unit; collision sees its convex hull."""
+
+    kind: Literal["mesh"]
+    file: str
+    unit: Unit
+    pose: PoseFile = PoseFile()
+
+
+ShapeFile = Annotated[BoxFile | RoundFile | SphereFile | MeshFile, Field(discriminator="kind")]
+
+
+class WireHolderFile(Strict):
+    """The built-in wire holder with a sliding clamp."""
+
+    kind: Literal["wire_holder"]
+    mounting: Literal["along", "across", "diagonal"] = "across"
+    side: Literal["start", "end"]
+
+
+class PlainToolFile(Strict):
+    """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
+
+    kind: Literal["plain"]
+    tcp: PoseFile
+    mass_kg: Positive
+    cog_mm: Vector = (0.0, 0.0, 50.0)
+    shapes: list[ShapeFile] = []
+
+
+class ArmFile(Strict):
+    """One robot: catalogue name, base, tool, home joints as the controller shows them."""
+
+    name: Name
+    robot: str
+    base: PoseFile = PoseFile()
+    base_auto: bool = False
+    tool: Annotated[WireHolderFile | PlainToolFile, Field(discriminator="kind")]
+    home_deg: Annotated[list[float], Field(min_length=6, max_length=6)] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+class ObstacleFile(Strict):
+    """A fixed body: its shapes are placed in the world."""
+
+    name: Name
+    shapes: Annotated[list[ShapeFile], Field(min_length=1)]
+
+
+class ControllerFile(Strict):
+    """Names that the programs use."""
+
+    tasks: Annotated[list[Name], Field(min_length=1, max_length=2)] = ["T_ROB1", "T_ROB2"]
+    units: Annotated[list[Name], Field(min_length=1, max_length=2)] = ["ROB_1", "ROB_2"]
+    wire_signal: Name = "doWirePower"
+    max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
+    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
+
+
+class CellFile(Strict):
+    """A robot cell."""
+
+    name: str = "cell"
+    arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
+    obstacles: list[ObstacleFile] = []
+    controller: ControllerFile = ControllerFile()
+
+
+def build(spec: CellFile, folder: Path) -> Cell:
+    """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and robots."""
+    from planner.catalogue import robot
+
+    arms = []
+    for arm in spec.arms:
+        data = robot(arm.robot)
+        home = data.from_controller(np.array(arm.home_deg) * DEG)
+        arms.append(
+            Arm(arm.name, arm.robot, arm.base.matrix(), _tool(arm.tool, folder), home, arm.base_auto)
+        )
+    obstacles = tuple(
+        Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
+    )
+    c = spec.controller
+    controller = Controller(
+        tuple(c.tasks), tuple(c.units), c.wire_signal, c.max_moves, c.max_kilobytes * 1000
+    )
+    return Cell(spec.name, tuple(arms), obstacles, controller)
+
+
+def shape(spec: ShapeFile, folder: Path) -> Shape:
+    """One shape in SI units."""
+    pose = spec.pose.matrix()
+    if isinstance(spec, BoxFile):
+        return Shape("box", tuple(v * MM for v in spec.size_mm), pose)
+    if isinstance(spec, RoundFile):
+        return Shape(spec.kind, (spec.radius_mm * MM, spec.length_mm * MM), pose)
+    if isinstance(spec, SphereFile):
+        return Shape("sphere", (spec.radius_mm * MM,), pose)
+    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit])
+    return Shape("mesh", (), pose, mesh.vertices, mesh.faces)
+
+
+def _tool(spec: WireHolderFile | PlainToolFile, folder: Path) -> Tool:
+    if isinstance(spec, WireHolderFile):
+        return wire_holder(spec.mounting, spec.side)
+    shapes = tuple(shape(s, folder) for s in spec.shapes)
+    return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)

@@ -1,0 +1,180 @@
+"""The command line: ``tandem plan | check | verify | robots | materials | issues``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from planner.issues import Issue, Severity, TandemError, has_errors
+
+DONE, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 2, 3, 4
+STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+
+app = tyro.extras.SubcommandApp()
+out = Console()
+err = Console(stderr=True)
+
+
+@app.command
+def plan(
+    problem: tyro.conf.Positional[Path],
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out"),
+) -> int:
+    """Plan a problem file, prove the programs and write them with a report; exit 0 only if verified.
+
+    Args:
+        problem: the problem file, YAML.
+        output: folder for programs, report, replay and plan.
+    """
+    from planner import pipeline
+
+    started = time.perf_counter()
+    try:
+        loaded = pipeline.load(problem)
+    except TandemError as error:
+        pipeline.save_failure(None, error.issues, output)
+        return _refused(error, BAD_INPUT)
+    try:
+        with _progress() as tell:
+            outcome = pipeline.plan(loaded, tell)
+            outcome.save(output, tell)
+    except TandemError as error:
+        pipeline.save_failure(loaded, error.issues, output)
+        return _refused(error, _infeasible_code(error))
+    _print_issues(outcome.issues)
+    _summary(outcome, output, time.perf_counter() - started)
+    return pipeline.exit_code(outcome)
+
+
+@app.command
+def check(problem: tyro.conf.Positional[Path]) -> int:
+    """Validate a problem file and test reach, without planning."""
+    from planner import pipeline
+
+    try:
+        loaded = pipeline.load(problem)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    issues = pipeline.check(loaded)
+    _print_issues(issues)
+    if has_errors(issues):
+        return NO_PLAN
+    out.print(f"{loaded.name}: nothing in the way of a plan was found")
+    return DONE
+
+
+@app.command
+def verify(
+    folder: tyro.conf.Positional[Path], problem: tyro.conf.Positional[Path]
+) -> int:
+    """Prove the programs in FOLDER again, from their text and the problem file alone."""
+    from planner import pipeline
+
+    try:
+        loaded = pipeline.load(problem)
+        programs = pipeline.read_programs(folder)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    proof = pipeline.verify(loaded, programs)
+    _print_issues(proof.issues)
+    passed = sum(rule.passed for rule in proof.rules)
+    out.print(f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}")
+    return DONE if proof.ok else NOT_PROVEN
+
+
+@app.command
+def robots() -> int:
+    """List the robots of the catalogue."""
+    from planner.catalogue import robot, robot_names
+
+    table = Table("name", "robot", "reach mm", "payload kg", "controller", "assumed")
+    for name in robot_names():
+        data = robot(name)
+        table.add_row(
+            name, data.title, f"{data.reach * 1000:.0f}", f"{data.payload:g}", data.controller, "; ".join(data.assumed)
+        )
+    out.print(table)
+    return DONE
+
+
+@app.command
+def materials() -> int:
+    """List the wire and foam materials, with the sources of their figures."""
+    from planner.materials import describe
+
+    table = Table("name", "figure", "value", "source")
+    for row in describe():
+        table.add_row(*row)
+    out.print(table)
+    return DONE
+
+
+@app.command
+def issues() -> int:
+    """List every issue code with its meaning."""
+    from planner.issue_codes import CODES
+
+    table = Table("code", "meaning")
+    for code, meaning in CODES.items():
+        table.add_row(code, meaning)
+    out.print(table)
+    return DONE
+
+
+def main() -> None:
+    """Entry point of the command ``tandem``."""
+    try:
+        sys.exit(app.cli(prog="tandem", description="Plan two robots that share one job, and prove their programs."))
+    except KeyboardInterrupt:
+        err.print("stopped; nothing half-written was left")
+        sys.exit(130)
+
+
+def _infeasible_code(error: TandemError) -> int:
+    bad_input = all(issue.code.split(".")[0] in {"problem", "part", "targets", "mesh"} for issue in error.issues)
+    return BAD_INPUT if bad_input else NO_PLAN
+
+
+def _refused(error: TandemError, code: int) -> int:
+    _print_issues(error.issues)
+    return code
+
+
+def _print_issues(found: tuple[Issue, ...]) -> None:
+    for issue in found:
+        err.print(str(issue), style=STYLES[issue.severity], markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    columns = (SpinnerColumn(), TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        tasks: dict[str, object] = {}
+
+        def tell(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=1.0)
+            bar.update(tasks[stage], completed=fraction)  # type: ignore[arg-type]
+
+        yield tell
+
+
+def _summary(outcome: object, output: Path, seconds: float) -> None:
+    from planner.pipeline import Outcome
+
+    if not isinstance(outcome, Outcome):
+        raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
+    moves = sum(operation.targets.count for operation in outcome.plan.operations)
+    cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
+    verdict = "verified" if outcome.verified else "NOT verified, no programs written"
+    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
+    out.print(f"planned in {seconds:.1f} s; see {output / 'report.html'}", highlight=False)

@@ -1,0 +1,119 @@
+"""The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in one page."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from planner import plan_io, problem_file, processes
+from planner.files import write_folder
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.motion import solve
+from planner.plan import Plan
+from planner.post import write
+from planner.problem import Problem
+from planner.report import output
+from planner.verify import prove
+from planner.verify.result import Proof
+
+Progress = Callable[[str, float], None]
+OWNED = (
+    "programs",
+    "plan.npz",
+    "plan.json",
+    "proof.json",
+    "report.html",
+    "replay.html",
+    "simulated_part.obj",
+)
+"""What a result folder holds; anything else in the folder is left alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """A plan, its programs and their proof. ``programs`` is empty unless the proof holds."""
+
+    problem: Problem
+    plan: Plan
+    proof: Proof
+    programs: Mapping[str, str]
+
+    @property
+    def verified(self) -> bool:
+        """Whether the programs are proven."""
+        return self.proof.ok
+
+    @property
+    def issues(self) -> tuple[Issue, ...]:
+        """All issues of planning and proof, repeats counted."""
+        return aggregate((*self.plan.issues, *self.proof.issues))
+
+    def save(self, folder: str | Path, progress: Progress | None = None) -> None:
+        """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
+        tell = progress or _silent
+        tell("report", 0.0)
+        files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
+        files |= plan_io.dump(self.plan)
+        files |= {f"programs/{name}": text for name, text in self.programs.items()}
+        write_folder(Path(folder), files, OWNED)
+        tell("report", 1.0)
+
+
+def load(path: str | Path) -> Problem:
+    """Read a problem file. Raises ``TandemError`` with every fault found."""
+    return problem_file.read(Path(path), processes.schemas())
+
+
+def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
+    """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
+    tell = progress or _silent
+    tell("targets", 0.0)
+    targets = [processes.make_targets(problem, operation) for operation in problem.operations]
+    made = solve.solve(problem, targets, tell)
+    tell("programs", 0.0)
+    programs = write.programs(made, problem)
+    tell("proof", 0.0)
+    proof = verify(problem, programs)
+    tell("proof", 1.0)
+    return Outcome(problem, made, proof, programs if proof.ok else {})
+
+
+def check(problem: Problem) -> tuple[Issue, ...]:
+    """Validate and test reach without planning: the issues found, errors included."""
+    try:
+        targets = [processes.make_targets(problem, operation) for operation in problem.operations]
+        found = [issue for item in targets for issue in item.issues]
+        return aggregate([*found, *solve.check(problem, targets)])
+    except TandemError as error:
+        return error.issues
+
+
+def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
+    """Prove programs from their text and the problem alone."""
+    return prove.prove(problem, processes.claims(problem), programs)
+
+
+def read_programs(folder: str | Path) -> dict[str, str]:
+    """The texts in ``folder/programs``, by relative name. Raises ``TandemError`` if there are none."""
+    root = Path(folder) / "programs"
+    texts = {str(p.relative_to(root)): p.read_text("utf-8") for p in sorted(root.rglob("*")) if p.is_file()}
+    if not texts:
+        raise TandemError(
+            Issue("verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root))
+        )
+    return texts
+
+
+def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
+    """Write the report alone, for a problem that was refused or has no plan; removes what an older run left."""
+    write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, OWNED)
+
+
+def exit_code(outcome: Outcome) -> int:
+    """0 for done and verified, 4 for planned but not proven."""
+    return 4 if not outcome.verified or has_errors(outcome.issues) else 0
+
+
+def _silent(stage: str, fraction: float) -> None:
+    del stage, fraction

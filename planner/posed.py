@@ -1,0 +1,207 @@
+"""The general door, ``process: targets``: synchronised poses for one or two arms from a CSV or JSON file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+from planner.claims import Claim, FollowsPoses
+from planner.geometry.rigid import from_parts, from_quaternion
+from planner.issues import Issue, TandemError
+from planner.problem import Part, Stock
+from planner.targets import ScrewFreedom, Targets
+from planner.units import DEG, MM
+
+FloatArray = NDArray[np.float64]
+MAX_BYTES = 100_000_000
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+class FreeAxis(BaseModel):
+    """A free turn about or slide along an axis of the tool frame; with two arms in ``arms`` both share its value."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    name: str
+    arms: Annotated[list[str], Field(min_length=1, max_length=2)]
+    axis: Literal["x", "y", "z"]
+    turn_deg: tuple[float, float] | None = None
+    slide_mm: tuple[float, float] | None = None
+
+
+class Posed(BaseModel):
+    """Poses from a file.
+
+    CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if wanted,
+    ``segment`` and ``stop``. JSON: a list of objects with the same keys.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
+    process: Literal["targets"]
+    arms: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    file: Path
+    frame: Literal["stock", "world"] = "stock"
+    free: list[FreeAxis] = []
+    feed_mm_s: Annotated[float, Field(gt=0)] | None = None
+    coupled: bool = False
+    position_tol_mm: Annotated[float, Field(gt=0)] = 0.01
+    angle_tol_deg: Annotated[float, Field(gt=0)] = 0.01
+
+    @field_validator("file")
+    @classmethod
+    def _from_the_problem_file(cls, value: Path, info: ValidationInfo) -> Path:
+        return (info.context or {}).get("folder", Path()) / value
+
+
+def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
+    """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and column."""
+    rows = _rows(operation)
+    poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
+    count = len(rows)
+    feed = np.array([_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)])
+    if (feed <= 0).any():
+        first = int(np.argmax(feed <= 0))
+        raise TandemError(
+            _fault(operation, first, f"feed_mm_s is {feed[first]:g}, it must be positive; correct the row")
+        )
+    segment = tuple(str(row.get("segment") or "cut/path") for row in rows)
+    stop = np.array([_flag(row.get("stop")) for row in rows])
+    stop[[0, -1]] = True
+    return Targets(
+        arms=operation.arms,
+        pose=poses,
+        frame=dict.fromkeys(operation.arms, operation.frame),
+        freedoms=tuple(_freedom(axis, count) for axis in operation.free),
+        feed=feed * MM,
+        feed_min=np.zeros(count),
+        travel=_travel(poses),
+        stop=stop,
+        segment=segment,
+        coupled=operation.coupled,
+        claims=claims(operation, stock, part),
+    )
+
+
+def claims(operation: Posed, stock: Stock, part: Part | None) -> tuple[Claim, ...]:
+    """Each TCP follows the file's poses up to its free axes."""
+    rows = _rows(operation)
+    out = []
+    for arm in operation.arms:
+        free = tuple(_twist(axis) for axis in operation.free if arm in axis.arms)
+        out.append(
+            FollowsPoses(
+                arm,
+                operation.frame,
+                _poses(rows, arm, operation),
+                free,
+                operation.position_tol_mm * MM,
+                operation.angle_tol_deg * DEG,
+            )
+        )
+    return tuple(out)
+
+
+def _travel(poses: Mapping[str, FloatArray]) -> FloatArray:
+    steps = [np.linalg.norm(np.diff(p[:, :3, 3], axis=0), axis=1) for p in poses.values()]
+    return np.concatenate([[0.0], np.max(steps, axis=0)])
+
+
+def _twist(axis: FreeAxis) -> FloatArray:
+    twist = np.zeros(6)
+    twist[AXES[axis.axis] + (0 if axis.turn_deg is not None else 3)] = 1.0
+    return twist
+
+
+def _freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
+    if (axis.turn_deg is None) == (axis.slide_mm is None):
+        raise TandemError(
+            Issue(
+                "targets.freedom",
+                f"free axis '{axis.name}': give either turn_deg or slide_mm, one of them",
+                field="operations.free",
+            )
+        )
+    bounds = axis.turn_deg or axis.slide_mm or (0.0, 0.0)
+    scale = DEG if axis.turn_deg is not None else MM
+    lower, upper = (np.full(count, bound * scale) for bound in bounds)
+    periodic = axis.turn_deg is not None and bounds[1] - bounds[0] >= 360.0
+    return ScrewFreedom(axis.name, dict.fromkeys(axis.arms, _twist(axis)), lower, upper, None, periodic)
+
+
+def _rows(operation: Posed) -> list[Mapping[str, Any]]:
+    path = operation.file
+    if not path.is_file():
+        raise TandemError(
+            Issue(
+                "problem.missing_file",
+                f"{path}: no such file of targets; check the path, which starts at the problem file's folder",
+                file=str(path),
+                field="operations.file",
+            )
+        )
+    if path.stat().st_size > MAX_BYTES:
+        raise TandemError(
+            Issue("problem.too_large", f"{path}: over {MAX_BYTES // 1_000_000} MB; split the job", file=str(path))
+        )
+    text = path.read_text("utf-8", errors="replace")
+    try:
+        rows = json.loads(text) if path.suffix.lower() == ".json" else list(csv.DictReader(io.StringIO(text)))
+    except (json.JSONDecodeError, csv.Error) as error:
+        raise TandemError(_fault(operation, None, f"cannot be read: {error}; expected CSV or JSON")) from error
+    if not isinstance(rows, list) or len(rows) < 2 or not all(isinstance(row, dict) for row in rows):
+        raise TandemError(_fault(operation, None, "expected a list of at least 2 targets"))
+    return rows
+
+
+def _poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> FloatArray:
+    table = np.array(
+        [[_number(row, f"{arm}.{column}", i, operation) for column in POSE_COLUMNS] for i, row in enumerate(rows)]
+    )
+    norm = np.linalg.norm(table[:, 3:], axis=1)
+    wrong = np.abs(norm - 1.0) > 1e-3
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise TandemError(
+            _fault(
+                operation,
+                first,
+                f"{arm}: quaternion of length {norm[first]:.4f}, allowed 1 within 0.001; normalise it",
+            )
+        )
+    return from_parts(from_quaternion(table[:, 3:]), table[:, :3] * MM)
+
+
+def _number(
+    row: Mapping[str, Any], column: str, index: int, operation: Posed, default: float | None = None
+) -> float:
+    value = row.get(column)
+    if value in (None, "") and default is not None:
+        return default
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise TandemError(
+            _fault(operation, index, f"column '{column}': got {value!r}, a finite number is needed")
+        )
+    return number
+
+
+def _flag(value: object) -> bool:
+    return str(value).strip().lower() in {"1", "true", "yes"}
+
+
+def _fault(operation: Posed, index: int | None, what: str) -> Issue:
+    row = "" if index is None else f", target {index}"
+    return Issue("targets.file", f"{operation.file}{row}: {what}", file=str(operation.file), index=index)

@@ -1,0 +1,242 @@
+"""Reads a problem file: parse, validate every field, collect all faults, convert to SI units.
+
+Operations belong to processes, so the caller passes their schemas; this module knows none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationError
+
+from planner import cell_file, part_file, yaml_lines
+from planner.cell_file import CellFile, Name, PoseFile, Positive, ShapeFile, Strict
+from planner.geometry.rigid import from_rpy
+from planner.issues import Issue, TandemError
+from planner.part_file import PartFile
+from planner.problem import Cell, Operation, Problem, Settings, Stock
+from planner.units import DEG, MM
+from planner.yaml_lines import Document
+
+OperationModels = Mapping[str, type[BaseModel]]
+
+
+class StockFile(Strict):
+    """The raw block and where it stands; ``place: auto`` lets Tandem search."""
+
+    size_mm: tuple[Positive, Positive, Positive]
+    place: Literal["auto"] | PoseFile = "auto"
+    roll_pitch_deg: tuple[float, float] = (0.0, 0.0)
+    support: list[ShapeFile] = []
+
+
+class SettingsFile(Strict):
+    """Limits that planning and proof share."""
+
+    clearance_mm: Annotated[float, Field(ge=0, le=500)] = 10.0
+    speed_fraction: Annotated[float, Field(gt=0, le=1)] = 0.9
+    acceleration_fraction: Annotated[float, Field(gt=0, le=1)] = 0.8
+    joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = 2.0
+    singularity_margin_deg: Annotated[float, Field(ge=0, le=45)] = 5.0
+    tcp_speed_mm_s: Annotated[float, Field(gt=0, le=5000)] = 250.0
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+
+    def build(self) -> Settings:
+        """The settings in SI units."""
+        return Settings(
+            clearance=self.clearance_mm * MM,
+            speed_fraction=self.speed_fraction,
+            acceleration_fraction=self.acceleration_fraction,
+            joint_margin=self.joint_margin_deg * DEG,
+            singularity_margin=self.singularity_margin_deg * DEG,
+            tcp_speed=self.tcp_speed_mm_s * MM,
+            seed=self.seed,
+        )
+
+
+class ProblemFile(Strict):
+    """A whole problem file, schema version 1. Each operation is checked against its process's own schema."""
+
+    tandem: Literal[1]
+    name: Name
+    cell: str | CellFile
+    stock: StockFile
+    part: PartFile | None = None
+    settings: SettingsFile = SettingsFile()
+    operations: Annotated[list[dict[str, Any]], Field(min_length=1)]
+
+
+def read(path: Path, models: OperationModels) -> Problem:
+    """Read, validate and convert the problem file at ``path``; ``models`` maps a process to its operation's schema.
+
+    Raises ``TandemError`` with every fault that was found, each with its field and, where the format gives it, its line.
+    """
+    document = yaml_lines.read(path)
+    spec, issues = _validate(ProblemFile, document.data, document, ())
+    raw_operations = document.data.get("operations")
+    operations: list[Operation] = []
+    if isinstance(raw_operations, list):
+        for index, raw in enumerate(raw_operations):
+            operation, faults = _operation(raw, index, document, models)
+            issues += faults
+            if operation is not None:
+                operations.append(operation)
+    cell, cell_text = None, b""
+    if spec is not None:
+        try:
+            cell, cell_text = _cell(spec.cell, document)
+        except TandemError as error:
+            issues += error.issues
+    if cell is not None:
+        issues += _names(cell, operations, document)
+    part = None
+    if spec is not None and spec.part is not None:
+        try:
+            part = part_file.build(spec.part, path.parent, np.array(spec.stock.size_mm) * MM)
+        except TandemError as error:
+            issues += error.issues
+    if spec is None or cell is None or issues:
+        raise TandemError(issues)
+    return Problem(
+        name=spec.name,
+        cell=cell,
+        stock=_stock(spec.stock, path.parent),
+        part=part,
+        operations=tuple(operations),
+        settings=spec.settings.build(),
+        path=path,
+        digest=_digest(document, cell_text),
+    )
+
+
+def _validate(
+    model: type[Any], data: Any, document: Document, prefix: tuple[str | int, ...]
+) -> tuple[Any, list[Issue]]:
+    try:
+        return model.model_validate(data, context={"folder": document.path.parent}), []
+    except ValidationError as error:
+        return None, [_field_issue(dict(e), document, prefix) for e in error.errors()]
+
+
+def _field_issue(error: dict[str, Any], document: Document, prefix: tuple[str | int, ...]) -> Issue:
+    location = (*prefix, *error["loc"])
+    field = ".".join(str(step) for step in location)
+    got = error.get("input")
+    shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {got!r}"
+    code = "problem.not_finite" if error["type"] == "finite_number" else "problem.field"
+    remedy = {
+        "missing": "add it",
+        "extra_forbidden": "remove it or correct its spelling",
+        "finite_number": "give a finite number",
+    }.get(error["type"], "correct it")
+    what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    return Issue(
+        code,
+        f"{field}: {what}{shown}; {remedy}",
+        file=str(document.path),
+        line=document.line(location),
+        field=field,
+    )
+
+
+def _operation(
+    raw: Any, index: int, document: Document, models: OperationModels
+) -> tuple[Operation | None, list[Issue]]:
+    place: tuple[str | int, ...] = ("operations", index)
+    if not isinstance(raw, dict):
+        return None, []
+    process = raw.get("process")
+    model = models.get(process) if isinstance(process, str) else None
+    if model is None:
+        known = ", ".join(sorted(models))
+        return None, [
+            Issue(
+                "problem.unknown_process",
+                f"operations.{index}.process: got {process!r}, known are {known}; choose one of them",
+                file=str(document.path),
+                line=document.line((*place, "process")),
+                field=f"operations.{index}.process",
+            )
+        ]
+    operation, faults = _validate(model, raw, document, place)
+    return operation, faults
+
+
+def _cell(spec: str | CellFile, document: Document) -> tuple[Cell, bytes]:
+    if isinstance(spec, CellFile):
+        return cell_file.build(spec, document.path.parent), b""
+    path = document.path.parent / spec
+    if not path.is_file():
+        raise TandemError(
+            Issue(
+                "problem.missing_file",
+                f"cell: no file {path}; check the path, which starts at the folder of the problem file",
+                file=str(document.path),
+                line=document.line(("cell",)),
+                field="cell",
+            )
+        )
+    inner = yaml_lines.read(path)
+    cell_spec, issues = _validate(CellFile, inner.data, inner, ())
+    if cell_spec is None:
+        raise TandemError(issues)
+    return cell_file.build(cell_spec, path.parent), inner.text + _named_files(inner.data, path.parent)
+
+
+def _names(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
+    file = str(document.path)
+    groups = {
+        "cell.arms": [arm.name for arm in cell.arms],
+        "cell.obstacles": [body.name for body in cell.obstacles],
+        "operations": [operation.name for operation in operations],
+    }
+    for field, names in groups.items():
+        for name in sorted({n for n in names if [m.lower() for m in names].count(n.lower()) > 1}):
+            yield Issue(
+                "problem.duplicate_name",
+                f"{field}: the name '{name}' is given more than once; rename one",
+                file=file,
+                field=field,
+                line=document.line((field.split(".")[0],)),
+            )
+    known = [arm.name for arm in cell.arms]
+    for index, operation in enumerate(operations):
+        for arm in operation.arms:
+            if arm not in known:
+                yield Issue(
+                    "problem.unknown_arm",
+                    f"operations.{index}.arms: '{arm}' is not an arm of the cell; it has {', '.join(known)}",
+                    file=file,
+                    field=f"operations.{index}.arms",
+                    line=document.line(("operations", index, "arms")),
+                )
+
+
+def _stock(spec: StockFile, folder: Path) -> Stock:
+    roll, pitch = np.array(spec.roll_pitch_deg) * DEG
+    place = None if isinstance(spec.place, str) else spec.place.matrix()
+    attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if place is None else place[:3, :3]
+    support = tuple(cell_file.shape(s, folder) for s in spec.support)
+    return Stock(np.array(spec.size_mm) * MM, place, attitude, support)
+
+
+def _digest(document: Document, cell_text: bytes) -> str:
+    """SHA-256 over the problem file and every file that it or its cell names: the same problem, the same digest."""
+    sha = hashlib.sha256(document.text)
+    sha.update(cell_text)
+    sha.update(_named_files(document.data, document.path.parent))
+    return sha.hexdigest()
+
+
+def _named_files(data: Any, folder: Path) -> bytes:
+    if isinstance(data, dict):
+        own = data.get("file")
+        text = (folder / own).read_bytes() if isinstance(own, str) and (folder / own).is_file() else b""
+        return text + b"".join(_named_files(v, folder) for v in data.values())
+    if isinstance(data, list):
+        return b"".join(_named_files(v, folder) for v in data)
+    return b""
