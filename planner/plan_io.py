@@ -35,6 +35,16 @@ _VALUES: Final[dict[str, type]] = {
     cls.__name__: cls
     for cls in (Plan, OperationPlan, Targets, ScrewFreedom, TableFreedom, Action, Edge, *get_args(Claim))
 }
+_BROKEN: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    EOFError,
+    OSError,
+    zipfile.BadZipFile,
+)
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -42,8 +52,9 @@ Arrays = dict[str, NDArray[Any]]
 def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
     """Writes ``plan.npz`` and ``plan.json`` into ``folder``, which is made if missing.
 
-    Each file is written under a temporary name and then renamed; ``plan.json`` comes last and carries the hash of
-    ``plan.npz``, so that a pair torn apart by a kill is told from a whole one. The same plan gives the same bytes.
+    Each file is written under a temporary name and then renamed; ``plan.json`` comes last and carries the
+    hash of ``plan.npz``, so that a pair torn apart by a kill is told from a whole one. The same plan gives the
+    same bytes.
     Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
     """
     target = Path(folder)
@@ -70,7 +81,7 @@ def load(folder: str | os.PathLike[str]) -> Plan:
         raise _damaged(source / ARRAYS, "its hash is not the one that plan.json states")
     try:
         plan = _decode(header["plan"], _unpack(packed))
-    except (ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError, OSError) as error:
+    except _BROKEN as error:
         raise _damaged(source / DATA, f"{type(error).__name__}: {error}") from error
     if not isinstance(plan, Plan):
         raise _damaged(source / DATA, f"it holds a {type(plan).__name__}, not a plan")
@@ -78,7 +89,7 @@ def load(folder: str | os.PathLike[str]) -> Plan:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file under a temporary name beside it and renames it, so that it is there whole or not at all."""
+    """Writes a file under a temporary name and renames it, so that it is there whole or not at all."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as stream:
@@ -124,9 +135,10 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
 
 
 def _encode_items(items: Mapping[str, Any], key: str, arrays: Arrays) -> dict[str, Any]:
-    return {
-        k: _encode(v, f"{key}/{k.replace('~', '~0').replace('/', '~1')}", arrays) for k, v in items.items()
-    }
+    def path(name: str) -> str:
+        return f"{key}/{name.replace('~', '~0').replace('/', '~1')}"
+
+    return {k: _encode(v, path(k), arrays) for k, v in items.items()}
 
 
 def _decode(value: Any, arrays: Arrays) -> Any:
@@ -207,8 +219,8 @@ def _not_saveable(key: str, what: str) -> TandemError:
     return TandemError(
         Issue(
             "plan.not_saveable",
-            f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, mappings, "
-            "text, numbers and Tandem's own values",
+            f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, "
+            "mappings, text, numbers and Tandem's own values",
             field=key[1:],
         )
     )

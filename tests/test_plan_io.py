@@ -1,4 +1,4 @@
-"""Saved plans: a whole and exact round trip, equal bytes for equal plans, refusal of damaged and foreign files."""
+"""Saved plans: whole and exact round trip, equal bytes for equal plans, refusal of damaged and foreign files."""
 
 from __future__ import annotations
 
