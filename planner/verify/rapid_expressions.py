@@ -1,0 +1,206 @@
+"""Expressions of RAPID, and number lists read in one step."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import Any
+
+from planner.verify.rapid_ast import Aggregate, Binary, Expr, Function, Literal, Name, Unary
+from planner.verify.rapid_lexer import Cursor, SyntaxFault, shown
+from planner.verify.rapid_values import NUMBERS, OPAQUE, ValueFault, base_type, build
+from planner.verify.rapid_words import RESERVED
+
+MAX_DEPTH = 40
+
+NUMERIC = re.compile(r"[\[\]\d+\-.eE, \t\r\n]*")
+NEGATIVE_ZERO = re.compile(r"-0+(?:\.0*)?(?:[eE][+-]?\d+)?(?![\d.])")
+_COMPARE = frozenset({"=", "<>", "<", ">", "<=", ">="})
+
+
+def expression(cursor: Cursor, longest_string: int, depth: int = 0) -> Expr:
+    """One expression: [NOT] terms joined by OR and XOR, of relations joined by AND. Raises `SyntaxFault`."""
+    if depth > MAX_DEPTH:
+        raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
+    left = _logical_term(cursor, longest_string, depth)
+    while True:
+        start = cursor.token.start
+        word = cursor.take_word("or", "xor")
+        if word is None:
+            return left
+        left = Binary(start, word, left, _logical_term(cursor, longest_string, depth))
+
+
+def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
+    start = cursor.token.start
+    negated = cursor.take_word("not") is not None
+    left = _relation(cursor, longest, depth)
+    while True:
+        at = cursor.token.start
+        if cursor.take_word("and") is None:
+            return Unary(start, "not", left) if negated else left
+        left = Binary(at, "and", left, _relation(cursor, longest, depth))
+
+
+def _relation(cursor: Cursor, longest: int, depth: int) -> Expr:
+    left = _sum(cursor, longest, depth)
+    token = cursor.token
+    if token.kind == "symbol" and token.text in _COMPARE:
+        cursor.take()
+        return Binary(token.start, token.text, left, _sum(cursor, longest, depth))
+    return left
+
+
+def _sum(cursor: Cursor, longest: int, depth: int) -> Expr:
+    left = _product(cursor, longest, depth)
+    while cursor.token.kind == "symbol" and cursor.token.text in "+-":
+        token = cursor.take()
+        left = Binary(token.start, token.text, left, _product(cursor, longest, depth))
+    return left
+
+
+def _product(cursor: Cursor, longest: int, depth: int) -> Expr:
+    left = _primary(cursor, longest, depth)
+    while (cursor.token.kind == "symbol" and cursor.token.text in "*/") or cursor.token.word in (
+        "div",
+        "mod",
+    ):
+        token = cursor.take()
+        left = Binary(token.start, token.word, left, _primary(cursor, longest, depth))
+    return left
+
+
+def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
+    token = cursor.token
+    if token.kind == "number":
+        return Literal(token.start, "num", number(cursor.take().text, token.start))
+    if token.kind == "string":
+        return Literal(token.start, "string", _string(cursor, longest))
+    if token.kind == "name":
+        return _name(cursor, longest, depth)
+    if token.kind == "symbol":
+        if token.text == "[":
+            return aggregate(cursor, longest, depth)
+        if token.text == "(":
+            cursor.take()
+            inside = expression(cursor, longest, depth + 1)
+            cursor.expect_symbol(")", "to close the bracket")
+            return inside
+        if token.text in "+-":
+            return _signed(cursor, longest, depth)
+    raise cursor.fault("a value: a number, a string, [..], a name or a function")
+
+
+def number(text: str, start: int) -> float:
+    """The number of an unsigned numeral; refuses what a float cannot hold."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise SyntaxFault(start, "rapid.number", f"{shown(text)} is too large for a number")
+    return value
+
+
+def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
+    sign = cursor.take()
+    if depth > MAX_DEPTH:
+        raise cursor.fault(f"at most {MAX_DEPTH} nested signs")
+    operand = _primary(cursor, longest, depth + 1)
+    if isinstance(operand, Literal) and operand.kind == "num":
+        if sign.text == "-" and operand.value == 0.0:
+            raise SyntaxFault(sign.start, "rapid.number", 'got "-0"; write 0')
+        return Literal(sign.start, "num", -operand.value if sign.text == "-" else operand.value)
+    return Unary(sign.start, sign.text, operand)
+
+
+def _string(cursor: Cursor, longest: int) -> str:
+    token = cursor.take()
+    value = token.text[1:-1].replace('""', '"').replace("\\\\", "\\")
+    if len(value) > longest:
+        message = f"the string {shown(value)} has {len(value)} characters; allowed: {longest}"
+        raise SyntaxFault(token.start, "rapid.string_length", message)
+    return value
+
+
+def _name(cursor: Cursor, longest: int, depth: int) -> Expr:
+    token = cursor.token
+    if token.word in ("true", "false"):
+        return Literal(token.start, "bool", cursor.take().word == "true")
+    if token.word in RESERVED:
+        raise cursor.fault("a value, not a reserved word")
+    cursor.take()
+    if not cursor.take_symbol("("):
+        return Name(token.start, token.text)
+    arguments: list[Expr] = []
+    while not cursor.take_symbol(")"):
+        if arguments:
+            cursor.expect_symbol(",", "or ) in the function's arguments")
+        arguments.append(expression(cursor, longest, depth + 1))
+    return Function(token.start, token.text, tuple(arguments))
+
+
+def aggregate(cursor: Cursor, longest: int, depth: int) -> Expr:
+    """`[a, b, ...]`: a `Literal` of kind "list" when all inside are numbers, else an `Aggregate`."""
+    start = cursor.token.start
+    quick = number_list(cursor.text, start)
+    if quick is not None:
+        cursor.jump(quick[1])
+        return Literal(start, "list", quick[0])
+    if depth > MAX_DEPTH:
+        raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
+    cursor.take()
+    items = [expression(cursor, longest, depth + 1)]
+    while cursor.take_symbol(","):
+        items.append(expression(cursor, longest, depth + 1))
+    cursor.expect_symbol("]", "or a comma in the list")
+    return Aggregate(start, tuple(items))
+
+
+_DECODER = json.JSONDecoder()
+
+
+def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
+    """Nested number list at `start` and the offset behind it, or None when it is not plainly one.
+
+    A list of plain numbers is JSON too, and the JSON reader is fast. Anything else (names, truths, faults) returns
+    None, and the ordinary way reads it and says what is wrong.
+    """
+    extent = NUMERIC.match(text, start)
+    if extent is None:
+        return None
+    piece = extent.group()
+    try:
+        found, length = _DECODER.raw_decode(piece)
+    except (ValueError, RecursionError):
+        return None
+    if NEGATIVE_ZERO.search(piece, 0, length) or piece.count("[", 0, length) > MAX_DEPTH:
+        return None
+    return (found, start + length) if isinstance(found, list) and _finite(found) else None
+
+
+def _finite(found: Any) -> bool:
+    if isinstance(found, list):
+        return bool(found) and all(map(_finite, found))
+    return -1e300 < found < 1e300
+
+
+def plain(found: Expr) -> Any:
+    """Nested lists of numbers, truths and strings of an expression without names, or None."""
+    if isinstance(found, Literal):
+        return found.value
+    if isinstance(found, Aggregate):
+        items = [plain(item) for item in found.items]
+        return None if any(item is None for item in items) else items
+    return None
+
+
+def typed(found: Expr, kind: str) -> Expr:
+    """The expression as a `Literal` of type `kind` where it holds no names. Raises `SyntaxFault` where it does not fit."""
+    if kind in OPAQUE or isinstance(found, Name | Function | Unary | Binary):
+        return found
+    items = plain(found)
+    if items is None:
+        return found
+    try:
+        return Literal(found.start, base_type(kind) if kind in NUMBERS else kind, build(kind, items))
+    except ValueFault as wrong:
+        raise SyntaxFault(found.start, wrong.code, wrong.message) from None

@@ -1,0 +1,471 @@
+"""The straight way of a task through its modules: calls put in place, names replaced by values.
+
+Conditions on constants are decided. A condition known at run time only (an operator's answer, IsSyncMoveOn()) must
+not decide over motion, signals or synchronisation: such a program cannot be proven and is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from planner.verify.rapid_ast import (
+    Aggregate,
+    Assign,
+    Binary,
+    Data,
+    Expr,
+    For,
+    Function,
+    If,
+    Instruction,
+    LateCall,
+    Literal,
+    Module,
+    Move,
+    Name,
+    ProcCall,
+    Procedure,
+    Statement,
+    Unary,
+    While,
+)
+from planner.verify.rapid_check import placed
+from planner.verify.rapid_lexer import Fault
+from planner.verify.rapid_steps import (
+    CallStep,
+    ChoiceStep,
+    LoadStep,
+    MessageStep,
+    MoveStep,
+    SettingStep,
+    SignalStep,
+    Step,
+    SyncStep,
+    WaitStep,
+)
+from planner.verify.rapid_values import OPAQUE, PREDEFINED, SyncIdent, Value, ValueFault, WorkObject, build
+from planner.verify.rapid_words import FORMS
+
+UNKNOWN = None  # the value of what only the controller knows
+MAX_CALLS = 50
+MAX_STEPS = 2_000_000
+_ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
+_MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
+
+
+class FlowError(ValueError):
+    """The programs have no single straight way; `faults` says where and why."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
+        self.faults = tuple(faults)
+
+
+class _Left(Exception):
+    """A RETURN, EXIT, RAISE, RETRY or TRYNEXT was met."""
+
+    def __init__(self, word: str) -> None:
+        super().__init__(word)
+        self.word = word
+
+
+def flatten(modules: Sequence[Module], entry: str = "main") -> tuple[Step, ...]:
+    """All steps of a task from `entry` on, for modules without faults (`rapid_reader.read_task`).
+
+    Raises `FlowError` when the entry is missing, the calls have no end, or run-time conditions decide over the motion.
+    """
+    runner = _Runner(modules)
+    return runner.run(entry)
+
+
+def handlers(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, ...]]:
+    """Steps of each ERROR section by (module, procedure). Branches on run-time conditions are included, and say so."""
+    found: dict[tuple[str, str], tuple[Step, ...]] = {}
+    for module in modules:
+        for procedure in module.procedures:
+            if procedure.error is not None:
+                runner = _Runner(modules, handler=True)
+                found[module.name, procedure.name] = runner.run_block(module, procedure, procedure.error)
+    return found
+
+
+class _Runner:
+    def __init__(self, modules: Sequence[Module], handler: bool = False) -> None:
+        self.modules = {module.name.lower(): module for module in modules}
+        self.handler = handler
+        self.steps: list[Step] = []
+        self.module: Module = modules[0]
+        self.procedure = ""
+        self.condition = ""
+        self.depth = 0
+        self.cells: dict[tuple[str, str], Any] = {}  # values of assigned variables
+        self.cache: dict[tuple[str, str], Any] = {}
+
+    # ---- entry ----
+
+    def run(self, entry: str) -> tuple[Step, ...]:
+        for module in self.modules.values():
+            for procedure in module.procedures:
+                if procedure.name.lower() == entry.lower():
+                    return self.run_block(module, procedure, procedure.body)
+        first = self.module
+        raise FlowError(
+            [Fault(1, 1, "rapid.flow", f"no procedure {entry} in the task's modules", first.file)]
+        )
+
+    def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
+        self.module, self.procedure = module, procedure.name
+        try:
+            self.block(body)
+        except _Left:
+            pass
+        return tuple(self.steps)
+
+    def fail(self, start: int, message: str) -> FlowError:
+        return FlowError([placed(self.module, start, "rapid.flow", message)])
+
+    # ---- names ----
+
+    def find(self, key: str) -> tuple[Module, Data | Procedure] | None:
+        own = [self.module, *(module for module in self.modules.values() if module is not self.module)]
+        for module in own:
+            for item in self._items(module).get(key, ()):
+                if module is self.module or not item.local:
+                    return module, item
+        return None
+
+    def _items(self, module: Module) -> dict[str, list[Data | Procedure]]:
+        key = ("", module.name.lower())
+        if key not in self.cache:
+            table: dict[str, list[Data | Procedure]] = {}
+            for item in (*module.data, *module.procedures):
+                table.setdefault(item.name.lower(), []).append(item)
+            self.cache[key] = table
+        found: dict[str, list[Data | Procedure]] = self.cache[key]
+        return found
+
+    def value(self, expr: Expr | None, kind: str) -> Value:
+        """The value of an expression, UNKNOWN where it is known at run time only."""
+        match expr:
+            case None:
+                return UNKNOWN
+            case Literal():
+                return build(kind, expr.value) if expr.kind == "list" else expr.value
+            case Name():
+                return self._name(expr)
+            case Aggregate():
+                items = self._plain(expr)
+                try:
+                    return UNKNOWN if items is None else build(kind, items)
+                except ValueFault as wrong:
+                    raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
+            case Unary():
+                inner = self.value(expr.operand, "num")
+                return UNKNOWN if inner is None else _UNARY[expr.operator](inner)
+            case Binary():
+                return self._binary(expr)
+            case Function():
+                return UNKNOWN
+
+    def _plain(self, expr: Expr) -> Any:
+        if isinstance(expr, Aggregate):
+            items = [self._plain(item) for item in expr.items]
+            return UNKNOWN if any(item is None for item in items) else items
+        if isinstance(expr, Name):
+            found = self.find(expr.key)
+            if found and isinstance(found[1], Data) and found[1].kind not in ("num", "bool", "string"):
+                raise self.fail(
+                    expr.start, f"{expr.text}: records inside records must be written out in this subset"
+                )
+        return self.value(expr, "num")
+
+    def _name(self, name: Name) -> Value:
+        counter = self.cells.get(("for", name.key))
+        if counter is not None:
+            return counter
+        found = self.find(name.key)
+        if found is None:
+            return PREDEFINED[name.key][1] if name.key in PREDEFINED else UNKNOWN
+        module, data = found
+        if not isinstance(data, Data):
+            return UNKNOWN
+        key = (module.name.lower(), name.key)
+        if key in self.cells:
+            return self.cells[key]
+        if key not in self.cache:
+            self.cache[key] = UNKNOWN  # a constant that refers to itself has no value
+            self.cache[key] = self._initial(module, data)
+        return self.cache[key]
+
+    def _initial(self, module: Module, data: Data) -> Value:
+        if data.kind == "syncident":
+            return SyncIdent(data.name)
+        if data.initial is None or data.kind in OPAQUE:
+            return UNKNOWN
+        here, self.module = self.module, module
+        try:
+            if data.size is None:
+                return self.value(data.initial, data.kind)
+            items = self._plain(data.initial)
+            return UNKNOWN if items is None else tuple(build(data.kind, item) for item in items)
+        finally:
+            self.module = here
+
+    def _binary(self, expr: Binary) -> Value:
+        left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
+        if expr.operator == "and" and (left is False or right is False):
+            return False
+        if expr.operator == "or" and (left is True or right is True):
+            return True
+        if left is None or right is None:
+            return UNKNOWN
+        try:
+            return _BINARY[expr.operator](left, right)
+        except (ZeroDivisionError, OverflowError):
+            raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
+
+    # ---- statements ----
+
+    def block(self, statements: Sequence[Statement]) -> None:
+        for statement in statements:
+            self.statement(statement)
+
+    def statement(self, statement: Statement) -> None:
+        if len(self.steps) > MAX_STEPS:
+            raise self.fail(statement.start, f"more than {MAX_STEPS} steps; the loop has no end")
+        match statement:
+            case Move():
+                self.steps.append(self._move(statement))
+            case Instruction():
+                self._instruction(statement)
+            case Assign():
+                self._assign(statement.target, self.value(statement.value, self._kind(statement.target)))
+            case ProcCall():
+                self.call(statement.start, statement.name)
+            case LateCall():
+                name = self.value(statement.name, "string")
+                if not isinstance(name, str):
+                    raise self.fail(
+                        statement.start, "the name of the procedure to call is known at run time only"
+                    )
+                self.steps.append(CallStep(*self._where(statement), name))
+                self.call(statement.start, name)
+            case If():
+                self._if(statement)
+            case While():
+                self._while(statement)
+            case For():
+                self._for(statement)
+
+    def call(self, start: int, name: str) -> None:
+        """Put the steps of a procedure in place. `name` may be "module:procedure"."""
+        holder, _, short = name.rpartition(":")
+        found = self.find(short.lower())
+        if holder:
+            module = self.modules.get(holder.lower())
+            items = self._items(module).get(short.lower(), []) if module else []
+            found = (module, items[0]) if module and items else None
+        if found is None or not isinstance(found[1], Procedure):
+            raise self.fail(start, f"no procedure {name} in the task's modules")
+        if self.depth >= MAX_CALLS:
+            raise self.fail(start, f"calls nested more than {MAX_CALLS} deep; {name} may call itself")
+        here = self.module, self.procedure
+        self.module, self.procedure, self.depth = found[0], found[1].name, self.depth + 1
+        try:
+            self.block(found[1].body)
+        except _Left as left:
+            if left.word != "RETURN":
+                raise
+        finally:
+            (self.module, self.procedure), self.depth = here, self.depth - 1
+
+    def _where(self, statement: Statement) -> tuple[str, str, int, str]:
+        return self.module.name, self.procedure, statement.line, self.condition
+
+    def _kind(self, name: Name) -> str:
+        found = self.find(name.key)
+        return found[1].kind if found and isinstance(found[1], Data) else "num"
+
+    def _assign(self, name: Expr, value: Value) -> None:
+        if isinstance(name, Name):
+            found = self.find(name.key)
+            if found:
+                self.cells[found[0].name.lower(), name.key] = value
+
+    def _needed(self, expr: Expr, kind: str) -> Value:
+        value = self.value(expr, kind)
+        if value is None:
+            raise self.fail(expr.start, f"this {kind} is known at run time only; the motion cannot be proven")
+        return value
+
+    def _move(self, move: Move) -> MoveStep:
+        form = FORMS[move.kind.lower()]
+        target = self._needed(move.target, form.required[0])
+        ident = None if move.id is None else int(self._needed(move.id, "num"))
+        time = None if move.time is None else float(self._needed(move.time, "num"))
+        velocity = None if move.velocity is None else float(self._needed(move.velocity, "num")) * 1e-3
+        wobj: WorkObject = (
+            PREDEFINED["wobj0"][1] if move.wobj is None else self._needed(move.wobj, "wobjdata")
+        )
+        return MoveStep(
+            *self._where(move),
+            move.kind,
+            target,
+            _text(move.target),
+            ident,
+            time,
+            velocity,
+            self._needed(move.speed, "speeddata"),
+            self._needed(move.zone, "zonedata"),
+            _text(move.zone),
+            self._needed(move.tool, "tooldata"),
+            _text(move.tool),
+            wobj,
+            "wobj0" if move.wobj is None else _text(move.wobj),
+            move.switches,
+        )
+
+    def _instruction(self, statement: Instruction) -> None:
+        name, arguments, options = statement.name, statement.arguments, dict(statement.options)
+        where = self._where(statement)
+        if name in ("SetDO", "Set", "Reset"):
+            value = self._needed(arguments[1], "num") if name == "SetDO" else float(name == "Set")
+            delay = self.value(options.get("sdelay"), "num") or 0.0
+            self.steps.append(SignalStep(*where, name, _text(arguments[0]), value, delay, "sync" in options))
+        elif name in ("WaitTime", "WaitRob", "WaitDI"):
+            seconds = self.value(arguments[0] if name == "WaitTime" else options.get("maxtime"), "num")
+            signal = _text(arguments[0]) if name == "WaitDI" else ""
+            value = self.value(arguments[1], "num") if name == "WaitDI" else None
+            self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options))
+            if "timeflag" in options and options["timeflag"] is not None:
+                self._assign(options["timeflag"], UNKNOWN)
+        elif name in _MESSAGES:
+            self._message(statement, options)
+        elif name.startswith(("WaitSync", "SyncMove")):
+            ident = _text(arguments[0]) if arguments else ""
+            tasks = self._needed(arguments[1], "tasks") if len(arguments) > 1 else ()
+            self.steps.append(SyncStep(*where, name, ident, tasks))
+        elif name in ("Load", "UnLoad"):
+            path = self._needed(arguments[0], "string")
+            file = self.value(options.get("file"), "string")
+            self.steps.append(LoadStep(*where, name, path + (f"/{file}" if file else "")))
+        else:
+            values = tuple(
+                self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
+            )
+            self.steps.append(SettingStep(*where, name, tuple(options), values))
+            if name in _ENDS and not self.condition:
+                raise _Left(name)
+
+    def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
+        name, arguments = statement.name, statement.arguments
+        shown = [value for value in (options.get("header"), *arguments) if value is not None]
+        shown += [
+            value for key, value in options.items() if key.startswith(("msgline", "rl")) and value is not None
+        ]
+        if name == "TPReadFK":
+            self._assign(arguments[0], UNKNOWN)
+            shown = list(arguments[1:])
+        result = options.get("result")
+        if result is not None:
+            self._assign(result, UNKNOWN)
+        texts = [self.value(value, "string") for value in shown]
+        lines = tuple("..." if text is None else str(text) for text in texts)
+        self.steps.append(MessageStep(*self._where(statement), name, lines, name in ("UIMsgBox", "TPReadFK")))
+
+    # ---- branches and loops ----
+
+    def _if(self, statement: If) -> None:
+        undecided = ""
+        for (condition, body), source in zip(statement.branches, statement.source, strict=True):
+            truth = self.value(condition, "bool")
+            if truth is False:
+                continue
+            if truth is True and not undecided:
+                self.block(body)
+                return
+            undecided = source if truth is not True else "else"
+            self._choice(statement, source, lambda body=body: self.block(body))  # type: ignore[misc]
+        if not undecided:
+            self.block(statement.otherwise)
+        elif statement.otherwise:
+            self._choice(statement, f"not ({undecided})", lambda: self.block(statement.otherwise))
+
+    def _while(self, statement: While) -> None:
+        rounds = 0
+        while (truth := self.value(statement.condition, "bool")) is True:
+            self.block(statement.body)
+            rounds += 1
+            if rounds > MAX_STEPS:
+                raise self.fail(statement.start, f"the loop ran {MAX_STEPS} times; it has no end")
+        if truth is None:
+            self._choice(statement, statement.source, lambda: self.block(statement.body))
+
+    def _for(self, statement: For) -> None:
+        first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
+        step = self._needed(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
+        if step == 0 or abs(last - first) / abs(step) > MAX_STEPS:
+            raise self.fail(statement.start, f"FOR from {first:g} to {last:g} by {step:g} has no end")
+        key = ("for", statement.name.lower())
+        outer = self.cells.get(key)
+        for count in range(int((last - first) / step + 1e-9) + 1 if (last - first) / step >= 0 else 0):
+            self.cells[key] = first + count * step
+            self.block(statement.body)
+        self.cells[key] = outer
+
+    def _choice(self, statement: Statement, condition: str, run: Callable[[], None]) -> None:
+        """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or synchronise."""
+        steps, outer, cells = self.steps, self.condition, dict(self.cells)
+        self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
+        try:
+            run()
+        except _Left:
+            pass
+        finally:
+            aside, self.steps, self.condition = self.steps, steps, outer
+        # what the branch may or may not have assigned is not known behind it
+        self.cells = {
+            key: value if cells.get(key, self) is value else UNKNOWN for key, value in self.cells.items()
+        }
+        where = (self.module.name, self.procedure, statement.line, condition)
+        if self.handler:
+            self.steps.extend(aside)
+            return
+        for step in aside:
+            if isinstance(step, MoveStep | SyncStep | LoadStep | SignalStep) and not _ends(aside):
+                raise self.fail(
+                    statement.start,
+                    f"whether line {step.line} is run is known at run time only ({condition})",
+                )
+        self.steps.append(ChoiceStep(*where, tuple(aside)))
+
+
+def _ends(steps: Sequence[Step]) -> bool:
+    """Whether the branch leaves the task for good: what it switches before is no part of the straight way."""
+    last = steps[-1]
+    return isinstance(last, SettingStep) and last.kind in ("EXIT", "Stop", "RAISE")
+
+
+def _text(expr: Expr) -> str:
+    return expr.text if isinstance(expr, Name) else ""
+
+
+_UNARY: dict[str, Callable[[Any], Any]] = {"-": lambda x: -x, "+": lambda x: x, "not": lambda x: not x}
+_BINARY: dict[str, Callable[[Any, Any], Any]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "div": lambda a, b: float(int(a / b)),
+    "mod": lambda a, b: a - b * int(a / b),
+    "=": lambda a, b: a == b,
+    "<>": lambda a, b: a != b,
+    "<": lambda a, b: a < b,
+    ">": lambda a, b: a > b,
+    "<=": lambda a, b: a <= b,
+    ">=": lambda a, b: a >= b,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "xor": lambda a, b: a != b,
+}

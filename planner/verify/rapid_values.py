@@ -1,0 +1,353 @@
+"""RAPID data as values: records with their order and types, predefined data, and the step from numbers to SI.
+
+Order of the record components, units (mm, degrees, s, kg) and the figures of the predefined speeds and zones: ABB,
+Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget, speeddata, zonedata...).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UNUSED_AXIS = 9e9
+QUATERNION_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobTarget:
+    """`position` (3,) [m], `quaternion` (4,) wxyz as written, `conf` (cf1, cf4, cf6, cfx), `external` (6,) as written."""
+
+    position: Array
+    quaternion: Array
+    conf: tuple[int, int, int, int]
+    external: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointTarget:
+    """`joints` (6,) [rad] as the controller counts them (a coupled axis 3 stays as written), `external` (6,) as written."""
+
+    joints: Array
+    external: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """`tcp` [m/s] (inf for vmax), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s]."""
+
+    tcp: float
+    turn: float
+    linear: float
+    rotary: float
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """`fine` stops the arm; else radii of path `tcp` [m], of turning `turn` [m], `external` [m], and the zone's own
+    angles and lengths for turning [rad], linear [m] and rotary [rad] external axes."""
+
+    fine: bool
+    tcp: float
+    turn: float
+    external: float
+    turn_angle: float
+    linear: float
+    rotary: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """`mass` [kg], `centre` (3,) [m], `axes` quaternion (4,), `inertia` (3,) [kg m^2]."""
+
+    mass: float
+    centre: Array
+    axes: Array
+    inertia: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tool:
+    """`held` by the robot or not, TCP `pose` (4,4) [m] in the flange frame, `load`."""
+
+    held: bool
+    pose: Array
+    load: Load
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkObject:
+    """`held` by the robot or not, `fixed` user frame or moved by `unit`, `user` and `object` frames (4,4) [m]."""
+
+    held: bool
+    fixed: bool
+    unit: str
+    user: Array
+    object: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SyncIdent:
+    """A synchronisation point; tasks meet where the names agree."""
+
+    name: str
+
+
+Value = Any  # bool, float, str, the classes above, arrays (pos, orient, pose), tuples of values for arrays
+
+RECORDS: dict[str, tuple[str, ...]] = {
+    "pos": ("num",) * 3,
+    "orient": ("num",) * 4,
+    "pose": ("pos", "orient"),
+    "confdata": ("num",) * 4,
+    "robjoint": ("num",) * 6,
+    "extjoint": ("num",) * 6,
+    "robtarget": ("pos", "orient", "confdata", "extjoint"),
+    "jointtarget": ("robjoint", "extjoint"),
+    "loaddata": ("num", "pos", "orient", "num", "num", "num"),
+    "tooldata": ("bool", "pose", "loaddata"),
+    "wobjdata": ("bool", "bool", "string", "pose", "pose"),
+    "speeddata": ("num",) * 4,
+    "zonedata": ("bool", *("num",) * 6),
+    "tasks": ("string",),
+}
+NUMBERS = frozenset({"num", "btnres", "buttondata", "icondata", "errnum", "dionum"})
+OPAQUE = frozenset({"syncident", "clock", "signaldo", "signaldi"})
+TYPES = frozenset(RECORDS) | NUMBERS | OPAQUE | {"bool", "string"}
+
+
+class ValueFault(Exception):
+    """A value does not fit its type. `code` and `message` for a `Fault`."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+
+
+def base_type(name: str) -> str:
+    """The type that counts for agreement: aliases of num are num."""
+    return "num" if name in NUMBERS else name
+
+
+def rotation(quaternion: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any length but zero."""
+    q = np.asarray(quaternion, dtype=float)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def poses(position: Array, quaternion: Array) -> Array:
+    """Poses (..., 4, 4) of positions (..., 3) and quaternions (..., 4)."""
+    pose = np.zeros((*np.shape(position)[:-1], 4, 4))
+    pose[..., :3, :3] = rotation(quaternion)
+    pose[..., :3, 3] = position
+    pose[..., 3, 3] = 1.0
+    return pose
+
+
+def build(kind: str, items: Any) -> Value:
+    """The value of type `kind` from nested lists of numbers, truths and strings in file units.
+
+    Raises `ValueFault` where count, type, norm or range is wrong.
+    """
+    if kind == "robtarget":  # the common case, without the general walk
+        try:
+            (x, y, z), (a, b, c, d), conf, external = items
+            c1, c4, c6, cx = four = tuple(map(int, conf))
+            numbers = [x, y, z, a, b, c, d, *external]
+            if (
+                len(numbers) == 13
+                and four == tuple(conf)
+                and set(map(type, [*numbers, *conf])) <= {int, float}
+            ):
+                flat = np.array(numbers, dtype=float)
+                _unit("robtarget.2", (a, b, c, d))
+                if math.isfinite(float(flat.sum())):
+                    flat[:3] *= 1e-3
+                    return RobTarget(flat[:3], flat[3:7], (c1, c4, c6, cx), flat[7:])
+        except (TypeError, ValueError, OverflowError):
+            pass  # the walk below finds what is wrong and says so
+    conform(kind, items, kind)
+    return _CONVERT[kind](items) if kind in _CONVERT else items
+
+
+def conform(kind: str, items: Any, path: str) -> None:
+    """Raise `ValueFault` unless `items` has the components of `kind`."""
+    if kind in RECORDS:
+        parts = RECORDS[kind]
+        if not isinstance(items, list | tuple):
+            raise ValueFault(
+                "rapid.type", f"{path}: got {_kind(items)}; a {kind} has {len(parts)} components"
+            )
+        if len(items) != len(parts):
+            raise ValueFault("rapid.arity", f"{path}: got {len(items)} components; a {kind} has {len(parts)}")
+        for number, (part, item) in enumerate(zip(parts, items, strict=True), 1):
+            conform(part, item, f"{path}.{number}")
+        if kind == "orient":
+            _unit(path, items)
+        if kind == "confdata" and any(value != int(value) for value in items):
+            raise ValueFault("rapid.type", f"{path}: configuration numbers are whole; got {list(items)}")
+        return
+    wanted = base_type(kind)
+    if _kind(items) != wanted:
+        raise ValueFault("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
+    if wanted == "num" and not math.isfinite(items):
+        raise ValueFault("rapid.number", f"{path}: {items} is not a finite number")
+
+
+def _unit(path: str, q: Any) -> None:
+    norm = math.sqrt(sum(float(value) ** 2 for value in q))
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        allowed = f"1 within {QUATERNION_TOLERANCE:g}"
+        raise ValueFault(
+            "rapid.quaternion", f"{path}: the quaternion's norm is {norm:.6g}; allowed: {allowed}"
+        )
+
+
+def _kind(item: Any) -> str:
+    if isinstance(item, bool):
+        return "bool"
+    if isinstance(item, int | float):
+        return "num"
+    if isinstance(item, str):
+        return "string"
+    return "a list" if isinstance(item, list | tuple) else type(item).__name__.lower()
+
+
+def _pos(items: Any) -> Array:
+    return np.array(items, dtype=float) * 1e-3
+
+
+def _pose(items: Any) -> Array:
+    return poses(_pos(items[0]), np.array(items[1], dtype=float))
+
+
+def _load(items: Any) -> Load:
+    return Load(
+        float(items[0]), _pos(items[1]), np.array(items[2], dtype=float), np.array(items[3:], dtype=float)
+    )
+
+
+def _rob(items: Any) -> RobTarget:
+    c1, c4, c6, cx = (int(value) for value in items[2])
+    return RobTarget(
+        _pos(items[0]), np.array(items[1], dtype=float), (c1, c4, c6, cx), np.array(items[3], dtype=float)
+    )
+
+
+def _speed(items: Any) -> Speed:
+    return Speed(items[0] * 1e-3, math.radians(items[1]), items[2] * 1e-3, math.radians(items[3]))
+
+
+def _zone(items: Any) -> Zone:
+    fine, tcp, turn, external, angle, linear, rotary = items
+    lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
+    return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
+
+
+_CONVERT = {
+    "num": float,
+    "pos": _pos,
+    "orient": lambda items: np.array(items, dtype=float),
+    "pose": _pose,
+    "robtarget": _rob,
+    "jointtarget": lambda items: JointTarget(np.radians(items[0]), np.array(items[1], dtype=float)),
+    "loaddata": _load,
+    "tooldata": lambda items: Tool(items[0], _pose(items[1]), _load(items[2])),
+    "wobjdata": lambda items: WorkObject(items[0], items[1], items[2], _pose(items[3]), _pose(items[4])),
+    "speeddata": _speed,
+    "zonedata": _zone,
+    "tasks": lambda items: items[0],
+}
+
+_UNIT = [[0, 0, 0], [1, 0, 0, 0]]
+_SPEEDS = (
+    5,
+    10,
+    20,
+    30,
+    40,
+    50,
+    60,
+    80,
+    100,
+    150,
+    200,
+    300,
+    400,
+    500,
+    600,
+    800,
+    1000,
+    1500,
+    2000,
+    2500,
+    3000,
+)
+_ZONES = {
+    0: (0.3, 0.3, 0.03),
+    1: (1, 1, 0.1),
+    5: (5, 8, 0.8),
+    10: (10, 15, 1.5),
+    15: (15, 23, 2.3),
+    20: (20, 30, 3),
+}
+_ZONES |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
+_ZONES |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
+
+
+def _predefined() -> dict[str, tuple[str, Value]]:
+    table: dict[str, tuple[str, Value]] = {
+        f"v{v}": ("speeddata", build("speeddata", [v, 500, 5000, 1000]))
+        for v in (*_SPEEDS, 4000, 5000, 6000, 7000)
+    }
+    # vmax is the robot's own highest TCP speed: the instruction sets no limit
+    table["vmax"] = ("speeddata", Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
+    for name, (tcp, turn, angle) in _ZONES.items():
+        table[f"z{name}"] = ("zonedata", build("zonedata", [False, tcp, turn, turn, angle, turn, angle]))
+    table["fine"] = ("zonedata", build("zonedata", [True, 0, 0, 0, 0, 0, 0]))
+    load = [0.001, [0, 0, 0.001], [1, 0, 0, 0], 0, 0, 0]
+    table["load0"] = ("loaddata", build("loaddata", load))
+    table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT, load]))
+    table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT, _UNIT]))
+    answers = ("resunkwn", "resok", "resabort", "resretry", "resignore", "rescancel", "resyes", "resno")
+    buttons = (
+        "btnnone",
+        "btnok",
+        "btnabrtrtryign",
+        "btnokcancel",
+        "btnretrycancel",
+        "btnyesno",
+        "btnyesnocancel",
+    )
+    table |= {name: ("num", float(number)) for number, name in enumerate(answers)}
+    table |= {name: ("num", float(number)) for number, name in enumerate(buttons, -1)}
+    table |= {
+        name: ("num", float(n)) for n, name in enumerate(("iconnone", "iconinfo", "iconwarning", "iconerror"))
+    }
+    table |= {"pi": ("num", 3.141592654), "high": ("num", 1.0), "low": ("num", 0.0), "edge": ("num", 2.0)}
+    table |= {"stempty": ("string", ""), "diskhome": ("string", "HOME:"), "errno": ("num", None)}
+    errors = (
+        "err_wait_maxtime",
+        "err_path_stop",
+        "err_robmove",
+        "err_refunkprc",
+        "err_filnotfnd",
+        "err_ioenable",
+    )
+    table |= {name: ("num", None) for name in errors}
+    return table
+
+
+PREDEFINED = _predefined()
