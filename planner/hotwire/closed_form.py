@@ -33,7 +33,9 @@ def elliptic_modulus(state: Array) -> tuple[Array, Array, Array]:
 def elliptic(state: Array, length: Array) -> Mask:
     """Where the closed form is used; elsewhere the initial value problem."""
     w, m2, _ = elliptic_modulus(state)
-    near = (np.abs(m2 - 1.0) < _NEAR_SEPARATRIX) | (m2 > _LARGEST_PARAMETER) | (w * length < 1e-3) | (m2 < 1e-12)
+    near = (
+        (np.abs(m2 - 1.0) < _NEAR_SEPARATRIX) | (m2 > _LARGEST_PARAMETER) | (w * length < 1e-3) | (m2 < 1e-12)
+    )
     return ~near
 
 
@@ -44,7 +46,9 @@ def evaluate(state: Array, offset: Array, reach: Array) -> Array:
     w, m2, psi = elliptic_modulus(state)
     inflected = closed & (m2 < 1.0)
     if inflected.any():
-        out[inflected] = _inflected(state[inflected], offset[inflected], w[inflected], m2[inflected], psi[inflected])
+        out[inflected] = _inflected(
+            state[inflected], offset[inflected], w[inflected], m2[inflected], psi[inflected]
+        )
     free = closed & (m2 > 1.0)
     if free.any():
         out[free] = _uninflected(state[free], offset[free], w[free], m2[free], psi[free])

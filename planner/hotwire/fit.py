@@ -1,0 +1,292 @@
+"""Least-squares fit of elasticas, with or without weight, to planar curves: all curves at once.
+
+The unknowns are the six numbers of the state abreast of the target's middle; sliding along the curve is fixed by one condition
+there. Residuals are distances along the curve's normal at the feet of the target's points (orthogonal distance
+regression), so only the shape counts and not the pace of the points. First guess: the curvature of an elastica is affine in
+position (Brander, Gravesen and Norbjerg, arXiv 1509.00703), with a known term from weight. Then Levenberg-Marquardt.
+
+Lengths are measured in target lengths inside.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.hotwire.basis import Array, legendre, nodes
+from planner.hotwire.flow import Flow, flow, node_count
+
+TAIL_WEIGHT = 2e-4
+"""Default price of bent wire ends: the cost is mean squared distance + (TAIL_WEIGHT l)^2 l int k^2 ds over the ends beyond
+the target, l being the target's length. An end that bends like the target over one target length (k l = 1) then weighs as
+much as an rms distance of 2e-4 l: 0.03 mm on a target of 160 mm."""
+
+_ROUNDS = 40
+_SETTLED = 1e-7  # relative fall of the cost that ends the search
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """middle (B, 6): state at the wire's middle; length (B,); residual (B, m): signed distances of the points from the wire along
+    its normal [m]; foot (B, m): arc length of their feet from the wire's start; rms, largest (B,) over the points that
+    count; worst (B,): index of the farthest point; rounds: iterations taken."""
+
+    middle: Array
+    length: Array
+    residual: Array
+    foot: Array
+    rms: Array
+    largest: Array
+    worst: "np.ndarray[tuple[int], np.dtype[np.int64]]"
+    rounds: int
+
+
+@dataclass(frozen=True)
+class _Task:
+    points: Array  # (B, m, 2) over l
+    share: Array  # (B, m) weights of the squared distances, sum 1
+    weight: Array  # (B, 2) q l^3
+    reach: Array  # (B,) half of the modelled wire, over l
+    tail: Array  # (B,)
+
+    def pick(self, i: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> "_Task":
+        return _Task(self.points[i], self.share[i], self.weight[i], self.reach[i], self.tail[i])
+
+
+def fit_curves(
+    targets: Array,
+    length: Array | None = None,
+    weight: Array | None = None,
+    window: Array | None = None,
+    split: Array | float = 0.5,
+    tail_weight: Array | float = TAIL_WEIGHT,
+) -> CurveFit:
+    """Fit to targets (B, m, 2) [m].
+
+    length (B,): the wire's, at least the target's; without it the wire ends at the feet of the outer points. weight q (B, 2)
+    [1/m^3]. window (B, m): weights >= 0 of the points. split: part of the free length that lies before the target.
+    Raises ValueError for inputs that no wire can meet.
+    """
+    batch, count = targets.shape[:2]
+    if count < 4 or not np.isfinite(targets).all():
+        raise ValueError(
+            f"points: got {count} points per curve, or some not finite; give at least 4 finite points"
+        )
+    steps = np.hypot(*np.moveaxis(np.diff(targets, axis=1), -1, 0))
+    size = steps.sum(axis=1)
+    if not (size > 0.0).all():
+        raise ValueError("points: got a curve of length 0; give distinct points along the curve")
+    q = np.zeros((batch, 2)) if weight is None else np.asarray(weight, dtype=np.float64)
+    share = np.ones((batch, count)) if window is None else np.asarray(window, dtype=np.float64)
+    total = share.sum(axis=1)
+    if not ((share >= 0.0).all() and (total > 0.0).all()):
+        raise ValueError("window: got weights below 0 or all 0; give at least some points a positive weight")
+    sides = np.broadcast_to(np.asarray(split, dtype=np.float64), (batch,))
+    if not ((sides >= 0.0).all() and (sides <= 1.0).all()):
+        raise ValueError(
+            "split: got a value outside [0, 1]; give the part of the free length before the target"
+        )
+    if length is None:
+        reach = np.full(batch, 0.55)
+    else:
+        if not (length > size * (1.0 - 1e-3)).all():
+            i = int(np.argmin(length / size))
+            raise ValueError(
+                f"length: wire {i} has {length[i]:.6f} m, allowed at least its target's {size[i]:.6f} m"
+            )
+        free = np.maximum(length / size - 1.0, 0.0)
+        reach = 0.55 + np.maximum(sides, 1.0 - sides) * free * 1.02
+    tail = np.broadcast_to(np.asarray(tail_weight, dtype=np.float64), (batch,)) * (
+        0.0 if length is None else 1.0
+    )
+    task = _Task(
+        targets / size[:, None, None],
+        share / total[:, None],
+        q * (size**3)[:, None],
+        reach,
+        np.ascontiguousarray(tail),
+    )
+    state, foot = _guess(task)
+    state, foot, rounds = _search(task, state, foot)
+    return _finish(task, state, foot, size, length, sides, share > 0.0, rounds)
+
+
+def _guess(task: _Task) -> tuple[Array, Array]:
+    """States at the middle and first feet, from polynomials through the target and the affine law of curvature."""
+    steps = np.hypot(*np.moveaxis(np.diff(task.points, axis=1), -1, 0))
+    place = np.concatenate([np.zeros((steps.shape[0], 1)), np.cumsum(steps, axis=1)], axis=1) - 0.5
+    degree = int(min(10, max(3, place.shape[1] // 2)))
+    table = legendre(place + 0.5, degree + 1)
+    ridge = 1e-10 * np.eye(degree + 1)
+    series = np.linalg.solve(np.swapaxes(table, 1, 2) @ table + ridge, np.swapaxes(table, 1, 2) @ task.points)
+    grid = nodes(48)
+    inner = legendre(grid.sigma, degree + 1)
+    to_slope = _slopes(grid.sigma, degree + 1)
+    velocity = to_slope @ series
+    where = inner @ series
+    theta = np.unwrap(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=1)
+    smooth = legendre(grid.sigma, 10)
+    fit = np.linalg.solve(smooth.T @ (grid.weight[:, None] * smooth), smooth.T * grid.weight)
+    k = (_slopes(grid.sigma, 10) @ fit @ theta[..., None])[..., 0]
+    s = grid.sigma - 0.5
+    qx, qy = task.weight[:, :1], task.weight[:, 1:]
+    known = (-qx * s * np.sin(theta) + qy * s * np.cos(theta)) @ grid.middle.T
+    half = legendre(np.array([0.5]), degree + 1)
+    centre = (half @ series)[:, 0]
+    columns = np.stack(
+        [np.ones_like(theta), where[..., 1] - centre[:, 1, None], -(where[..., 0] - centre[:, 0, None])],
+        axis=-1,
+    )
+    left = np.swapaxes(columns, 1, 2) * grid.weight
+    law = np.linalg.solve(left @ columns + np.diag([0.0, 1e-6, 1e-6]), left @ (k - known)[..., None])[..., 0]
+    angle = (legendre(np.array([0.5]), 10)[0] @ fit @ theta[..., None])[:, 0]
+    return np.concatenate([centre, angle[:, None], law], axis=1), place
+
+
+def _slopes(sigma: Array, count: int) -> Array:
+    """d P_j(2 sigma - 1) / d sigma; shape (m, count)."""
+    p = legendre(sigma, count)
+    out = np.zeros_like(p)
+    for j in range(1, count):
+        out[:, j] = 2.0 * (2 * j - 1) * p[:, j - 1] + (out[:, j - 2] if j >= 2 else 0.0)
+    return out
+
+
+@dataclass(frozen=True)
+class _Trial:
+    theta: Array  # on the flow's nodes
+    foot: Array
+    residual: Array  # (B, r)
+    jacobian: Array  # (B, r, 6)
+    cost: Array
+
+
+def _feet(wire: Flow, task: _Task, foot: Array) -> tuple[Array, Array, Array]:
+    """Feet of the points (B, m), values x, y, theta, k there and the table that interpolates to them."""
+    values = np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
+    reach = task.reach[:, None]
+    series = nodes(wire.count).series @ values
+    for turn in range(2):
+        table = legendre(foot / (2.0 * reach) + 0.5, wire.count)
+        here = table @ series
+        if turn == 1:
+            break
+        gap = task.points - here[..., :2]
+        cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
+        along = gap[..., 0] * cos + gap[..., 1] * sin
+        across = gap[..., 1] * cos - gap[..., 0] * sin
+        bend = np.maximum(1.0 - here[..., 3] * across, 0.3)
+        foot = np.clip(foot + np.clip(along / bend, -0.2, 0.2), -reach, reach)
+    return foot, here, table
+
+
+def _try(task: _Task, state: Array, foot: Array, theta: Array | None, count: int) -> _Trial:
+    wire = flow(state, 2.0 * task.reach, task.weight, 0.5, guess=theta, derivatives=True, count=count)
+    foot, here, table = _feet(wire, task, foot)
+    cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
+    gap = task.points - here[..., :2]
+    root = np.sqrt(task.share)
+    distance = root * (gap[..., 1] * cos - gap[..., 0] * sin)
+    inner = nodes(count).series @ np.concatenate([wire.d_x, wire.d_y], axis=-1)
+    d = table @ inner
+    slope = np.empty((*distance.shape, 6))
+    slope[..., 0] = root * sin
+    slope[..., 1] = -root * cos
+    slope[..., 2:] = root[..., None] * (sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:])
+
+    batch = state.shape[0]
+    middle = 0.5 * (
+        task.points[:, (task.points.shape[1] - 1) // 2] + task.points[:, task.points.shape[1] // 2]
+    )
+    c, s = np.cos(state[:, 2]), np.sin(state[:, 2])
+    pin = ((middle[:, 0] - state[:, 0]) * c + (middle[:, 1] - state[:, 1]) * s)[:, None]
+    pin_slope = np.zeros((batch, 1, 6))
+    pin_slope[:, 0, 0], pin_slope[:, 0, 1] = -c, -s
+
+    grid = nodes(count)
+    place = 2.0 * task.reach[:, None] * (grid.sigma - 0.5)
+    price = task.tail[:, None] * np.sqrt(2.0 * task.reach[:, None] * grid.weight) * (np.abs(place) > 0.5)
+    tail_slope = np.zeros((batch, count, 6))
+    tail_slope[..., 2:] = price[..., None] * wire.d_curvature
+    residual = np.concatenate([distance, pin, price * wire.curvature], axis=1)
+    jacobian = np.concatenate([slope, pin_slope, tail_slope], axis=1)
+    cost = np.sum(residual**2, axis=1)
+    cost = np.where(np.isfinite(cost), cost, np.inf)
+    return _Trial(wire.theta, foot, residual, jacobian, cost)
+
+
+def _search(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, int]:
+    """Levenberg-Marquardt on all items that still move."""
+    state, foot = state.copy(), foot.copy()
+    count = node_count(state, 2.0 * task.reach, task.weight)
+    now = _try(task, state, foot, None, count)
+    theta, foot, residual, jacobian, cost = now.theta, now.foot, now.residual, now.jacobian, now.cost
+    damp = np.full(state.shape[0], 1e-4)
+    active = np.arange(state.shape[0])
+    rounds = 0
+    while active.size and rounds < _ROUNDS:
+        rounds += 1
+        i = active
+        j = jacobian[i]
+        normal = np.swapaxes(j, 1, 2) @ j
+        slope = (np.swapaxes(j, 1, 2) @ residual[i][..., None])[..., 0]
+        scale = np.einsum("bii->bi", normal)
+        normal += np.eye(6) * (damp[i, None] * scale + 1e-14 * scale.max(axis=1, keepdims=True))[:, None, :]
+        step = -np.linalg.solve(normal, slope[..., None])[..., 0]
+        trial = _try(task.pick(i), state[i] + step, foot[i], theta[i], count)
+        better = trial.cost <= cost[i]
+        fall = (cost[i] - trial.cost) / np.maximum(cost[i], 1e-300)
+        small = np.abs(step).max(axis=1) < 1e-11
+        g = i[better]
+        state[g] += step[better]
+        theta[g], foot[g], residual[g] = trial.theta[better], trial.foot[better], trial.residual[better]
+        jacobian[g], cost[g] = trial.jacobian[better], trial.cost[better]
+        damp[i] = np.where(better, np.maximum(damp[i] * 0.1, 1e-12), np.maximum(damp[i] * 8.0, 1e-6))
+        done = (better & (fall < _SETTLED)) | small | (cost[i] < 1e-26) | (damp[i] > 1e8)
+        active = i[~done]
+        needed = node_count(state, 2.0 * task.reach, task.weight)
+        if needed > count:  # more waves than at the start: finer nodes for all
+            count = needed
+            fresh = _try(task, state, foot, None, count)
+            theta, foot, residual, jacobian, cost = (
+                fresh.theta,
+                fresh.foot,
+                fresh.residual,
+                fresh.jacobian,
+                fresh.cost,
+            )
+    return state, foot, rounds
+
+
+def _finish(
+    task: _Task,
+    state: Array,
+    foot: Array,
+    size: Array,
+    length: Array | None,
+    split: Array,
+    counts: Array,
+    rounds: int,
+) -> CurveFit:
+    wire = flow(state, 2.0 * task.reach, task.weight, 0.5)
+    for _ in range(3):
+        foot, here, _ = _feet(wire, task, foot)
+    first, last = foot[:, 0], foot[:, -1]
+    long = last - first if length is None else length / size
+    begin = first - split * (long - (last - first)) if length is not None else first
+    sigma = (begin + 0.5 * long) / (2.0 * task.reach) + 0.5
+    middle = wire.at(sigma[:, None])[:, 0]
+    unit = np.stack([size, size, np.ones_like(size), 1.0 / size, size**-2, size**-2], axis=1)
+    gap = task.points - here[..., :2]
+    residual = (gap[..., 1] * np.cos(here[..., 2]) - gap[..., 0] * np.sin(here[..., 2])) * size[:, None]
+    away = np.hypot(gap[..., 0], gap[..., 1]) * size[:, None] * counts
+    rms = np.sqrt(np.sum(away**2, axis=1) / counts.sum(axis=1))
+    return CurveFit(
+        middle * unit,
+        long * size,
+        residual,
+        (foot - begin[:, None]) * size[:, None],
+        rms,
+        away.max(axis=1),
+        np.argmax(away, axis=1).astype(np.int64),
+        rounds,
+    )
