@@ -35,6 +35,17 @@ CODES: Final[dict[str, str]] = {
     # wire shapes
     "wire.too_short": "a wire is shorter than the distance between its clamps",
     "wire.no_stable_shape": "no stable shape of a wire was found between its clamps",
+    # meshes and parts
+    "mesh.unreadable": "a mesh file is of a kind that is not read, or is damaged",
+    "mesh.empty": "a mesh file has no faces with area",
+    "mesh.unit": "a mesh is implausibly large or small in the unit stated for it",
+    "mesh.non_manifold": "more than two faces of a mesh meet at an edge",
+    "mesh.orientation": "neighbouring faces of a mesh have opposite normals",
+    "mesh.closed": "a closed mesh is given where one open face is wanted",
+    "mesh.pieces": "a mesh has several separate pieces where one is wanted",
+    "part.offset": "a face is bent more tightly than the distance by which it is to be offset",
+    "part.stock_too_small": "the part does not fit into the block",
+    "part.faces": "front and back face of a part do not lie on each other's inner side",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

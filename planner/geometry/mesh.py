@@ -1,0 +1,214 @@
+"""Triangle meshes from files, and what a wanted surface must be: finite, open, one piece, oriented."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from planner.issues import Issue, TandemError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MAX_BYTES: Final = 100_000_000
+SUFFIXES: Final = (".obj", ".stl", ".ply")
+SMALLEST: Final = 1e-3
+LARGEST: Final = 20.0
+
+
+@dataclasses.dataclass(frozen=True)
+class TriangleMesh:
+    """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
+
+    vertices: FloatArray
+    faces: IntArray
+
+
+def read_mesh(path: Path, unit: float) -> TriangleMesh:
+    """Read an OBJ, STL or PLY file whose lengths are in ``unit`` metres; equal vertices become one.
+
+    Raises ``TandemError`` for a file that is missing, larger than 100 MB, of another kind, unreadable,
+    without faces, with numbers that are not finite, or of a size that says that the unit is wrong.
+    """
+    if not path.is_file():
+        raise _refuse("problem.missing_file", path, "there is no such file; check the path")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise _refuse(
+            "problem.too_large",
+            path,
+            f"{size / 1e6:.0f} MB, up to {MAX_BYTES / 1e6:.0f} MB are read; export it with fewer facets",
+        )
+    if path.suffix.lower() not in SUFFIXES:
+        raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
+    try:
+        loaded = trimesh.load(str(path), force="mesh", process=False)
+        vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    except Exception as error:  # readers of damaged files raise anything
+        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise _refuse("mesh.unreadable", path, f"cannot be read ({reason}); export it again") from error
+    if len(faces) == 0:
+        raise _refuse("mesh.empty", path, "has no faces; export the surface as a mesh of triangles or quads")
+    if not np.isfinite(vertices).all():
+        bad = int(np.nonzero(~np.isfinite(vertices).all(axis=1))[0][0])
+        raise _refuse("problem.not_finite", path, f"vertex {bad} is not finite; repair the file")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise _refuse("mesh.unreadable", path, "a face names a vertex that is not there; export it again")
+    mesh = merge(TriangleMesh(vertices * unit, faces))
+    if len(mesh.faces) == 0:
+        raise _refuse("mesh.empty", path, "all its faces have no area; export it again")
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    if not SMALLEST <= extent <= LARGEST:
+        raise _refuse(
+            "mesh.unit",
+            path,
+            f"is {extent * 1e3:.4g} mm long in the stated unit, allowed are {SMALLEST * 1e3:g} to "
+            f"{LARGEST * 1e3:g} mm; state the unit that the file was made in",
+        )
+    return mesh
+
+
+def merge(mesh: TriangleMesh) -> TriangleMesh:
+    """The same surface with equal vertices merged (to 1e-9 of its extent), without faces of no area."""
+    used = np.unique(mesh.faces)
+    vertices = mesh.vertices[used]
+    step = max(float(np.ptp(vertices, axis=0).max()) * 1e-9, 1e-15)
+    key = np.round((vertices - vertices.min(axis=0)) / step).astype(np.int64)
+    _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    lookup = np.zeros(len(mesh.vertices), dtype=np.int64)
+    order = np.argsort(first)  # keeps the order of the file
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    lookup[used] = rank[np.reshape(inverse, -1)]
+    vertices = vertices[first[order]]
+    faces = lookup[mesh.faces]
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return TriangleMesh(vertices, faces[area > step * step])
+
+
+def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> list[Issue]:
+    """Issues of a mesh that is to be a wanted face: open, one piece, oriented, two faces an edge at most."""
+    directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    edges, inverse, count = np.unique(
+        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    issues = []
+    if (count > 2).any():
+        at = 1e3 * mesh.vertices[edges[count > 2][0]].mean(axis=0)
+        issues.append(
+            Issue(
+                "mesh.non_manifold",
+                f"{name}: {int((count > 2).sum())} edges join more than two faces, the first at "
+                f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; a face of a part has at most two at an edge, "
+                "so delete the extra ones",
+                file=file,
+                field=name,
+            )
+        )
+        return issues
+    forward = directed[:, 0] < directed[:, 1]
+    same = np.bincount(np.reshape(inverse, -1), weights=forward, minlength=len(edges))
+    if ((count == 2) & (same != 1)).any():
+        issues.append(
+            Issue(
+                "mesh.orientation",
+                f"{name}: neighbouring faces have opposite normals at "
+                f"{int(((count == 2) & (same != 1)).sum())} edges; unify the normals",
+                file=file,
+                field=name,
+            )
+        )
+    if (count == 2).all():
+        issues.append(
+            Issue(
+                "mesh.closed",
+                f"{name}: the mesh is closed, one open face of the part is wanted; export that face alone",
+                file=file,
+                field=name,
+            )
+        )
+    pieces = _pieces(mesh)
+    if pieces > 1:
+        issues.append(
+            Issue(
+                "mesh.pieces",
+                f"{name}: the mesh has {pieces} separate pieces, 1 is wanted; join them or export one",
+                file=file,
+                field=name,
+            )
+        )
+    return issues
+
+
+def vertex_normals(mesh: TriangleMesh) -> FloatArray:
+    """Unit normals (V, 3) at the vertices, the faces' normals weighted by their angles there."""
+    corner = mesh.vertices[mesh.faces]
+    edge = np.roll(corner, -1, axis=1) - corner
+    edge = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)
+    angle = np.arccos(np.clip(-np.einsum("fcd,fcd->fc", edge, np.roll(edge, 1, axis=1)), -1.0, 1.0))
+    weighted = angle[..., None] * face_normals(mesh)[:, None, :]
+    total = np.zeros_like(mesh.vertices)
+    np.add.at(total, mesh.faces.reshape(-1), weighted.reshape(-1, 3))
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300))
+
+
+def face_normals(mesh: TriangleMesh) -> FloatArray:
+    """Unit normals (F, 3) of the faces."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    cross = np.cross(b - a, c - a)
+    return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300))
+
+
+def face_areas(mesh: TriangleMesh) -> FloatArray:
+    """Areas (F,) [m^2]."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def offset(mesh: TriangleMesh, distance: float, normals: FloatArray | None = None) -> TriangleMesh:
+    """The surface moved by ``distance`` [m] along its normals (V, 3), or along those of its facets averaged.
+
+    Raises ``TandemError`` with ``part.offset`` where the surface is bent more tightly than the distance, so
+    that the moved one would fold over itself.
+    """
+    direction = vertex_normals(mesh) if normals is None else normals
+    moved = TriangleMesh(mesh.vertices + distance * direction, mesh.faces)
+    turned = np.einsum("fd,fd->f", face_normals(mesh), face_normals(moved)) <= 0.0
+    if turned.any():
+        at = 1e3 * mesh.vertices[mesh.faces[turned][0]].mean(axis=0)
+        raise TandemError(
+            Issue(
+                "part.offset",
+                f"part: moved by {abs(distance) * 1e3:.2f} mm the face folds over itself at "
+                f"{int(turned.sum())} of {len(turned)} facets, the first at "
+                f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger than that, "
+                "so use a thinner part, a smaller kerf or a smoother face",
+                field="part",
+                value=abs(distance) * 1e3,
+                unit="mm",
+            )
+        )
+    return moved
+
+
+def _pieces(mesh: TriangleMesh) -> int:
+    a = np.concatenate([mesh.faces[:, 0], mesh.faces[:, 1]])
+    b = np.concatenate([mesh.faces[:, 1], mesh.faces[:, 2]])
+    count = len(mesh.vertices)
+    _, label = connected_components(
+        coo_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False
+    )
+    return len(np.unique(label[np.unique(mesh.faces)]))
+
+
+def _refuse(code: str, path: Path, what: str) -> TandemError:
+    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path)))

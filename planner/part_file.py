@@ -1,0 +1,262 @@
+"""The part of a problem file: its schema in mm and degrees, and the part in the stock frame in SI units."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from planner.geometry.curves import ArcRail, CurveKind, Loft, tessellate
+from planner.geometry.mesh import TriangleMesh, check_surface, offset, read_mesh, vertex_normals
+from planner.geometry.placing import fit_into_block, overhang
+from planner.geometry.rigid import from_rpy, transform
+from planner.issues import Issue, TandemError
+from planner.problem import Mesh, Part
+from planner.units import DEG, LENGTH_UNITS, MM
+
+FloatArray = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RailFile(_Strict):
+    """A horizontal arc about ``centre_mm``; profiles stand in its normal planes."""
+
+    radius_mm: Positive
+    start_deg: float
+    end_deg: float
+    centre_mm: Vector = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _turns(self) -> RailFile:
+        if not 0.0 < abs(self.end_deg - self.start_deg) <= 360.0:
+            raise ValueError("start_deg and end_deg must differ by more than 0 and at most 360 degrees")
+        return self
+
+
+class CurveFile(_Strict):
+    """One profile or section: control points of a Bezier curve or of a clamped cubic B-spline."""
+
+    at: Fraction
+    bezier_mm: Annotated[list[list[float]], Field(min_length=2, max_length=16)] | None = None
+    bspline_mm: Annotated[list[list[float]], Field(min_length=2, max_length=200)] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> CurveFile:
+        if (self.bezier_mm is None) == (self.bspline_mm is None):
+            raise ValueError("give either bezier_mm or bspline_mm")
+        return self
+
+    @property
+    def kind(self) -> CurveKind:
+        """Which of the two kinds it is."""
+        return "bezier" if self.bezier_mm is not None else "bspline"
+
+    @property
+    def control(self) -> list[list[float]]:
+        """The control points [mm]."""
+        return self.bezier_mm or self.bspline_mm or []
+
+
+class RegionFile(_Strict):
+    """The piece of the surface that is the face: ``u`` along the row of curves, ``v`` along each curve."""
+
+    u: tuple[Fraction, Fraction] = (0.0, 1.0)
+    v: tuple[Fraction, Fraction] = (0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> RegionFile:
+        if self.u[0] >= self.u[1] or self.v[0] >= self.v[1]:
+            raise ValueError("u and v must each be [lower, upper] with lower < upper")
+        return self
+
+
+class LoftFile(_Strict):
+    """A loft: profiles (out, up) along an arc ``rail``, or ``sections`` given as curves in space."""
+
+    rail: RailFile | None = None
+    profiles: list[CurveFile] = []
+    sections: list[CurveFile] = []
+    region: RegionFile = RegionFile()
+    chord_mm: Annotated[float, Field(gt=0, le=1, description="how far facets may be off the surface")] = 0.005
+    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
+
+    @model_validator(mode="after")
+    def _complete(self) -> LoftFile:
+        curves, size = (self.profiles, 2) if self.rail is not None else (self.sections, 3)
+        key = "profiles" if self.rail is not None else "sections"
+        if self.rail is None and self.profiles:
+            raise ValueError("profiles need a rail; curves in space are given as sections")
+        if self.rail is not None and self.sections:
+            raise ValueError("give profiles with a rail, or sections without one")
+        if len(curves) < (1 if self.rail is not None else 2):
+            raise ValueError(f"{key}: too few curves; a rail needs 1 profile, a loft in space 2 sections")
+        first = curves[0]
+        for i, curve in enumerate(curves):
+            if curve.kind != first.kind or len(curve.control) != len(first.control):
+                raise ValueError(
+                    f"{key}.{i}: all curves must be of one kind with equally many control points"
+                )
+            if any(len(point) != size for point in curve.control):
+                raise ValueError(f"{key}.{i}: every control point must have {size} numbers")
+        at = [curve.at for curve in curves]
+        if any(b <= a for a, b in itertools.pairwise(at)):
+            raise ValueError(f"{key}: at must grow from curve to curve")
+        if len(at) > 1 and (at[0] > self.region.u[0] or at[-1] < self.region.u[1]):
+            raise ValueError(f"{key}: the curves span at {at[0]:g} to {at[-1]:g}, the region's u goes beyond")
+        return self
+
+    def loft(self) -> Loft:
+        """The surface in SI units."""
+        curves = self.profiles if self.rail is not None else self.sections
+        rail = None
+        if self.rail is not None:
+            rail = ArcRail(
+                self.rail.radius_mm * MM,
+                self.rail.start_deg * DEG,
+                self.rail.end_deg * DEG,
+                np.array(self.rail.centre_mm) * MM,
+            )
+        control = np.array([curve.control for curve in curves]) * MM
+        return Loft(curves[0].kind, np.array([curve.at for curve in curves]), control, rail)
+
+
+class FaceMeshFile(_Strict):
+    """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
+
+    file: str
+    unit: Literal["mm", "cm", "m", "in", "ft"]
+    scale: Positive = 1.0
+    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
+
+
+class FrontFile(_Strict):
+    """The front face: exactly one of ``loft`` and ``mesh``. Its normal points away from the part."""
+
+    loft: LoftFile | None = None
+    mesh: FaceMeshFile | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> FrontFile:
+        if (self.loft is None) == (self.mesh is None):
+            raise ValueError("give either loft or mesh")
+        return self
+
+
+class BackFile(_Strict):
+    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` of its own."""
+
+    offset_mm: Positive | None = None
+    mesh: FaceMeshFile | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> BackFile:
+        if (self.offset_mm is None) == (self.mesh is None):
+            raise ValueError("give either offset_mm or mesh")
+        return self
+
+
+class PlaceFile(_Strict):
+    """Where the part's own frame is in the stock frame."""
+
+    xyz_mm: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+
+
+class PartFile(_Strict):
+    """The wanted part. ``in_stock: auto`` lays it into the block, front up, long side along long side."""
+
+    front: FrontFile
+    back: BackFile | None = None
+    in_stock: Literal["auto"] | PlaceFile = "auto"
+
+
+def build(spec: PartFile, folder: Path, stock_size: FloatArray) -> Part:
+    """The part in the stock frame of a block of ``stock_size`` (3,) [m]; files are looked up from ``folder``.
+
+    Raises ``TandemError``: issues of mesh files, ``part.offset``, ``part.faces``, ``part.stock_too_small``.
+    """
+    front, normals = _front(spec.front, folder)
+    back = None
+    if spec.back is not None:
+        if spec.back.offset_mm is not None:
+            inner = offset(front, -spec.back.offset_mm * MM, normals)
+            back = TriangleMesh(inner.vertices, inner.faces[:, ::-1])
+        elif spec.back.mesh is not None:
+            back = _file(spec.back.mesh, folder, "part.back")
+            _check_sides(front, back)
+    everything = front.vertices if back is None else np.vstack([front.vertices, back.vertices])
+    if spec.in_stock == "auto":
+        pose = fit_into_block(front, everything, stock_size)
+    else:
+        pose = from_rpy(np.array(spec.in_stock.xyz_mm) * MM, np.array(spec.in_stock.rpy_deg) * DEG)
+    missing = overhang(transform(pose, everything), stock_size)
+    if (missing > 1e-6).any():
+        raise TandemError(_too_small(missing, stock_size, spec.in_stock == "auto"))
+    return Part(_placed(front, pose), None if back is None else _placed(back, pose))
+
+
+def _front(spec: FrontFile, folder: Path) -> tuple[TriangleMesh, FloatArray]:
+    if spec.mesh is not None:
+        mesh = _file(spec.mesh, folder, "part.front")
+        return mesh, vertex_normals(mesh)
+    if spec.loft is None:
+        raise ValueError("a front face needs a loft or a mesh")
+    region = spec.loft.region
+    vertices, normals, faces = tessellate(spec.loft.loft(), region.u, region.v, spec.loft.chord_mm * MM)
+    if spec.loft.flip:
+        normals, faces = -normals, faces[:, ::-1]
+    return TriangleMesh(vertices, faces), normals
+
+
+def _file(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
+    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit] * spec.scale)
+    issues = check_surface(mesh, field, str(folder / spec.file))
+    if issues:
+        raise TandemError(issues)
+    return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
+
+
+def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
+    """The back must lie behind the front, and its normals must point away from the part as well."""
+    depth = (front.vertices.mean(axis=0) - back.vertices.mean(axis=0)) @ vertex_normals(front).mean(axis=0)
+    facing = float(vertex_normals(front).mean(axis=0) @ vertex_normals(back).mean(axis=0))
+    if depth <= 0.0 or facing >= 0.0:
+        what = "does not lie behind the front" if depth <= 0.0 else "has normals that point into the part"
+        raise TandemError(
+            Issue(
+                "part.faces",
+                f"part.back: the face {what}; normals of both faces must point away from the part "
+                "(flip: true turns those of a file)",
+                field="part.back",
+            )
+        )
+
+
+def _placed(mesh: TriangleMesh, pose: FloatArray) -> Mesh:
+    return Mesh(transform(pose, mesh.vertices), mesh.faces)
+
+
+def _too_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> Issue:
+    short = ", ".join(f"{v * 1e3:.1f} mm in {a}" for v, a in zip(missing, "xyz", strict=True) if v > 1e-6)
+    size = " x ".join(f"{v * 1e3:g}" for v in stock_size)
+    turned = "also when turned to fit best" if auto else "at in_stock; try in_stock: auto or move it"
+    worst = int(np.argmax(missing))
+    return Issue(
+        "part.stock_too_small",
+        f"stock.size_mm: the part stands out of the block of {size} mm by {short}, {turned}; "
+        "use a larger block",
+        field="stock.size_mm",
+        value=float((stock_size + missing)[worst] * 1e3),
+        limit=float(stock_size[worst] * 1e3),
+        unit="mm",
+    )
