@@ -34,6 +34,7 @@ CODES: Final[dict[str, str]] = {
     "targets.freedom": "a free axis gives both a turn and a slide, or neither",
     # wire shapes
     "wire.too_short": "a wire is shorter than the distance between its clamps",
+    "wire.no_equilibrium": "the solver found no equilibrium of a wire with weight near its guess",
     "wire.no_stable_shape": "no stable shape of a wire was found between its clamps",
     # meshes and parts
     "mesh.unreadable": "a mesh file is of a kind that is not read, or is damaged",
@@ -46,6 +47,15 @@ CODES: Final[dict[str, str]] = {
     "part.offset": "a face is bent more tightly than the distance by which it is to be offset",
     "part.stock_too_small": "the part does not fit into the block",
     "part.faces": "front and back face of a part do not lie on each other's inner side",
+    # writing programs
+    "post.tasks": "the controller has no task or unit for an arm, or has too few",
+    "post.controller": "a robot's controller speaks a language that no writer is built in for",
+    "post.plan": "a plan has times or joints that no program can carry out",
+    "post.action": "an action of the process is at a target where the motion does not stop",
+    "post.name": "a segment, tool or signal has a name that the language does not take, or that another thing has",
+    "post.tool": "a tool's data cannot be written",
+    "post.frame": "targets lie in a work frame that the program cannot refer to",
+    "post.no_split": "a program is too long for one module and has no stop to split it at",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -1,4 +1,5 @@
-"""Legendre tools on [0, 1] that all wire solvers share: Gauss nodes, integration matrices, a basis that vanishes at the ends.
+"""Legendre tools on [0, 1] that all wire solvers share: Gauss nodes, integration matrices, a basis that
+vanishes at the ends.
 
 The unit of arc length here is the wire: sigma = s / L.
 """
@@ -11,15 +12,15 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Nodes:
     """Gauss-Legendre nodes on [0, 1] with the matrices that act on values at them.
 
-    sigma (n,), weight (n,): quadrature; series (n, n): values -> Legendre coefficients; start, middle (n, n): values ->
-    integral from 0 or from 1/2 to each node.
-    """
+    sigma (n,), weight (n,): quadrature; series (n, n): values -> Legendre coefficients; start, middle (n,
+    n): values -> integral from 0 or from 1/2 to each node."""
 
     sigma: Array
     weight: Array
@@ -30,7 +31,8 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Bumps:
-    """Functions phi_j that vanish at 0 and 1, with int phi_i' phi_j' = delta_ij (Shen's basis, scaled), at Gauss nodes.
+    """Functions phi_j that vanish at 0 and 1, with int phi_i' phi_j' = delta_ij (Shen's basis, scaled),
+    at Gauss nodes.
 
     sigma, weight (n,): nodes; value, slope (n, j); slope_start, slope_end (j,): slopes at 0 and 1.
     """
@@ -79,12 +81,14 @@ def nodes(count: int) -> Nodes:
 def bump_values(sigma: Array, count: int) -> Array:
     """phi_j at sigma; shape (..., count)."""
     p = legendre(sigma, count + 2)
-    return (p[..., 2:] - p[..., :-2]) / (2.0 * np.sqrt(2.0 * np.arange(count) + 3.0))
+    out: Array = (p[..., 2:] - p[..., :-2]) / (2.0 * np.sqrt(2.0 * np.arange(count) + 3.0))
+    return out
 
 
 def bump_slopes(sigma: Array, count: int) -> Array:
     """phi_j' (with respect to sigma) at sigma; shape (..., count)."""
-    return legendre(sigma, count + 1)[..., 1:] * np.sqrt(2.0 * np.arange(count) + 3.0)
+    out: Array = legendre(sigma, count + 1)[..., 1:] * np.sqrt(2.0 * np.arange(count) + 3.0)
+    return out
 
 
 @lru_cache(maxsize=32)

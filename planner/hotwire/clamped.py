@@ -1,16 +1,16 @@
 """Wires between two clamps: least energy of bending and weight under a given chord, for many wires at once.
 
-theta = straight line between the end angles + sum a_j phi_j. In units of the wire the bending energy is |a|^2 / 2 plus a
-constant, the constraint int (cos theta, sin theta) = chord, and its multiplier is the force F at the start. The second
-derivative of the Lagrangian is the very form of in-plane stability, so Newton's method with this form made positive finds minima
-and never comes to rest on a saddle by choice.
+theta = straight line between the end angles + sum a_j phi_j. In units of the wire the bending energy is
+|a|^2 / 2 plus a constant, the constraint int (cos theta, sin theta) = chord, and its multiplier is the
+force F at the start. The second derivative of the Lagrangian is the very form of in-plane stability, so
+Newton's method with this form made positive finds minima and never comes to rest on a saddle by choice.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from planner.hotwire.basis import Array, Mask, bump_values, bumps, legendre
+from planner.hotwire.basis import Array, bump_values, bumps, legendre
 from planner.hotwire.stability import constrained_smallest, project
 
 MODES = 36
@@ -21,8 +21,8 @@ _LIMIT = 0.6  # rad: largest change of theta in one step
 
 @dataclass(frozen=True)
 class Clamped:
-    """Solutions in units of the wire: bump amplitudes (B, j), force at the start (B, 2) times L^2, margin of in-plane
-    stability (B,), residual of force balance and chord (B,)."""
+    """Solutions in units of the wire: bump amplitudes (B, j), force at the start (B, 2) times L^2, margin
+    of in-plane stability (B,), residual of force balance and chord (B,)."""
 
     amplitude: Array
     force: Array
@@ -92,9 +92,8 @@ def minimise(
 ) -> Clamped:
     """Local minima of the energy near the guessed amplitudes (B, j).
 
-    first, last: end angles (B,) [rad]; chord (B, 2) over L; weight q L^3 (B, 2). Items that do not settle keep a residual
-    above the tolerance; the caller judges by `residual` and `margin`.
-    """
+    first, last: end angles (B,) [rad]; chord (B, 2) over L; weight q L^3 (B, 2). Items that do not settle
+    keep a residual above the tolerance; the caller judges by `residual` and `margin`."""
     a = amplitude.copy()
     batch, size = a.shape
     force = np.zeros((batch, 2))
@@ -137,7 +136,8 @@ def minimise(
 def newton(
     first: Array, last: Array, chord: Array, weight: Array, amplitude: Array, force: Array, rounds: int = 12
 ) -> Clamped:
-    """The equilibrium next to a guess, stable or not: plain Newton from amplitudes (B, j) and force (B, 2)."""
+    """The equilibrium next to a guess, stable or not: plain Newton from amplitudes (B, j) and force (B,
+    2)."""
     a, f = amplitude.copy(), force.copy()
     for _ in range(rounds):
         terms = _terms(first, last, weight, a, f)
@@ -155,7 +155,8 @@ def newton(
 
 
 def amplitudes_of(sigma_theta: Array, sigma: Array, weight: Array, modes: int = MODES) -> Array:
-    """Bump amplitudes (B, modes) of theta (B, n) at Gauss nodes: projection of the slope, by partial integration."""
+    """Bump amplitudes (B, modes) of theta (B, n) at Gauss nodes: projection of the slope, by partial
+    integration."""
     first = sigma_theta @ _edge(sigma.size, sigma, weight, 0.0)
     last = sigma_theta @ _edge(sigma.size, sigma, weight, 1.0)
     slopes = np.sqrt(2.0 * np.arange(modes) + 3.0)

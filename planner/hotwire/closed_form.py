@@ -1,10 +1,10 @@
 """The elastica without weight in closed form, by Jacobi's elliptic functions.
 
-With w^2 = |F|, phi = atan2(Fy, Fx) + pi and psi = theta - phi the equation k' = Fx sin theta - Fy cos theta becomes the
-pendulum psi'' = -w^2 sin psi, whose solution is classical (Love ch. 19; Levien, The elastica: a mathematical history, 2009).
-Near the separatrix (m = 1), for small forces and for lines and arcs the formulas lose digits; there the initial value problem
-is solved on Gauss nodes instead (`flow`), so that the error stays about 1e-12 of the length everywhere.
-"""
+With w^2 = |F|, phi = atan2(Fy, Fx) + pi and psi = theta - phi the equation k' = Fx sin theta - Fy cos
+theta becomes the pendulum psi'' = -w^2 sin psi, whose solution is classical (Love ch. 19; Levien, The
+elastica: a mathematical history, 2009). Near the separatrix (m = 1), for small forces and for lines and
+arcs the formulas lose digits; there the initial value problem is solved on Gauss nodes instead (`flow`),
+so that the error stays about 1e-12 of the length everywhere."""
 
 import numpy as np
 from scipy.special import ellipeinc, ellipj, ellipkinc
@@ -40,7 +40,8 @@ def elliptic(state: Array, length: Array) -> Mask:
 
 
 def evaluate(state: Array, offset: Array, reach: Array) -> Array:
-    """Points (B, m, 4) = x, y, theta, k at arc offsets (B, m) from the states (B, 6), |offset| <= reach (B,)."""
+    """Points (B, m, 4) = x, y, theta, k at arc offsets (B, m) from the states (B, 6), |offset| <= reach
+    (B,)."""
     out = np.empty((*offset.shape, 4))
     closed = elliptic(state, 2.0 * reach)
     w, m2, psi = elliptic_modulus(state)

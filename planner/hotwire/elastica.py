@@ -1,4 +1,5 @@
-"""The planar elastica between two clamps: a wire of given length, without weight, in its stable shape of least energy.
+"""The planar elastica between two clamps: a wire of given length, without weight, in its stable shape of
+least energy.
 
     shape = solve(length, start, end)     # poses (..., 3) = x [m], y [m], theta [rad], theta unwrapped
     shape.points(101), shape.energy, shape.stable_out_of_plane(round(0.3))
@@ -13,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.hotwire import clamped, stability
-from planner.hotwire.basis import Array, Mask, legendre, nodes
+from planner.hotwire.basis import Array, Mask, nodes
 from planner.hotwire.closed_form import evaluate
 from planner.hotwire.fit import fit_curves
-from planner.hotwire.flow import flow, interpolate
+from planner.hotwire.shooting import middle_state, polish
 from planner.hotwire.stability import Section, round_section, strip
 from planner.issues import Issue, TandemError
 
@@ -32,9 +33,9 @@ _SAMPLES = 72
 class Shape:
     """Elasticas over leading axes (...,).
 
-    length (...,) [m]; middle (..., 6): state x, y, theta, k, Fx, Fy at s = L/2, from which both halves are evaluated (this
-    keeps digits in taut wires); ok (...,): False where no stable shape was found (its numbers are NaN).
-    """
+    length (...,) [m]; middle (..., 6): state x, y, theta, k, Fx, Fy at s = L/2, from which both halves
+    are evaluated (this keeps digits in taut wires); ok (...,): False where no stable shape was found (its
+    numbers are NaN)."""
 
     length: Array
     middle: Array
@@ -52,7 +53,8 @@ class Shape:
 
     @property
     def params(self) -> Array:
-        """State (..., 6) = x, y, theta, k, Fx, Fy at s = 0; F = force / EI [1/m^2], positive along the tangent is tension."""
+        """State (..., 6) = x, y, theta, k, Fx, Fy at s = 0; F = force / EI [1/m^2], positive along the
+        tangent is tension."""
         return np.concatenate([self._sample(np.array([0.0]))[..., 0, :], self.middle[..., 4:]], axis=-1)
 
     def points(self, n: int) -> Array:
@@ -133,11 +135,12 @@ def from_params(params: ArrayLike, length: ArrayLike) -> Shape:
 
 
 def solve(length: ArrayLike, start: ArrayLike, end: ArrayLike, strict: bool = True) -> Shape:
-    """The stable shape of least energy found from several starts, for wires of length (...,) between poses (..., 3).
+    """The stable shape of least energy found from several starts, for wires of length (...,) between
+    poses (..., 3).
 
-    The turning end theta - start theta is part of the question (unwrapped). Raises `TandemError` with code wire.too_short or
-    wire.no_stable_shape, one per item; with strict=False these items come back with ok False and NaN instead.
-    """
+    The turning end theta - start theta is part of the question (unwrapped). Raises `TandemError` with
+    code wire.too_short or wire.no_stable_shape, one per item; with strict=False these items come back
+    with ok False and NaN instead."""
     a, b = np.broadcast_arrays(np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64))
     batch = np.broadcast_shapes(a.shape[:-1], np.shape(length))
     a, b = np.broadcast_to(a, (*batch, 3)).reshape(-1, 3), np.broadcast_to(b, (*batch, 3)).reshape(-1, 3)
@@ -192,7 +195,8 @@ def _straight(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
 
 
 def _starts(a: Array, b: Array, chord: Array) -> Array:
-    """First guesses (B, g, modes): the arc, and arc + bumps of the first three kinds with about the wanted chord."""
+    """First guesses (B, g, modes): the arc, and arc + bumps of the first three kinds with about the
+    wanted chord."""
     sizes = np.concatenate([np.geomspace(1e-6, 0.1, 11), np.linspace(0.2, 9.0, 36)])
     want = np.hypot(chord[:, 0], chord[:, 1])
     guesses = np.zeros((a.shape[0], 7, clamped.MODES))
@@ -233,10 +237,10 @@ def _least_energy(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
             break
         pick = np.argmin(table[open_rows], axis=1)
         which = open_rows * count + pick
-        state = _middle_state(
-            a[open_rows], b[open_rows], found.amplitude[which], found.force[which], lengths[open_rows]
-        )
-        state, miss = _polish(state, a[open_rows], b[open_rows], lengths[open_rows])
+        span, zero = lengths[open_rows], np.zeros((open_rows.size, 2))
+        from_, to = a[open_rows], b[open_rows]
+        state = middle_state(from_, to, span, zero, found.amplitude[which], found.force[which])
+        state, miss = polish(state, from_, to, span, zero)
         shape = Shape(lengths[open_rows], state, np.ones(open_rows.size, dtype=np.bool_))
         good = (miss < _ACCEPT) & shape.stable_in_plane
         middle[open_rows[good]] = state[good]
@@ -244,57 +248,13 @@ def _least_energy(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
     return middle
 
 
-def _middle_state(a: Array, b: Array, amplitude: Array, force: Array, lengths: Array) -> Array:
-    modes = amplitude.shape[1]
-    grid = nodes(64)
-    theta = clamped.clamped_theta(a[:, 2], b[:, 2], amplitude, 0.5 * grid.sigma)
-    half = np.array([0.5])
-    slope = legendre(half, modes + 1)[0, 1:] * np.sqrt(2.0 * np.arange(modes) + 3.0)
-    x = a[:, 0] + 0.5 * lengths * (np.cos(theta) @ grid.weight)
-    y = a[:, 1] + 0.5 * lengths * (np.sin(theta) @ grid.weight)
-    angle = clamped.clamped_theta(a[:, 2], b[:, 2], amplitude, half)[:, 0]
-    k = (b[:, 2] - a[:, 2] + amplitude @ slope) / lengths
-    return np.stack([x, y, angle, k, force[:, 0] / lengths**2, force[:, 1] / lengths**2], axis=1)
-
-
-def _polish(state: Array, a: Array, b: Array, lengths: Array) -> tuple[Array, Array]:
-    """Newton on the middle state with both end poses as conditions; returns states and the largest miss over L."""
-    unit = np.stack([lengths, lengths, np.ones_like(lengths), 1 / lengths, lengths**-2, lengths**-2], axis=1)
-    scale = np.concatenate([unit[:, :3], unit[:, :3]], axis=1)
-    weight = np.zeros((lengths.size, 2))
-    want = np.concatenate([a, b], axis=1)
-    best, least = state.copy(), np.full(lengths.size, np.inf)
-    for turn in range(4):
-        wire = flow(state, lengths, weight, anchor=0.5, derivatives=turn < 3)
-        ends = wire.at(np.array([0.0, 1.0]))[..., :3].reshape(-1, 6)
-        miss = (want - ends) / scale
-        size = np.abs(miss).max(axis=1)
-        better = size < least
-        best[better], least[better] = state[better], size[better]
-        if turn == 3 or float(least.max()) < 1e-13:
-            break
-        d = interpolate(np.concatenate([wire.d_x, wire.d_y, wire.d_theta], axis=-1), np.array([0.0, 1.0]))
-        jacobian = np.zeros((lengths.size, 6, 6))
-        jacobian[:, :, 2:] = d.reshape(-1, 2, 3, 4).reshape(-1, 6, 4)
-        jacobian[:, (0, 3), 0] = 1.0
-        jacobian[:, (1, 4), 1] = 1.0
-        jacobian *= unit[:, None, :] / scale[:, :, None]
-        good = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(miss).all(axis=1)
-        step = np.zeros_like(state)
-        step[good] = (
-            np.einsum("bij,bj->bi", np.linalg.pinv(jacobian[good], rcond=1e-13), miss[good]) * unit[good]
-        )
-        state = state + step
-    return best, least
-
-
 def fit(points: ArrayLike, length: ArrayLike | None = None) -> tuple[Shape, Array]:
     """The elastica that meets target curves best: points (..., m, 2) in order along the curve.
 
-    Without length the wire ends at the feet of the first and the last point; with length (...,) it has exactly that length, its
-    middle at the middle of the target. Returns the shapes and the rms (...,) [m] of the distances of the points to the
-    curve. Whether a fitted shape is stable is a question to the shape: a fit does not refuse.
-    """
+    Without length the wire ends at the feet of the first and the last point; with length (...,) it has
+    exactly that length, its middle at the middle of the target. Returns the shapes and the rms (...,) [m]
+    of the distances of the points to the curve. Whether a fitted shape is stable is a question to the
+    shape: a fit does not refuse."""
     p = np.asarray(points, dtype=np.float64)
     batch = p.shape[:-2]
     flat = p.reshape(-1, *p.shape[-2:])

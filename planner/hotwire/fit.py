@@ -1,9 +1,10 @@
 """Least-squares fit of elasticas, with or without weight, to planar curves: all curves at once.
 
-The unknowns are the six numbers of the state abreast of the target's middle; sliding along the curve is fixed by one condition
-there. Residuals are distances along the curve's normal at the feet of the target's points (orthogonal distance
-regression), so only the shape counts and not the pace of the points. First guess: the curvature of an elastica is affine in
-position (Brander, Gravesen and Norbjerg, arXiv 1509.00703), with a known term from weight. Then Levenberg-Marquardt.
+The unknowns are the six numbers of the state abreast of the target's middle; sliding along the curve is
+fixed by one condition there. Residuals are distances along the curve's normal at the feet of the target's
+points (orthogonal distance regression), so only the shape counts and not the pace of the points. First
+guess: the curvature of an elastica is affine in position (Brander, Gravesen and Norbjerg, arXiv
+1509.00703), with a known term from weight. Then Levenberg-Marquardt.
 
 Lengths are measured in target lengths inside.
 """
@@ -12,23 +13,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.hotwire.basis import Array, legendre, nodes
-from planner.hotwire.flow import Flow, flow, node_count
+from planner.hotwire.basis import Array, IntArray, legendre, nodes
+from planner.hotwire.flow import Flow, flow, node_counts
 
 TAIL_WEIGHT = 2e-4
-"""Default price of bent wire ends: the cost is mean squared distance + (TAIL_WEIGHT l)^2 l int k^2 ds over the ends beyond
-the target, l being the target's length. An end that bends like the target over one target length (k l = 1) then weighs as
-much as an rms distance of 2e-4 l: 0.03 mm on a target of 160 mm."""
+"""Default price of bent wire ends: the cost is mean squared distance + (TAIL_WEIGHT l)^2 l int k^2 ds
+over the ends beyond the target, l being the target's length. An end that bends like the target over one
+target length (k l = 1) then weighs as much as an rms distance of 2e-4 l: 0.03 mm on a target of 160
+mm."""
 
 _ROUNDS = 40
-_SETTLED = 1e-7  # relative fall of the cost that ends the search
+_SETTLED = 1e-5  # relative fall of the cost that ends the search
 
 
 @dataclass(frozen=True)
 class CurveFit:
-    """middle (B, 6): state at the wire's middle; length (B,); residual (B, m): signed distances of the points from the wire along
-    its normal [m]; foot (B, m): arc length of their feet from the wire's start; rms, largest (B,) over the points that
-    count; worst (B,): index of the farthest point; rounds: iterations taken."""
+    """middle (B, 6): state at the wire's middle; length (B,); residual (B, m): signed distances of the
+    points from the wire along its normal [m]; foot (B, m): arc length of their feet from the wire's
+    start; rms, largest (B,) over the points that count; worst (B,): index of the farthest point; rounds
+    (B,): iterations taken."""
 
     middle: Array
     length: Array
@@ -36,8 +39,8 @@ class CurveFit:
     foot: Array
     rms: Array
     largest: Array
-    worst: "np.ndarray[tuple[int], np.dtype[np.int64]]"
-    rounds: int
+    worst: IntArray
+    rounds: IntArray
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class _Task:
     reach: Array  # (B,) half of the modelled wire, over l
     tail: Array  # (B,)
 
-    def pick(self, i: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> "_Task":
+    def pick(self, i: IntArray) -> "_Task":
         return _Task(self.points[i], self.share[i], self.weight[i], self.reach[i], self.tail[i])
 
 
@@ -62,10 +65,9 @@ def fit_curves(
 ) -> CurveFit:
     """Fit to targets (B, m, 2) [m].
 
-    length (B,): the wire's, at least the target's; without it the wire ends at the feet of the outer points. weight q (B, 2)
-    [1/m^3]. window (B, m): weights >= 0 of the points. split: part of the free length that lies before the target.
-    Raises ValueError for inputs that no wire can meet.
-    """
+    length (B,): the wire's, at least the target's; without it the wire ends at the feet of the outer
+    points. weight q (B, 2) [1/m^3]. window (B, m): weights >= 0 of the points. split: part of the free
+    length that lies before the target. Raises ValueError for inputs that no wire can meet."""
     batch, count = targets.shape[:2]
     if count < 4 or not np.isfinite(targets).all():
         raise ValueError(
@@ -106,48 +108,50 @@ def fit_curves(
         np.ascontiguousarray(tail),
     )
     state, foot = _guess(task)
-    state, foot, rounds = _search(task, state, foot)
+    state, foot, rounds = _search_all(task, state, foot)
     return _finish(task, state, foot, size, length, sides, share > 0.0, rounds)
 
 
 def _guess(task: _Task) -> tuple[Array, Array]:
-    """States at the middle and first feet, from polynomials through the target and the affine law of curvature."""
-    steps = np.hypot(*np.moveaxis(np.diff(task.points, axis=1), -1, 0))
+    """States at the middle and first feet: theta of the target's chords against the affine law of
+    curvature, integrated once."""
+    delta = np.diff(task.points, axis=1)
+    steps = np.hypot(delta[..., 0], delta[..., 1])
     place = np.concatenate([np.zeros((steps.shape[0], 1)), np.cumsum(steps, axis=1)], axis=1) - 0.5
-    degree = int(min(10, max(3, place.shape[1] // 2)))
-    table = legendre(place + 0.5, degree + 1)
-    ridge = 1e-10 * np.eye(degree + 1)
-    series = np.linalg.solve(np.swapaxes(table, 1, 2) @ table + ridge, np.swapaxes(table, 1, 2) @ task.points)
-    grid = nodes(48)
-    inner = legendre(grid.sigma, degree + 1)
-    to_slope = _slopes(grid.sigma, degree + 1)
-    velocity = to_slope @ series
-    where = inner @ series
-    theta = np.unwrap(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=1)
-    smooth = legendre(grid.sigma, 10)
-    fit = np.linalg.solve(smooth.T @ (grid.weight[:, None] * smooth), smooth.T * grid.weight)
-    k = (_slopes(grid.sigma, 10) @ fit @ theta[..., None])[..., 0]
-    s = grid.sigma - 0.5
+    theta = np.unwrap(np.arctan2(delta[..., 1], delta[..., 0]), axis=1)
+    centre = _at_zero(place, task.points)
+    from_centre = task.points - centre[:, None, :]
+
+    def integral(values: Array) -> Array:
+        """From the centre to the middles of the chords, by trapezoids; values (B, m, c)."""
+        parts = 0.5 * (values[:, 1:] + values[:, :-1]) * steps[..., None]
+        whole = np.concatenate([np.zeros_like(values[:, :1]), np.cumsum(parts, axis=1)], axis=1)
+        middle = 0.5 * (whole[:, 1:] + whole[:, :-1])
+        out: Array = middle - _at_zero(place, whole)[:, None, :]
+        return out
+
+    # k = kc + Fx (y - yc) - Fy (x - xc) - int (qx s sin theta - qy s cos theta) and theta = theta_c + int k
+    s = 0.5 * (place[:, 1:] + place[:, :-1])
     qx, qy = task.weight[:, :1], task.weight[:, 1:]
-    known = (-qx * s * np.sin(theta) + qy * s * np.cos(theta)) @ grid.middle.T
-    half = legendre(np.array([0.5]), degree + 1)
-    centre = (half @ series)[:, 0]
-    columns = np.stack(
-        [np.ones_like(theta), where[..., 1] - centre[:, 1, None], -(where[..., 0] - centre[:, 0, None])],
-        axis=-1,
+    load = (qx * s * np.sin(theta) - qy * s * np.cos(theta)) * steps
+    bent = np.concatenate([np.zeros_like(load[:, :1]), np.cumsum(load, axis=1)], axis=1)
+    bent -= _at_zero(place, bent[..., None])
+    force = integral(np.stack([from_centre[..., 1], -from_centre[..., 0], bent], axis=-1))
+    columns = np.stack([np.ones_like(s), s, force[..., 0], force[..., 1]], axis=-1)
+    left = np.swapaxes(columns, 1, 2) * (steps * task.share[:, 1:])[:, None, :] / np.mean(task.share)
+    law = np.linalg.solve(
+        left @ columns + np.diag([1e-12, 1e-9, 1e-8, 1e-8]), left @ (theta + force[..., 2])[..., None]
     )
-    left = np.swapaxes(columns, 1, 2) * grid.weight
-    law = np.linalg.solve(left @ columns + np.diag([0.0, 1e-6, 1e-6]), left @ (k - known)[..., None])[..., 0]
-    angle = (legendre(np.array([0.5]), 10)[0] @ fit @ theta[..., None])[:, 0]
-    return np.concatenate([centre, angle[:, None], law], axis=1), place
+    return np.concatenate([centre, law[..., 0]], axis=1), place
 
 
-def _slopes(sigma: Array, count: int) -> Array:
-    """d P_j(2 sigma - 1) / d sigma; shape (m, count)."""
-    p = legendre(sigma, count)
-    out = np.zeros_like(p)
-    for j in range(1, count):
-        out[:, j] = 2.0 * (2 * j - 1) * p[:, j - 1] + (out[:, j - 2] if j >= 2 else 0.0)
+def _at_zero(place: Array, values: Array) -> Array:
+    """Values (B, c) at place 0 from (B, m, c) at the increasing places (B, m), linear in between."""
+    rows = np.arange(place.shape[0])
+    right = np.clip(np.sum(place < 0.0, axis=1), 1, place.shape[1] - 1)
+    a, b = place[rows, right - 1], place[rows, right]
+    u = (-a / np.where(b > a, b - a, 1.0))[:, None]
+    out: Array = values[rows, right - 1] * (1.0 - u) + values[rows, right] * u
     return out
 
 
@@ -214,18 +218,41 @@ def _try(task: _Task, state: Array, foot: Array, theta: Array | None, count: int
     return _Trial(wire.theta, foot, residual, jacobian, cost)
 
 
-def _search(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, int]:
-    """Levenberg-Marquardt on all items that still move."""
+def _need(task: _Task, state: Array) -> IntArray:
+    return node_counts(state, 2.0 * task.reach, task.weight, base=14.0, per_wave=3.6)
+
+
+def _search_all(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, IntArray]:
+    """The search with as many nodes as each wire needs; wires that grow more waves are searched on with
+    more nodes."""
     state, foot = state.copy(), foot.copy()
-    count = node_count(state, 2.0 * task.reach, task.weight)
+    used = np.zeros(state.shape[0], dtype=np.int64)
+    rounds = np.zeros(state.shape[0], dtype=np.int64)
+    while True:
+        need = _need(task, state)
+        open_rows = np.flatnonzero(need > used)
+        if open_rows.size == 0:
+            return state, foot, rounds
+        count = int(need[open_rows].min())
+        rows = open_rows[need[open_rows] == count]
+        state[rows], foot[rows], turns = _search(task.pick(rows), state[rows], foot[rows], count)
+        used[rows] = count
+        rounds[rows] += turns
+
+
+def _search(task: _Task, state: Array, foot: Array, count: int) -> tuple[Array, Array, IntArray]:
+    """Levenberg-Marquardt on all items that still move; returns states, feet and the rounds of each."""
+    state, foot = state.copy(), foot.copy()
     now = _try(task, state, foot, None, count)
     theta, foot, residual, jacobian, cost = now.theta, now.foot, now.residual, now.jacobian, now.cost
-    damp = np.full(state.shape[0], 1e-4)
+    damp = np.full(state.shape[0], 1e-6)
+    rounds = np.zeros(state.shape[0], dtype=np.int64)
     active = np.arange(state.shape[0])
-    rounds = 0
-    while active.size and rounds < _ROUNDS:
-        rounds += 1
+    for _ in range(_ROUNDS):
+        if active.size == 0:
+            break
         i = active
+        rounds[i] += 1
         j = jacobian[i]
         normal = np.swapaxes(j, 1, 2) @ j
         slope = (np.swapaxes(j, 1, 2) @ residual[i][..., None])[..., 0]
@@ -241,19 +268,8 @@ def _search(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, int]:
         theta[g], foot[g], residual[g] = trial.theta[better], trial.foot[better], trial.residual[better]
         jacobian[g], cost[g] = trial.jacobian[better], trial.cost[better]
         damp[i] = np.where(better, np.maximum(damp[i] * 0.1, 1e-12), np.maximum(damp[i] * 8.0, 1e-6))
-        done = (better & (fall < _SETTLED)) | small | (cost[i] < 1e-26) | (damp[i] > 1e8)
+        done = (better & (fall < _SETTLED)) | small | (cost[i] < 1e-24) | (damp[i] > 1e8)
         active = i[~done]
-        needed = node_count(state, 2.0 * task.reach, task.weight)
-        if needed > count:  # more waves than at the start: finer nodes for all
-            count = needed
-            fresh = _try(task, state, foot, None, count)
-            theta, foot, residual, jacobian, cost = (
-                fresh.theta,
-                fresh.foot,
-                fresh.residual,
-                fresh.jacobian,
-                fresh.cost,
-            )
     return state, foot, rounds
 
 

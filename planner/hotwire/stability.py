@@ -1,16 +1,16 @@
 """Stability of planar wire shapes between clamps, in and out of their plane, with weight.
 
-A shape is stable where the second variation of its energy is positive for every motion that the clamps allow. Both forms
-are set up in functions with orthonormal slopes, so that the result is a pure number: the smallest value of second variation /
-int |w'|^2. It is 1 for a straight wire without force, falls under compression and is 0 at buckling.
+A shape is stable where the second variation of its energy is positive for every motion that the clamps
+allow. Both forms are set up in functions with orthonormal slopes, so that the result is a pure number:
+the smallest value of second variation / int |w'|^2. It is 1 for a straight wire without force, falls
+under compression and is 0 at buckling.
 
 In plane (eta: change of theta; Sachkov, arXiv 0705.1003): int eta'^2 + (F.t) eta^2 with int eta n = 0.
 
-Out of plane (w: rotation about tangent and normal, B = 1 the stiffness in the plane, C = GJ/EI, B2 = stiff/soft bending):
-int C (wt' - k wn)^2 + B2 (wn' + k wt)^2 - k^2 (wt^2 + wn^2) - k (wt wn' - wn wt') + Ft wn^2 - Fn wt wn with
-int wn = 0. It is the second order of the energy of a rod whose frame is turned by exp(w); weight enters by F(s) alone,
-because the load's energy is -int F(s).t ds.
-"""
+Out of plane (w: rotation about tangent and normal, B = 1 the stiffness in the plane, C = GJ/EI, B2 =
+stiff/soft bending): int C (wt' - k wn)^2 + B2 (wn' + k wt)^2 - k^2 (wt^2 + wn^2) - k (wt wn' - wn wt') +
+Ft wn^2 - Fn wt wn with int wn = 0. It is the second order of the energy of a rod whose frame is turned by
+exp(w); weight enters by F(s) alone, because the load's energy is -int F(s).t ds."""
 
 from dataclasses import dataclass
 
@@ -26,8 +26,8 @@ _QUADRATURE = 72
 
 @dataclass(frozen=True)
 class Section:
-    """Stiffness ratios of a wire's cross-section: torsion GJ/EI and stiff bending EI2/EI over the bending stiffness EI
-    in the plane of the shape."""
+    """Stiffness ratios of a wire's cross-section: torsion GJ/EI and stiff bending EI2/EI over the bending
+    stiffness EI in the plane of the shape."""
 
     torsion: float
     stiff: float
@@ -45,8 +45,8 @@ def round_section(nu: float) -> Section:
 def strip(ratio: float, nu: float) -> Section:
     """A rectangular strip of ratio = width / thickness >= 1 that bends the soft way in the plane.
 
-    Torsion constant J = w t^3/3 (1 - 0.630 t/w + 0.052 (t/w)^5) (Timoshenko and Goodier, Theory of Elasticity, art. 109).
-    """
+    Torsion constant J = w t^3/3 (1 - 0.630 t/w + 0.052 (t/w)^5) (Timoshenko and Goodier, Theory of
+    Elasticity, art. 109)."""
     if not ratio >= 1.0:
         raise ValueError(f"ratio: got {ratio}, allowed 1 or more; give width / thickness")
     if not -1.0 < nu <= 0.5:
@@ -74,8 +74,8 @@ def constrained_smallest(form: Array, constraints: Array, barrier: float = 2.0) 
 
 
 def project(form: Array, constraints: Array) -> tuple[Array, Array]:
-    """(P H P, U): forms on the space orthogonal to the constraints, and an orthonormal basis U (B, c, n) of these, with zero
-    rows for those that vanish."""
+    """(P H P, U): forms on the space orthogonal to the constraints, and an orthonormal basis U (B, c, n)
+    of these, with zero rows for those that vanish."""
     gram = constraints @ np.swapaxes(constraints, 1, 2)
     value, vector = np.linalg.eigh(gram)
     keep = value > 1e-18 * np.maximum(value[:, -1:], 1.0)
@@ -137,9 +137,8 @@ def out_of_plane_sag(
 ) -> Array:
     """Linear response to a load across the plane: deflection (B, m) [m] along z = x cross y at sigma (m,).
 
-    load (B,) [1/m^3]: force per length along z over EI in the plane. The energy of the load is int (L - s) load wn ds.
-    Infinite where the shape is not stable out of its plane.
-    """
+    load (B,) [1/m^3]: force per length along z over EI in the plane. The energy of the load is int (L -
+    s) load wn ds. Infinite where the shape is not stable out of its plane."""
     base = bumps(_MODES_OUT, _QUADRATURE)
     batch = theta.shape[0]
     form = out_of_plane_form(theta, curvature, force, length, section)
