@@ -1,0 +1,109 @@
+"""The ``elastic_wire`` operation of a problem file: lengths in mm, angles in degrees, speeds in mm/s."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Face = Literal["front", "back"]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
+
+
+class WireFile(BaseModel):
+    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it bends."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    material: Annotated[str, Field(description="name in the table of materials")]
+    diameter_mm: Annotated[float, Field(ge=0.05, le=10)] | None = None
+    width_mm: Annotated[float, Field(ge=0.2, le=60)] | None = None
+    thickness_mm: Annotated[float, Field(ge=0.05, le=5)] | None = None
+    length_mm: Annotated[float, Field(ge=50, le=5000, description="hot length between the clamps")]
+    temperature_c: Annotated[float, Field(ge=20, le=1000, description="of the wire while it cuts")]
+
+    @model_validator(mode="after")
+    def _one_section(self) -> WireFile:
+        strip = self.width_mm is not None and self.thickness_mm is not None
+        if self.diameter_mm is not None and (self.width_mm is not None or self.thickness_mm is not None):
+            raise ValueError("give diameter_mm for a round wire, or width_mm and thickness_mm for a strip")
+        if self.diameter_mm is None and not strip:
+            raise ValueError(
+                "give diameter_mm for a round wire, or both width_mm and thickness_mm for a strip"
+            )
+        if self.width_mm is not None and self.thickness_mm is not None and self.thickness_mm > self.width_mm:
+            raise ValueError("thickness_mm must not exceed width_mm: a strip bends over its thin side")
+        return self
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the wire may spin about itself."""
+        return self.diameter_mm is not None
+
+
+class ElasticWire(BaseModel):
+    """Two arms bend one hot wire and sweep it through the block along the faces of the part."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    name: Name
+    process: Literal["elastic_wire"]
+    arms: Annotated[tuple[Name, Name], Field(description="the arm at the wire's start, the arm at its end")]
+    wire: WireFile
+    faces: Annotated[tuple[Face, ...], Field(min_length=1, max_length=2)] = ("front", "back")
+    runs: Annotated[
+        Literal["one", "two"], Field(description="one: there and back; two: both faces in the same direction")
+    ] = "one"
+    sweep: Annotated[
+        Literal["auto", "x", "y"] | Annotated[float, Field(ge=-360, le=360)],
+        Field(
+            description="direction across the wire, horizontal in the block; a number is degrees from x"
+        ),
+    ] = "auto"
+    sections: Annotated[
+        Literal["auto", "parallel", "normal"],
+        Field(
+            description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip"
+        ),
+    ] = "auto"
+    kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot that the wire melts")]
+    feed_mm_s: Annotated[
+        float, Field(gt=0, le=200, description="upper limit of the wire's fastest point in foam")
+    ] = 8.0
+    feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
+    shape_tol_mm: Annotated[float, Field(gt=0, le=50)] = 0.5
+    share: Annotated[
+        float, Field(gt=0.5, le=1, description="part of each face that must be within tolerance")
+    ] = 0.95
+    end_error_mm: Annotated[
+        float, Field(ge=0, le=5, description="how far each wire end may be off in reality")
+    ] = 0.05
+    step_mm: Annotated[
+        float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
+    ] = 3.0
+    margin_mm: Annotated[
+        float, Field(ge=1, le=300, description="of wire ends, and of the wire in air, to the block")
+    ] = 20.0
+    slack_mm: Annotated[
+        float, Field(ge=0, le=500, description="how far the wire may slide along itself, either way")
+    ] = 20.0
+    heat_up_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+    cool_down_s: Annotated[float, Field(ge=0, le=600)] = 30.0
+    signal: Annotated[
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
+    ] = "doWirePower"
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ElasticWire:
+        if self.arms[0] == self.arms[1]:
+            raise ValueError("arms: two different arms hold the wire's ends")
+        if len(set(self.faces)) != len(self.faces):
+            raise ValueError("faces: each face is cut once")
+        if self.feed_min_mm_s > self.feed_mm_s:
+            raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
+        return self
+
+    @property
+    def is_normal(self) -> bool:
+        """Whether sections are normal to the spine of the face: a strip's width must follow the sweep."""
+        return self.sections == "normal" or (self.sections == "auto" and not self.wire.is_round)
