@@ -149,7 +149,8 @@ def solve(length: ArrayLike, start: ArrayLike, end: ArrayLike, strict: bool = Tr
         np.isfinite(a).all() and np.isfinite(b).all() and np.isfinite(lengths).all() and (lengths > 0).all()
     ):
         raise ValueError(
-            "length, start, end: got a number that is not finite or a length <= 0; give finite poses in m and rad"
+            "length, start, end: got a number that is not finite or a length <= 0; "
+            "give finite poses in m and rad"
         )
     chord = (b[:, :2] - a[:, :2]) / lengths[:, None]
     middle = _straight(a, b, chord, lengths)
@@ -172,7 +173,7 @@ def _issues(ok: Mask, chord: Array, lengths: Array) -> list[Issue]:
             text = (
                 f"wire {i} spans {gap:.4f} mm between its clamps, allowed less than its length {have:.4f} mm"
             )
-            hint = "take a longer wire or bring the ends together; a straight wire needs both ends aligned with it"
+            hint = "take a longer wire or bring its ends together; a straight wire needs aligned ends"
             out.append(
                 Issue("wire.too_short", text, index=int(i), value=gap, limit=have, unit="mm", hint=hint)
             )

@@ -280,8 +280,8 @@ def _finish(
     size: Array,
     length: Array | None,
     split: Array,
-    counts: Array,
-    rounds: int,
+    counts: Mask,
+    rounds: IntArray,
 ) -> CurveFit:
     wire = flow(state, 2.0 * task.reach, task.weight, 0.5)
     for _ in range(3):

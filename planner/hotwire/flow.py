@@ -72,7 +72,7 @@ def node_counts(
     force = np.hypot(state[:, 4], state[:, 5]) + 0.5 * np.hypot(weight[:, 0], weight[:, 1]) * length
     waves = np.sqrt(force + 0.25 * state[:, 3] ** 2) * length
     need = 16 * np.ceil((base + per_wave * np.minimum(waves, 100.0)) / 16.0)
-    return np.clip(need, 32, 192).astype(np.int64)
+    return np.asarray(np.clip(need, 32, 192), dtype=np.int64)
 
 
 def _settle(theta: Array, line: Array, square: Array, force: tuple[Array, Array], twice: Array) -> Array:
@@ -139,7 +139,7 @@ def flow(
         pull = fx * cos + fy * sin
         right = np.stack([np.ones_like(s), s, square * (sin @ twice.T), -square * (cos @ twice.T)], axis=-1)
         matrix = np.eye(count) - twice * (square * pull)[:, None, :]
-        d_theta = np.linalg.solve(matrix, right)
+        d_theta = np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
         source = pull[..., None] * d_theta
         source[..., 2] += sin
         source[..., 3] -= cos

@@ -189,7 +189,7 @@ def _with_gaps(middle: Array, length: Array, weight: Array, n: int, ok: Mask) ->
 def _no_equilibrium(index: int, length: float) -> Issue:
     return Issue(
         "wire.no_equilibrium",
-        f"wire {index} of {length * 1e3:.4f} mm has no equilibrium with weight near the guess, between its clamps",
+        f"wire {index} of {length * 1e3:.4f} mm has no equilibrium between its clamps near the guess",
         index=index,
         hint="guess closer to these clamps, or move them in smaller steps",
     )

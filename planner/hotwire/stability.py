@@ -69,8 +69,7 @@ def constrained_smallest(form: Array, constraints: Array, barrier: float = 2.0) 
     """
     projected, basis = project(form, constraints)
     fill = barrier * (np.swapaxes(basis, 1, 2) @ basis)
-    out: Array = np.linalg.eigvalsh(projected + fill)[:, 0]
-    return out
+    return np.asarray(np.linalg.eigvalsh(projected + fill)[:, 0], dtype=np.float64)
 
 
 def project(form: Array, constraints: Array) -> tuple[Array, Array]:
