@@ -1,0 +1,117 @@
+"""Which moves go into which module and procedure: split at the same moves for all tasks, at stops."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.issues import Issue, TandemError
+from planner.post.program import Job, OperationProgram, Run, splittable
+from planner.post.rapid_format import identifier
+
+IntArray = NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """A procedure: rows ``first`` to ``last`` - 1 of an operation's tracks; ``module`` counts from 1."""
+
+    name: str
+    label: str
+    operation: int
+    first: int
+    last: int
+    module: int
+
+
+def parts(
+    job: Job, sizes: Sequence[IntArray], frame: int, max_moves: int, max_bytes: int
+) -> tuple[Part, ...]:
+    """The procedures of a job in the order in which they run.
+
+    ``sizes``: for each operation the bytes (M,) that its moves take in the largest task; ``frame``: bytes of
+    a procedure without its moves. Raises :class:`TandemError` (``post.no_split``, ``post.name``).
+    """
+    out: list[Part] = []
+    visits: dict[str, int] = {}
+    labels: dict[str, str] = {}
+    load = _Load(frame, max_moves, max_bytes)
+    for number, runs in enumerate(_runs(job)):
+        program = next(t.operations[number] for t in job.tasks if t.operations[number].track is not None)
+        for first, last in _spans(runs, program):
+            load.add(program, first, last, sizes[number][first:last])
+            for run in runs:
+                low, high = max(run.first, first), min(run.last, last)
+                if low >= high:
+                    continue
+                before = out[-1] if out else None
+                if (
+                    before
+                    and (before.operation, before.last, before.module) == (number, low, load.module)
+                    and (low > run.first)
+                ):
+                    out[-1] = dataclasses.replace(before, last=high)
+                else:
+                    out.append(
+                        Part(_name(run.label, visits, labels), run.label, number, low, high, load.module)
+                    )
+    return tuple(out)
+
+
+class _Load:
+    """Fills modules one after the other."""
+
+    def __init__(self, frame: int, max_moves: int, max_bytes: int) -> None:
+        self.frame, self.max_moves, self.max_bytes = frame, max_moves, max_bytes
+        self.module, self.moves, self.bytes = 1, 0, frame
+
+    def add(self, program: OperationProgram, first: int, last: int, sizes: IntArray) -> None:
+        """Place a span of moves that must stay together; sets ``module``."""
+        segments = 1 + sum(program.labels[i] != program.labels[i - 1] for i in range(first + 1, last))
+        need = int(sizes.sum()) + self.frame * segments
+        if last - first > self.max_moves or need + self.frame > self.max_bytes:
+            got = f"operation {program.name}: {last - first} moves ({need} bytes) from target row {first} on"
+            message = (
+                f"{got} have no stop outside the work to split at; a module takes {self.max_moves} moves and "
+            )
+            message += f"{self.max_bytes} bytes"
+            hint = "let the motion stop between two cuts, or allow larger modules (max_moves, max_bytes)"
+            raise TandemError(Issue("post.no_split", message, index=first, hint=hint))
+        if self.moves and (self.moves + last - first > self.max_moves or self.bytes + need > self.max_bytes):
+            self.module, self.moves, self.bytes = self.module + 1, 0, self.frame
+        self.moves += last - first
+        self.bytes += need
+
+
+def _runs(job: Job) -> list[list[Run]]:
+    """Runs of each operation, from a task that takes part in it."""
+    out = []
+    for programs in zip(*(task.operations for task in job.tasks), strict=True):
+        moving = next(program for program in programs if program.track is not None)
+        out.append([step for step in moving.steps if isinstance(step, Run)])
+    return out
+
+
+def _spans(runs: Sequence[Run], program: OperationProgram) -> list[tuple[int, int]]:
+    """Spans of moves between places where a program may be split; every operation starts at one."""
+    if not runs:
+        return []
+    edges = [0, *(np.flatnonzero(splittable(program)) + 1).tolist()]
+    return list(itertools.pairwise(edges))
+
+
+def _name(label: str, visits: dict[str, int], labels: dict[str, str]) -> str:
+    """``cut_front`` for the first visit of ``cut/front``, ``cut_front__2`` for the second."""
+    name = identifier(label)
+    other = labels.setdefault(name.lower(), label)
+    if other != label:
+        message = f"segments {other!r} and {label!r} would both be called {name}"
+        raise TandemError(
+            Issue("post.name", message, hint="give them names that differ in letters or digits")
+        )
+    visits[name] = visits.get(name, 0) + 1
+    return name if visits[name] == 1 else f"{name}__{visits[name]}"

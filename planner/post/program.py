@@ -1,0 +1,141 @@
+"""What all robot languages share: a plan as steps of each task, before any word of a language is chosen.
+
+Tasks go through the same operations side by side. Outside synchronised blocks one arm works while the others
+wait at the next :class:`Meet`; inside, the tasks have equal runs of moves, pair by pair. An action of the process
+always stands outside a block.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.catalogue import RobotData
+from planner.problem import Arm
+from planner.targets import Action, segment_kind
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+POSITION_DECIMALS = 4
+"""Decimals of positions in mm; what is equal after rounding is the same place."""
+QUATERNION_DECIMALS = 8
+TIME_DECIMALS = 5
+"""Decimals of the times of moves in s."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Joints:
+    """The arm goes alone to the joints ``q`` (6,) [rad, serial], straight in joint space, and stops."""
+
+    q: FloatArray
+    place: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Meet:
+    """All tasks wait here for each other; ``number`` from 1, equal in all tasks."""
+
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
+class SyncOn:
+    """From here to the :class:`SyncOff` of the same number the moves of all tasks run in pairs."""
+
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
+class SyncOff:
+    """The end of a synchronised block."""
+
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Do:
+    """An action of the process, done by one task."""
+
+    action: Action
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """Moves of one arm in one operation, one row a target that is moved to.
+
+    ``position`` (M, 3) [mm, rounded] and ``quaternion`` (M, 4) [rounded, sign continuous] in the work frame
+    ``frame``; ``q`` (M, 6) [rad, serial]; ``duration`` (M,) [s, rounded]; ``distance`` (M,) [mm] of the TCP;
+    ``reach`` (M,) [mm]: half the shorter one of the segments that meet at the target, the most that a zone
+    may take, 0 at a stop.
+    """
+
+    position: FloatArray
+    quaternion: FloatArray
+    q: FloatArray
+    duration: FloatArray
+    distance: FloatArray
+    reach: FloatArray
+    frame: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """Rows ``first`` to ``last`` - 1 of the operation's track: one visit of the segment ``label``."""
+
+    operation: int
+    label: str
+    first: int
+    last: int
+    synchronised: bool
+
+
+Step = Joints | Meet | SyncOn | SyncOff | Do | Run
+
+
+@dataclasses.dataclass(frozen=True)
+class OperationProgram:
+    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. No ``track`` for an arm that only waits."""
+
+    name: str
+    track: Track | None
+    ids: IntArray
+    stop: BoolArray
+    labels: tuple[str, ...]
+    steps: tuple[Step, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskProgram:
+    """The program of one arm; ``number`` counts the tasks from 1."""
+
+    number: int
+    task: str
+    unit: str
+    arm: Arm
+    robot: RobotData
+    base: FloatArray
+    operations: tuple[OperationProgram, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """All tasks. ``coupled``: the arms are joined in some operation; ``signals``: those that actions switch."""
+
+    tasks: tuple[TaskProgram, ...]
+    meets: int
+    blocks: int
+    coupled: bool
+    signals: tuple[str, ...]
+
+
+def splittable(program: OperationProgram) -> BoolArray:
+    """(M,) whether a program may be split behind a move: at stops that do not lie inside one cut segment."""
+    out = program.stop.copy()
+    for i in np.flatnonzero(out[:-1]):
+        inside = program.labels[i] == program.labels[i + 1] and segment_kind(program.labels[i]) == "cut"
+        out[i] = not inside
+    return out

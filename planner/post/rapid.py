@@ -1,0 +1,263 @@
+"""RAPID programs of a job: for each task a data module, a main module, cut modules and their list (.pgf)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import __version__
+from planner.issues import Issue, TandemError
+from planner.plan import Plan
+from planner.post.layout import Part, parts
+from planner.post.program import (
+    Do,
+    Job,
+    Joints,
+    Meet,
+    OperationProgram,
+    Run,
+    Step,
+    SyncOff,
+    SyncOn,
+    TaskProgram,
+)
+from planner.post.rapid_data import (
+    ENTRY_SPEED,
+    TASKS,
+    Stations,
+    block,
+    data_lines,
+    meet,
+    tool_name,
+    wobj_name,
+)
+from planner.post.rapid_format import action_lines, box, comment, identifier, quoted, short
+from planner.post.rapid_moves import move_lines, zones
+from planner.problem import Problem
+
+NameArray = NDArray[np.str_]
+
+_INDENT = "  "
+_PROC_BYTES = 1500
+_NO_WIRE = (
+    "Is there NO wire between the arms? From here each arm moves alone to its first position. "
+    "Take off what joins them, then press OK."
+)
+_READY = "Is the stock in place and the cell clear? Press OK to start."
+
+
+def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
+    """Program files by relative name. Raises :class:`TandemError` (``post.*``)."""
+    zone = [_zones(job, i) for i in range(len(plan.operations))]
+    moves = {task.number: _moves(task, job, zone) for task in job.tasks}
+    sizes = [
+        np.max(
+            [
+                [len(line) + len(_INDENT) * 2 + 1 for line in moves[t.number][i]] or [0]
+                for t in _moving(job, i)
+            ],
+            axis=0,
+        )
+        for i in range(len(plan.operations))
+    ]
+    limits = problem.cell.controller
+    layout = parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes)
+    out: dict[str, str] = {}
+    for task in job.tasks:
+        writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
+        out |= writer.files({name for op in zone for name in op.get(task.number, np.array([])).tolist()})
+    for name, text in out.items():
+        if len(text.encode()) > limits.max_bytes:
+            message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
+            raise TandemError(
+                Issue("post.no_split", message, file=name, hint="allow larger modules (max_bytes)")
+            )
+    return out
+
+
+def _moving(job: Job, operation: int) -> list[TaskProgram]:
+    return [task for task in job.tasks if task.operations[operation].track is not None]
+
+
+def _zones(job: Job, operation: int) -> dict[int, NameArray]:
+    """Zone names of each task's moves; stops are the same moves in all tasks."""
+    out = {}
+    for task in _moving(job, operation):
+        program = task.operations[operation]
+        if program.track is not None:
+            out[task.number] = zones(program.track, program.stop, program.labels)
+    return out
+
+
+def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]]) -> list[list[str]]:
+    """The move instructions of each operation."""
+    out: list[list[str]] = []
+    for i, program in enumerate(task.operations):
+        if program.track is None:
+            out.append([])
+            continue
+        ids = program.ids if len(_moving(job, i)) > 1 else None
+        names = (tool_name(task.arm.tool), wobj_name(program.track.frame))
+        out.append(move_lines(task.robot, program.track, ids, zone[i][task.number], *names))
+    return out
+
+
+class _Task:
+    """Writes the modules of one task."""
+
+    def __init__(
+        self,
+        task: TaskProgram,
+        job: Job,
+        plan: Plan,
+        problem: Problem,
+        margins: Mapping[str, str],
+        layout: Sequence[Part],
+        moves: Sequence[Sequence[str]],
+    ) -> None:
+        self.task, self.job, self.plan, self.problem = task, job, plan, problem
+        self.margins, self.layout, self.moves = margins, layout, moves
+        self.stations = Stations(task)
+        self.tool = tool_name(task.arm.tool)
+
+    def files(self, zone_names: set[str]) -> dict[str, str]:
+        """The task's files by relative name."""
+        n = self.task.number
+        data = data_lines(self.task, self.job, self.plan, self.problem, self.stations, zone_names)
+        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main()}
+        own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
+        for module in dict.fromkeys(part.module for part in own):
+            lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
+            bodies[f"TandemCut{module}_{n}"] = lines[:-1]
+        self._unique(bodies)
+        files = {f"{name}.mod": self._module(name, lines) for name, lines in bodies.items()}
+        listed = "".join(f"\t<Module>{name}</Module>\r\n" for name in files)
+        head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\r\n'
+        files[f"Tandem_{n}.pgf"] = f"{head}<Program>\r\n{listed}</Program>\r\n"
+        return {f"{self.task.task}/{name}": text for name, text in files.items()}
+
+    def _unique(self, bodies: Mapping[str, Sequence[str]]) -> None:
+        """Raise an issue when two things of the task would have one name."""
+        words = [
+            line.split("(")[0].split(":=")[0].rstrip(";").split() for body in bodies.values() for line in body
+        ]
+        names = [
+            w[-1].split("{")[0].lower()
+            for w in words
+            if w and w[0] in ("PROC", "CONST", "PERS", "TASK", "VAR")
+        ]
+        double = (
+            sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+        )
+        if double:
+            message = f"two things of task {self.task.task} would be called {double[0]}"
+            raise TandemError(Issue("post.name", message, hint="give the segment or tool another name"))
+
+    def _module(self, name: str, lines: Sequence[str]) -> str:
+        inside = [f"{_INDENT}{line}" if line else "" for line in [*self._header(), "", *lines]]
+        return "\n".join([f"MODULE {name}", *inside, "ENDMODULE", ""])
+
+    def _header(self) -> list[str]:
+        task = self.task
+        out = comment(
+            f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}."
+        )
+        out += comment(
+            f"Arm {task.arm.name}, tool {task.arm.tool.name}. Written, not taught: plan again to change it."
+        )
+        out += comment(f"Problem {self.plan.problem_name}, SHA-256 {self.plan.digest}.")
+        for name, value in self.margins.items():
+            out += comment(f"Proven: {name} {value}.")
+        if task.robot.coupling is not None:
+            out += comment(
+                "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
+                "this arm counts cfx is not settled, so ConfL is off here: run it first without stock and wire."
+            )
+        if self.job.signals:
+            out += comment(
+                f"Error handlers switch {', '.join(self.job.signals)} off first. An emergency stop runs no "
+                "handler: wire the power so that it falls with the motors."
+            )
+        return out
+
+    # ---- main module ----
+
+    def _main(self) -> list[str]:
+        conf = "Off" if self.task.robot.coupling is not None else "On"
+        body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        if self.task.number == 1:
+            body += self._power_off()
+            # also keeps a controller that repeats its program from starting over by itself
+            body += box("Tandem", _NO_WIRE if self.job.coupled else _READY)
+        count = len(self.task.operations)
+        body += [f"operation_{i};" for i in range(1, count + 1)]
+        out = self._procedure("main", body, undo=False)
+        for i, operation in enumerate(self.task.operations):
+            out += ["", *self._operation(i, operation)]
+        return out
+
+    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+        body = comment(f"Operation {operation.name}.")
+        for step in operation.steps:
+            body += self._step(step, index)
+        blocks = any(isinstance(step, SyncOn) for step in operation.steps)
+        return self._procedure(f"operation_{index + 1}", body, undo=blocks)
+
+    def _step(self, step: Step, operation: int) -> list[str]:
+        match step:
+            case Joints():
+                name = self.stations.of(step, operation + 1)
+                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{self.tool};"]
+            case Meet(number):
+                return [f"WaitSyncTask {meet(number)},{TASKS};"]
+            case SyncOn(number):
+                return [f"SyncMoveOn {block(number, 'on')},{TASKS};"]
+            case SyncOff(number):
+                return [f"SyncMoveOff {block(number, 'off')};"]
+            case Do(action):
+                return action_lines(action)
+            case Run():
+                inside = (p for p in self.layout if p.operation == step.operation)
+                return [f"{p.name};" for p in inside if step.first <= p.first < step.last]
+
+    # ---- procedures ----
+
+    def _part(self, part: Part) -> list[str]:
+        operation = self.task.operations[part.operation]
+        rows = slice(part.first, part.last)
+        seconds = (
+            short(float(operation.track.duration[rows].sum()), 2) if operation.track is not None else "0"
+        )
+        body = comment(f"Segment {part.label}: {part.last - part.first} moves, {seconds} s.")
+        return self._procedure(part.name, [*body, *self.moves[part.operation][rows]], undo=False)
+
+    def _procedure(self, name: str, body: Sequence[str], undo: bool) -> list[str]:
+        out = [f"PROC {name}()", *(_INDENT + line for line in body)]
+        out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
+        if undo:
+            leave = ["! the program pointer was moved away", *self._power_off(), "SyncMoveUndo;"]
+            out += ["UNDO", *(_INDENT + line for line in leave)]
+        return [*out, "ENDPROC"]
+
+    def _power_off(self) -> list[str]:
+        return [f"SetDO {identifier(signal)},0;" for signal in self.job.signals]
+
+    def _handler(self, name: str) -> list[str]:
+        """Power off, then stop; the program ends there, so that no arm goes on by itself."""
+        joined = (
+            "The arms may be joined: move neither alone."
+            if self.job.coupled
+            else "Check the arm before it moves."
+        )
+        stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 else "Stop;"
+        note = quoted(f"Tandem: error in {name}, number ")
+        return [
+            *self._power_off(),
+            "StopMove\\Quick;",
+            f"TPWrite {note}\\Num:=ERRNO;",
+            f"TPWrite {quoted(joined)};",
+            stop,
+            "EXIT;",
+        ]

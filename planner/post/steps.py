@@ -1,0 +1,231 @@
+"""From a plan to the steps of each task: who moves when, where tasks meet, which targets are moved to."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from planner.catalogue import robot
+from planner.geometry.rigid import to_quaternion
+from planner.issues import Issue, TandemError
+from planner.plan import OperationPlan, Plan
+from planner.post.program import (
+    POSITION_DECIMALS,
+    QUATERNION_DECIMALS,
+    TIME_DECIMALS,
+    BoolArray,
+    Do,
+    FloatArray,
+    IntArray,
+    Job,
+    Joints,
+    Meet,
+    OperationProgram,
+    Run,
+    Step,
+    SyncOff,
+    SyncOn,
+    TaskProgram,
+    Track,
+)
+from planner.problem import Arm, Problem
+from planner.targets import Targets
+
+MAX_TASKS = 2
+
+
+def build(plan: Plan, problem: Problem) -> Job:
+    """The steps of every task; raises :class:`TandemError` (``post.*``) for a plan that no program can do."""
+    used = {arm for operation in plan.operations for arm in operation.targets.arms}
+    arms = [arm for arm in problem.cell.arms if arm.name in used]
+    controller = problem.cell.controller
+    named = min(len(controller.tasks), len(controller.units), MAX_TASKS)
+    if not 1 <= len(arms) <= named:
+        got = f"{len(arms)} arms move; the controller has tasks and units for {named}"
+        raise TandemError(
+            Issue("post.tasks", got, hint="name one task and one unit for each arm of the cell")
+        )
+    builder = _Builder([arm.name for arm in arms])
+    parts = [builder.operation(i, operation, arms) for i, operation in enumerate(plan.operations)]
+    place = {arm.name: i for i, arm in enumerate(problem.cell.arms)}
+    tasks = tuple(
+        TaskProgram(
+            number=n + 1,
+            task=controller.tasks[place[arm.name]],
+            unit=controller.units[place[arm.name]],
+            arm=arm,
+            robot=robot(arm.robot),
+            base=plan.bases.get(arm.name, arm.base),
+            operations=tuple(part[arm.name] for part in parts),
+        )
+        for n, arm in enumerate(arms)
+    )
+    actions = [action for operation in plan.operations for action in operation.targets.actions]
+    signals = dict.fromkeys(action.signal for action in actions if action.kind in ("on", "off"))
+    coupled = any(operation.targets.coupled for operation in plan.operations)
+    return Job(tasks, builder.meets, builder.blocks, coupled, tuple(signals))
+
+
+class _Builder:
+    """Numbers the meeting points and blocks of a job while its operations are laid out."""
+
+    def __init__(self, arms: Sequence[str]) -> None:
+        self.arms = arms
+        self.meets = 0
+        self.blocks = 0
+        self.steps: dict[str, list[Step]] = {}
+
+    def operation(self, number: int, plan: OperationPlan, cell: Sequence[Arm]) -> dict[str, OperationProgram]:
+        """The operation's program for each task."""
+        targets = plan.targets
+        _check(plan)
+        written = _written(plan)
+        keep = _kept(written)
+        tracks = {arm: _track(plan, arm, keep, *written[arm]) for arm in targets.arms}
+        stop = _stops(targets, keep)
+        labels = tuple(targets.segment[i] for i in keep)
+        self.steps = {arm: [] for arm in self.arms}
+        self._meet()
+        homes = {arm.name: arm.home for arm in cell}
+        for arm in self.arms:
+            if number == 0 and arm not in targets.arms:
+                self._alone(arm, [Joints(homes[arm], "entry")])
+        for arm in plan.order:
+            steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
+            steps[-1] = Joints(plan.q[arm][0], "start")
+            self._alone(arm, steps if number == 0 else steps[1:])
+        self._actions(targets, -1, keep)
+        self._blocks(number, targets, keep, labels)
+        for arm in reversed(plan.order):
+            self._alone(arm, _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")[1:])
+        ids = np.arange(1, len(keep) + 1)
+        return {
+            arm: OperationProgram(plan.name, tracks.get(arm), ids, stop, labels, tuple(self.steps[arm]))
+            for arm in self.arms
+        }
+
+    def _meet(self) -> None:
+        if len(self.arms) > 1:
+            self.meets += 1
+            for arm in self.arms:
+                self.steps[arm].append(Meet(self.meets))
+
+    def _alone(self, arm: str, steps: Sequence[Step]) -> None:
+        if steps:
+            self.steps[arm] += steps
+            self._meet()
+
+    def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
+        """Actions from the target of this row to before that of the next one; row -1 is the first target."""
+        low = keep[row] if row >= 0 else 0
+        high = keep[row + 1] if row + 1 < len(keep) else targets.count
+        due = [action for action in targets.actions if low <= action.at < high]
+        due.sort(key=lambda action: action.at)
+        self._alone(targets.arms[0], [Do(action) for action in due])
+
+    def _blocks(self, number: int, targets: Targets, keep: IntArray, labels: Sequence[str]) -> None:
+        together = len(targets.arms) > 1
+        ends = {int(np.searchsorted(keep, action.at, side="right")) - 1 for action in targets.actions}
+        edges = sorted({0, len(keep)} | {end + 1 for end in ends})
+        for first, last in itertools.pairwise(edges):
+            if together:
+                self.blocks += 1
+            runs = _runs(number, labels, first, last, together)
+            for arm in targets.arms:
+                self.steps[arm] += [SyncOn(self.blocks), *runs, SyncOff(self.blocks)] if together else runs
+            if not together:
+                self._meet()
+            self._actions(targets, last - 1, keep)
+
+
+def _runs(number: int, labels: Sequence[str], first: int, last: int, together: bool) -> list[Run]:
+    edges = [first, *(i for i in range(first + 1, last) if labels[i] != labels[i - 1]), last]
+    return [Run(number, labels[a], a, b, together) for a, b in itertools.pairwise(edges)]
+
+
+def _joints(stations: Sequence[FloatArray], place: str) -> list[Step]:
+    """Steps to the stations in order, without those where the arm already stands."""
+    steps: list[Step] = []
+    last: FloatArray | None = None
+    for q in stations:
+        if last is None or np.abs(q - last).max() > 1e-8:
+            steps.append(Joints(np.asarray(q, dtype=np.float64), place))
+            last = q
+    return steps
+
+
+def _check(plan: OperationPlan) -> None:
+    """Issues for times, shapes and actions that no program can express."""
+    targets = plan.targets
+    issues = []
+    rows = [plan.time, *plan.q.values()]
+    if any(len(row) != targets.count or not np.isfinite(row).all() for row in rows):
+        message = (
+            f"operation {plan.name}: times and joints must be finite and one row a target ({targets.count})"
+        )
+        issues.append(Issue("post.plan", message, hint="plan the job again"))
+    for action in targets.actions:
+        if not 0 <= action.at < targets.count or not (targets.stop[action.at] or action.at == 0):
+            message = (
+                f"operation {plan.name}: action {action.kind!r} is at target {action.at}, which is no stop"
+            )
+            issues.append(
+                Issue("post.action", message, index=action.at, hint="let the motion stop at that target")
+            )
+    if issues:
+        raise TandemError(issues)
+
+
+def _written(plan: OperationPlan) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as they are written."""
+    out = {}
+    for arm, pose in plan.targets.poses(plan.values).items():
+        quaternion = to_quaternion(pose[:, :3, :3])
+        flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
+        sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
+        # + 0.0 turns -0.0 into 0.0
+        out[arm] = (
+            np.round(pose[:, :3, 3] * 1e3, POSITION_DECIMALS) + 0.0,
+            np.round(quaternion * sign[:, None], QUATERNION_DECIMALS) + 0.0,
+        )
+    return out
+
+
+def _kept(written: Mapping[str, tuple[FloatArray, FloatArray]]) -> IntArray:
+    """Indices of the targets that are moved to: all but the first, without those where no arm moves."""
+    moves = [np.any(np.diff(value, axis=0) != 0.0, axis=1) for pair in written.values() for value in pair]
+    return np.flatnonzero(np.any(moves, axis=0)) + 1
+
+
+def _stops(targets: Targets, keep: IntArray) -> BoolArray:
+    """Whether each kept move ends in a stop; a stop at a dropped target passes to the move before it."""
+    stop = np.zeros(len(keep), dtype=bool)
+    for i in np.flatnonzero(targets.stop):
+        row = int(np.searchsorted(keep, i, side="right")) - 1
+        if row >= 0:
+            stop[row] = True
+    if len(stop):
+        stop[-1] = True
+    return stop
+
+
+def _track(
+    plan: OperationPlan, arm: str, keep: IntArray, position: FloatArray, quaternion: FloatArray
+) -> Track:
+    clock = np.round(plan.time, TIME_DECIMALS)
+    duration = np.round(clock[keep] - clock[keep - 1], TIME_DECIMALS)
+    late = np.flatnonzero(duration <= 0.0)
+    if len(late):
+        i = int(keep[late[0]])
+        place = f"operation {plan.name}, target {i} ({plan.targets.name(i)})"
+        message = f"{place}: the move takes {duration[late[0]]} s"
+        raise TandemError(
+            Issue("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
+        )
+    distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
+    half = 0.5 * np.minimum(distance, np.append(distance[1:], 0.0))
+    reach = np.where(_stops(plan.targets, keep), 0.0, half)
+    frame = plan.targets.frame[arm]
+    return Track(position[keep], quaternion[keep], plan.q[arm][keep], duration, distance, reach, frame)

@@ -1,0 +1,26 @@
+"""The door of this package: a plan and its problem in, program files out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from planner.issues import Issue, TandemError
+from planner.plan import Plan
+from planner.post import rapid
+from planner.post.steps import build
+from planner.problem import Problem
+
+
+def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Texts of the program files by relative name, such as ``T_ROB1/TandemMain_1.mod``.
+
+    ``margins``: results of the proof by name, as text; they go into the headers' comments only.
+    Raises :class:`TandemError` with codes ``post.*`` when the plan cannot be written.
+    """
+    job = build(plan, problem)
+    foreign = [task.arm for task in job.tasks if task.robot.family != "ABB"]
+    if foreign:
+        names = ", ".join(f"{arm.name} ({arm.robot})" for arm in foreign)
+        message = f"no program can be written for {names}; allowed are robots with an ABB controller"
+        raise TandemError(Issue("post.controller", message, hint="take an ABB robot of the catalogue"))
+    return rapid.texts(job, plan, problem, margins or {})
