@@ -34,6 +34,9 @@ CODES: Final[dict[str, str]] = {
     "targets.freedom": "a free axis gives both a turn and a slide, or neither",
     # wire shapes
     "wire.too_short": "a wire is shorter than the distance between its clamps",
+    "wire.unknown_material": "a wire material that is not built in",
+    "wire.size": "the size of a wire or strip is missing, contradictory or not positive",
+    "wire.temperature": "a wire temperature outside the range of its material",
     "wire.no_equilibrium": "the solver found no equilibrium of a wire with weight near its guess",
     "wire.no_stable_shape": "no stable shape of a wire was found between its clamps",
     # meshes and parts

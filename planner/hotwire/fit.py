@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.hotwire.basis import Array, IntArray, legendre, nodes
+from planner.hotwire.basis import Array, IntArray, Mask, legendre, nodes
 from planner.hotwire.flow import Flow, flow, node_counts
 
 TAIL_WEIGHT = 2e-4

@@ -56,9 +56,7 @@ class ElasticWire(BaseModel):
     ] = "one"
     sweep: Annotated[
         Literal["auto", "x", "y"] | Annotated[float, Field(ge=-360, le=360)],
-        Field(
-            description="direction across the wire, horizontal in the block; a number is degrees from x"
-        ),
+        Field(description="direction across the wire, horizontal in the block; a number is degrees from x"),
     ] = "auto"
     sections: Annotated[
         Literal["auto", "parallel", "normal"],
