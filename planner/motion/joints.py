@@ -1,0 +1,118 @@
+"""The joint path that linear moves between targets draw, as splines between stops."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from planner.geometry.rigid import interpolate
+from planner.motion.scene import Scene
+from planner.targets import Targets
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+STRIDE: Final = np.deg2rad(2.0)
+"""A move that turns a joint farther than this gets samples of its own, since a line in space bends in the joints."""
+
+MOST_SAMPLES: Final = 24
+
+
+@dataclasses.dataclass(frozen=True)
+class Dense:
+    """Samples of the linear moves: ``move`` (K,) the target that each leads to, ``share`` (K,) of the move in (0, 1],
+    the first one being target 0 itself; ``q`` {arm: (K, 6)}."""
+
+    move: IndexArray
+    share: FloatArray
+    q: dict[str, FloatArray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Piece:
+    """Path between the stops at targets ``first`` and ``last``; ``knots`` are the path positions of its targets."""
+
+    first: int
+    last: int
+    spline: CubicSpline
+    knots: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class JointPath:
+    """All pieces, over joints of all arms side by side; ``deviation`` [m] is the greatest distance of a TCP on the
+    splines from the straight lines between targets."""
+
+    count: int
+    pieces: tuple[Piece, ...]
+    deviation: float
+
+
+def dense(
+    scene: Scene,
+    targets: Targets,
+    branch: Mapping[str, int],
+    q: Mapping[str, FloatArray],
+    stride: float = STRIDE,
+    least: int = 1,
+) -> Dense:
+    """Samples of all moves at most ``stride`` [rad] apart in the joints, at least ``least`` a move.
+
+    Joints are NaN where a linear move leaves the branch or reach between its targets.
+    """
+    turn = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
+    parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_SAMPLES)
+    move = np.concatenate([[0], np.repeat(np.arange(1, targets.count), parts)])
+    starts = np.concatenate([[0], np.cumsum(parts)])
+    share = np.ones(len(move))
+    share[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], parts) + 1) / np.repeat(parts, parts)
+    inner = np.flatnonzero(share < 1.0)
+    out: dict[str, FloatArray] = {}
+    for arm, angles in q.items():
+        chain = scene.chains[arm]
+        out[arm] = angles[move]
+        if len(inner):
+            ends = chain.pose(angles)
+            between = interpolate(ends[move[inner] - 1], ends[move[inner]], share[inner])
+            found = chain.inverse(between, [branch[arm]])[:, 0]
+            near = angles[move[inner] - 1] + share[inner, None] * (angles[move[inner]] - angles[move[inner] - 1])
+            out[arm][inner] = chain.continuous(found, near)
+    return Dense(move, share, out)
+
+
+def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
+    """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and in space."""
+    q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
+    places = [scene.chains[arm].pose(samples.q[arm])[:, :3, 3] for arm in targets.arms]
+    way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
+    way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
+    way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
+    at_target = np.flatnonzero(samples.share == 1.0)
+    stops = sorted({0, targets.count - 1, *np.flatnonzero(targets.stop).tolist()})
+    pieces, worst = [], 0.0
+    for first, last in zip(stops[:-1], stops[1:], strict=True):
+        rows = np.arange(at_target[first], at_target[last] + 1)
+        spline = CubicSpline(way[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
+        pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
+        worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in places]))
+    return JointPath(targets.count, tuple(pieces), worst)
+
+
+def _deviation(
+    scene: Scene, targets: Targets, spline: CubicSpline, way: FloatArray, places: list[FloatArray]
+) -> float:
+    """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the samples."""
+    middle = spline(0.5 * (way[1:] + way[:-1]))
+    worst = 0.0
+    for k, (arm, place) in enumerate(zip(targets.arms, places, strict=True)):
+        at = scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6])[:, :3, 3] - place[:-1]
+        chord = np.diff(place, axis=0)
+        along = np.einsum("ij,ij->i", at, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-18)
+        away = at - np.clip(along, 0.0, 1.0)[:, None] * chord
+        worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
+    return worst

@@ -1,0 +1,165 @@
+"""Ladder: the shortest path over freedom samples and turns, for fixed branches, by dynamic programming.
+
+The cost of a step is its time at the joint speed limits of the slowest joint, plus a small share of all joints' times
+so that ties are broken toward little motion; the cost of a state is its penalty. A joint with more than one turn keeps
+its turn: each step has exactly one turn state that it can come from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.motion.chain import TWO_PI, Chain
+from planner.motion.reach import Grid, Rungs
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+LARGEST_STEP = np.deg2rad(100.0)
+"""A joint that would move more than this in one linear move has changed its branch, whatever its number says."""
+
+TIE_SHARE = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class Steps:
+    """One arm and branch: ``time`` (M, N-1, S) of the step that arrives at a sample, inf if it is none;
+    ``turn`` (M, N-1, S, T) the turn state that it comes from, -1 if there is none."""
+
+    time: FloatArray
+    turn: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Path:
+    """A path: ``sample`` (N,), ``turn`` {arm: (N,)}, ``cost`` [s] and the branch of each arm."""
+
+    branch: Mapping[str, int]
+    sample: IntArray
+    turn: Mapping[str, IntArray]
+    cost: float
+
+
+def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
+    """Step times and turn changes of one branch; ``speed`` (6,) are the joint speed limits [rad/s].
+
+    Rungs without turns (:meth:`Rungs.modulo`) get steps that ignore turns.
+    """
+    q = rungs.q
+    before = np.maximum(grid.before, 0)
+    change = q[None, 1:] - np.moveaxis(q[:-1][:, before], 1, 0)
+    whole = np.where(chain.many_turns, np.round(change / TWO_PI), 0.0)
+    change = change - TWO_PI * whole
+    with np.errstate(invalid="ignore"):
+        parts = np.abs(change) / speed
+        time = parts.max(axis=-1) + TIE_SHARE * parts.sum(axis=-1)
+        bad = ~(np.abs(change).max(axis=-1) <= LARGEST_STEP) | (grid.before < 0)[:, None, :]
+    if rungs.turns_matter:
+        turn = _previous_turn(rungs.turns, whole)
+    else:
+        turn = np.zeros((*whole.shape[:-1], 1), dtype=np.intp)
+    return Steps(np.where(bad, np.inf, time), turn)
+
+
+def _previous_turn(turns: FloatArray, whole: FloatArray) -> IntArray:
+    """Index (M, N-1, S, T) of the turn state that is ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
+    counts = np.round(turns / TWO_PI).astype(np.int64)
+    out = np.full((*whole.shape[:-1], len(turns)), -1, dtype=np.intp)
+    stay = ~np.nan_to_num(whole).any(axis=-1)
+    out[stay] = np.arange(len(turns))
+    if not stay.all():
+        wanted = counts + np.nan_to_num(whole[~stay]).astype(np.int64)[:, None, :]
+        same = (wanted[:, :, None, :] == counts).all(axis=-1)
+        out[~stay] = np.where(same.any(axis=-1), same.argmax(axis=-1), -1)
+    return out
+
+
+class Ladder:
+    """The layered graph of one choice of branches; :meth:`shortest` may be asked again with more states blocked."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        rungs: Sequence[Rungs],
+        moves: Sequence[Steps],
+        extra: FloatArray | None = None,
+    ) -> None:
+        """``extra`` (N, S) [s] is a cost of samples for all arms, such as the distance from a preferred value."""
+        self._arms = tuple(r.arm for r in rungs)
+        self._branches = tuple(r.branch for r in rungs)
+        self._grid = grid
+        self._turns = tuple(len(r.turns) for r in rungs)
+        rows, samples = grid.values.shape[:2]
+        width = int(np.prod(self._turns))
+        node = np.zeros((rows, samples, width)) if extra is None else np.repeat(extra[..., None], width, axis=2)
+        time = np.full((len(grid.before), max(rows - 1, 0), samples), -np.inf)
+        origin = np.zeros((*time.shape, width), dtype=np.intp)
+        known = np.ones(origin.shape, dtype=bool)
+        strides = np.cumprod((1, *self._turns[::-1]))[-2::-1]
+        places = np.stack(np.unravel_index(np.arange(width), self._turns))
+        for r, m, stride, place in zip(rungs, moves, strides, places, strict=True):
+            node += r.penalty[..., place]
+            time = np.maximum(time, m.time)
+            turn = m.turn[..., place]
+            known &= turn >= 0
+            origin += stride * turn
+        origin += np.maximum(grid.before, 0)[:, None, :, None] * width
+        self._node, self._time = node, time
+        self._origin = np.where(known, origin, samples * width)
+        self.viable = bool(np.isfinite(node).any(axis=(1, 2)).all())
+
+    def shortest(self, blocked: FloatArray | None = None) -> Path | None:
+        """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids one."""
+        costs, choice = self._forward(blocked)
+        last = costs[-1]
+        if not np.isfinite(last).any():
+            return None
+        rows, samples, width = self._node.shape
+        states = np.empty(rows, dtype=np.intp)
+        states[-1] = int(np.argmin(last))
+        flat = self._origin.reshape(len(self._grid.before), -1, samples * width)
+        for i in range(rows - 1, 0, -1):
+            states[i - 1] = flat[choice[i - 1, states[i]], i - 1, states[i]]
+        turns = np.unravel_index(states % width, self._turns)
+        return Path(
+            dict(zip(self._arms, self._branches, strict=True)),
+            states // width,
+            {arm: np.asarray(t) for arm, t in zip(self._arms, turns, strict=True)},
+            float(last.min()),
+        )
+
+    def furthest(self, blocked: FloatArray | None = None) -> int:
+        """Index of the first target that no path reaches; N if there is none."""
+        costs, _ = self._forward(blocked)
+        reached = np.isfinite(costs).any(axis=1)
+        return int(np.argmin(reached)) if not reached.all() else len(reached)
+
+    def _forward(self, blocked: FloatArray | None) -> tuple[FloatArray, NDArray[np.int8]]:
+        """Cost (N, S*T) to reach every state and the kind of step (N-1, S*T) that reaches it best."""
+        rows, samples, width = self._node.shape
+        node = self._node if blocked is None else self._node + blocked[..., None]
+        node = node.reshape(rows, samples * width)
+        origin = self._origin.reshape(len(self._grid.before), -1, samples * width)
+        time = np.repeat(self._time, width, axis=-1)
+        costs = np.empty((rows, samples * width))
+        choice = np.zeros((max(rows - 1, 0), samples * width), dtype=np.int8)
+        costs[0] = node[0]
+        padded = np.full(samples * width + 1, np.inf)
+        columns = np.arange(samples * width)
+        for i in range(1, rows):
+            padded[:-1] = costs[i - 1]
+            offers = padded[origin[:, i - 1]] + time[:, i - 1]
+            best = offers.argmin(axis=0)
+            choice[i - 1] = best
+            costs[i] = offers[best, columns] + node[i]
+        return costs, choice
+
+
+def joint_path(path: Path, rungs: Mapping[str, Rungs]) -> dict[str, FloatArray]:
+    """Joint angles {arm: (N, 6)} of a path, turns included."""
+    rows = np.arange(len(path.sample))
+    return {arm: r.q[rows, path.sample] + r.turns[path.turn[arm]] for arm, r in rungs.items()}

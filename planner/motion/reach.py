@@ -1,0 +1,195 @@
+"""Reach: the freedoms of all targets sampled, every branch and turn of every arm, with margins."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.motion.chain import TWO_PI, Chain
+from planner.motion.opw import BRANCHES
+from planner.motion.scene import Scene
+from planner.targets import Freedom, ScrewFreedom, Targets
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+
+SPIN_STEP = np.deg2rad(10.0)
+SLIDES = 5
+MOST_SAMPLES = 500_000
+
+SOFT_LIMIT = np.deg2rad(20.0)
+SOFT_SINGULARITY = np.deg2rad(15.0)
+PENALTY = 5.0
+"""What a path that stays at the edge of what is allowed pays over all its rungs [s]."""
+
+PREFER = 0.5
+"""What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """S samples of the freedoms at each target: ``values`` (N, S, F).
+
+    ``before`` (M, S): for each of M kinds of step, the sample that a sample is reached from, -1 for none. Samples of
+    a full turn are a ring, others a line; one step changes each freedom by one sample at most.
+    """
+
+    values: FloatArray
+    before: IntArray
+
+    @property
+    def samples(self) -> int:
+        """Number of samples S."""
+        return self.values.shape[1]
+
+
+@dataclasses.dataclass(frozen=True)
+class Rungs:
+    """What one arm can do on one branch at every target and sample.
+
+    ``q`` (N, S, 6) principal angles, NaN out of reach; ``turns`` (T, 6) [rad] whole turns to add; ``ok`` (N, S, T)
+    whether limits with their margin and singularities allow the state; ``penalty`` (N, S, T) [s], inf if not.
+    """
+
+    arm: str
+    branch: int
+    q: FloatArray
+    turns: FloatArray
+    ok: BoolArray
+    penalty: FloatArray
+    turns_matter: bool = True
+
+    def modulo(self) -> Rungs:
+        """The same with turns forgotten: a state is as good as its best turn."""
+        return dataclasses.replace(
+            self,
+            turns=np.zeros((1, 6)),
+            ok=self.ok.any(axis=-1, keepdims=True),
+            penalty=self.penalty.min(axis=-1, keepdims=True),
+            turns_matter=False,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Reach:
+    """All branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (8, N) says where each has
+    one, ``solved`` (8, N) where it has a solution regardless of limits."""
+
+    arm: str
+    branches: dict[int, Rungs]
+    exists: BoolArray
+    solved: BoolArray
+
+
+def full_turn(freedom: Freedom) -> bool:
+    """Whether a freedom may turn without end at every target."""
+    if not isinstance(freedom, ScrewFreedom) or not freedom.periodic:
+        return False
+    return bool(np.all(freedom.upper - freedom.lower >= TWO_PI - 1e-9))
+
+
+def sample(targets: Targets, spin_step: float = SPIN_STEP) -> Grid:
+    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at five places.
+
+    Bounded freedoms are sampled between their bounds at each target, so that a narrow window is never missed.
+    """
+    counts = [_count(f, spin_step) for f in targets.freedoms]
+    while counts and int(np.prod(counts)) * targets.count > MOST_SAMPLES and max(counts) > 2:
+        largest = int(np.argmax(counts))
+        counts[largest] = max(2, counts[largest] // 2)
+    rings = [full_turn(f) for f in targets.freedoms]
+    picks = np.array(list(itertools.product(*(range(c) for c in counts))), dtype=np.intp)
+    picks = picks.reshape(-1, len(counts))
+    columns = [
+        _values(f, picks[:, j], counts[j], ring)
+        for j, (f, ring) in enumerate(zip(targets.freedoms, rings, strict=True))
+    ]
+    shape = (targets.count, len(picks))
+    values = np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
+    return Grid(values, _steps(picks, counts, rings))
+
+
+def _count(freedom: Freedom, spin_step: float) -> int:
+    width = float(np.max(freedom.upper - freedom.lower))
+    if width <= 0.0:
+        return 1
+    spins = isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values())
+    if not spins:
+        return SLIDES
+    if full_turn(freedom):
+        return max(4, round(TWO_PI / spin_step))
+    return max(3, int(np.ceil(width / spin_step)) + 1)
+
+
+def _values(freedom: Freedom, picks: IntArray, count: int, ring: bool) -> FloatArray:
+    rows = len(freedom.lower)
+    if ring:
+        return np.broadcast_to(-np.pi + TWO_PI * picks / count, (rows, len(picks)))
+    share = picks / max(count - 1, 1) if count > 1 else np.full(len(picks), 0.5)
+    return freedom.lower[:, None] + share * (freedom.upper - freedom.lower)[:, None]
+
+
+def _steps(picks: IntArray, counts: list[int], rings: list[bool]) -> IntArray:
+    """Predecessors (M, S): stay, and each freedom one sample up or down (two freedoms: diagonals as well)."""
+    offsets = [o for o in itertools.product((0, -1, 1), repeat=len(counts))]
+    if len(counts) > 2:
+        offsets = [o for o in offsets if sum(map(abs, o)) <= 1]
+    offsets = [o for o in offsets if all(c > 1 or s == 0 for c, s in zip(counts, o, strict=True))]
+    offsets.sort(key=lambda o: sum(map(abs, o)))
+    out = np.empty((len(offsets), len(picks)), dtype=np.intp)
+    for m, offset in enumerate(offsets):
+        wanted = picks - np.array(offset, dtype=np.intp).reshape(-1)
+        inside = np.ones(len(picks), dtype=bool)
+        flat = np.zeros(len(picks), dtype=np.intp)
+        for j, count in enumerate(counts):
+            column = wanted[:, j] % count if rings[j] else wanted[:, j]
+            inside &= (column >= 0) & (column < count)
+            flat = flat * count + column
+        out[m] = np.where(inside, flat, -1)
+    return out
+
+
+def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
+    """All states of all arms over the grid."""
+    rows, samples = grid.values.shape[:2]
+    index = np.repeat(np.arange(rows), samples)
+    poses = scene.tcp(targets, grid.values.reshape(rows * samples, -1), index)
+    return {arm: _reach(scene, scene.chains[arm], poses[arm], (rows, samples)) for arm in targets.arms}
+
+
+def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+    angles = chain.inverse(pose).reshape(*shape, BRANCHES, 6)
+    found: dict[int, Rungs] = {}
+    exists = np.zeros((BRANCHES, shape[0]), dtype=bool)
+    solved = np.zeros((BRANCHES, shape[0]), dtype=bool)
+    for branch in range(BRANCHES):
+        q = np.ascontiguousarray(angles[:, :, branch])
+        solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
+        rungs = rungs_of(scene, chain, branch, q)
+        exists[branch] = rungs.ok.any(axis=(1, 2))
+        if exists[branch].all():
+            found[branch] = rungs
+    return Reach(chain.name, found, exists, solved)
+
+
+def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
+    """Margins, turns and penalties of principal angles q (N, S, 6) of one branch."""
+    hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
+    single = chain.singularity_margin(q)
+    turns = chain.turns
+    limit = np.stack(chain.limit_margins(q, turns), axis=-1)
+    ok = (limit >= hard) & (single >= bend)[..., None]
+    used = ok.any(axis=(0, 1))
+    used[0] = True
+    ok, limit, turns = ok[..., used], limit[..., used], turns[used]
+    cost = _hinge(limit, hard, SOFT_LIMIT) + _hinge(single, bend, SOFT_SINGULARITY)[..., None]
+    return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))
+
+
+def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
+    """1 at the hard margin, falling as a parabola to 0 at the soft one."""
+    return np.square(np.clip((hard + soft - margin) / soft, 0.0, 1.0))

@@ -1,0 +1,191 @@
+"""Timing: the clock for all arms at once, by TOPPRA over the joint path between stops.
+
+Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis", IEEE T-RO 2018
+(package ``toppra``). Where it fails, Drake's implementation with relaxed constraints takes over; the result says so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
+from toppra.interpolator import AbstractGeometricPath
+
+from planner.motion.joints import JointPath
+
+FloatArray = NDArray[np.float64]
+
+RESERVE: Final = 0.97
+"""Share of speeds and accelerations that the clock uses: the rest covers grid points and blending at the corners."""
+
+GRID_PER_KNOT: Final = 2
+LEAST_GRID: Final = 24
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Joint speeds and accelerations (J,) and the least time (N,) [s] that feeds allow for the move to each target."""
+
+    speed: FloatArray
+    acceleration: FloatArray
+    least_time: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """``time`` (N,) of the targets [s]; ``used`` names the solver of each piece; ``peak_speed`` and
+    ``peak_acceleration`` are the greatest shares of the joint limits on a dense check of the timed path."""
+
+    time: FloatArray
+    used: tuple[str, ...]
+    peak_speed: float
+    peak_acceleration: float
+
+
+class TimingFailed(ArithmeticError):
+    """No solver could time the piece that ends at target ``index``."""
+
+    def __init__(self, index: int) -> None:
+        self.index = index
+        super().__init__(f"no timing for the piece that ends at target {index}")
+
+
+def clock(path: JointPath, limits: Limits) -> Clock:
+    """Times of all targets, at rest at stops. Raises :class:`TimingFailed`."""
+    pieces = [_piece(piece.spline, piece.knots, limits, piece.first, piece.last) for piece in path.pieces]
+    time = np.zeros(path.count)
+    speeds, accelerations = [0.0], [0.0]
+    for piece, (at, profile, _) in zip(path.pieces, pieces, strict=True):
+        time[piece.first + 1 : piece.last + 1] = time[piece.first] + at[1:]
+        fast, hard = profile.peaks(limits)
+        speeds.append(fast)
+        accelerations.append(hard)
+    return Clock(time, tuple(used for _, _, used in pieces), max(speeds), max(accelerations))
+
+
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """A timed piece: path speeds at grid points, with the path speed's square linear in between."""
+
+    spline: CubicSpline
+    grid: FloatArray
+    speed: FloatArray
+
+    @property
+    def time(self) -> FloatArray:
+        """Times (G,) of the grid points from the piece's start."""
+        mean = 0.5 * (self.speed[1:] + self.speed[:-1])
+        return np.concatenate([[0.0], np.cumsum(np.diff(self.grid) / np.maximum(mean, 1e-12))])
+
+    def peaks(self, limits: Limits, dense: int = 4) -> tuple[float, float]:
+        """Greatest shares of the joint speed and acceleration limits at ``dense`` points an interval."""
+        share = (np.arange(dense) + 0.5) / dense
+        square = self.speed**2
+        s = (self.grid[:-1, None] + share * np.diff(self.grid)[:, None]).ravel()
+        x = (square[:-1, None] + share * np.diff(square)[:, None]).ravel()
+        u = np.repeat(0.5 * np.diff(square) / np.diff(self.grid), dense)
+        first, second = self.spline(s, 1), self.spline(s, 2)
+        speed = np.abs(first) * np.sqrt(x)[:, None] / limits.speed
+        acceleration = np.abs(first * u[:, None] + second * x[:, None]) / limits.acceleration
+        return float(speed.max()), float(acceleration.max())
+
+
+def _piece(
+    spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int
+) -> tuple[FloatArray, Profile, str]:
+    """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``."""
+    steps = np.diff(knots)
+    top = RESERVE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
+    grid = _grid(spline.x)
+    at = np.searchsorted(knots, grid, side="right") - 1
+    inner = np.clip(at, 0, len(steps) - 1)
+    bound = top[inner]
+    on_knot = np.flatnonzero(np.isin(grid, knots[1:-1]))
+    bound[on_knot] = np.minimum(top[inner[on_knot]], top[inner[on_knot] - 1])
+    profile, used = parameterise(spline, grid, bound, RESERVE * limits.speed, RESERVE * limits.acceleration)
+    if profile is None:
+        raise TimingFailed(last)
+    return np.interp(knots, grid, profile.time), profile, used
+
+
+def _grid(breaks: FloatArray) -> FloatArray:
+    """Grid points: the spline's own knots and points between them, at least 24 intervals in all."""
+    per = max(GRID_PER_KNOT, int(np.ceil(LEAST_GRID / (len(breaks) - 1))))
+    share = np.arange(per) / per
+    inner = breaks[:-1, None] + share * np.diff(breaks)[:, None]
+    return np.append(inner.ravel(), breaks[-1])
+
+
+def parameterise(
+    spline: CubicSpline, grid: FloatArray, bound: FloatArray, speed: FloatArray, acceleration: FloatArray
+) -> tuple[Profile | None, str]:
+    """Fastest profile over ``grid`` (G,) with path speed below ``bound`` (G,), at rest at both ends.
+
+    ``speed`` and ``acceleration`` (J,) are joint limits. The second value names the solver.
+    """
+    with np.errstate(divide="ignore"):
+        fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
+    limit = np.minimum(bound, fastest)
+    held = JointAccelerationConstraint(
+        np.stack([-acceleration, acceleration], axis=1), discretization_scheme=DiscretizationType.Interpolation
+    )
+    solver = TOPPRA([_Bound(limit), held], _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
+    _, found, _ = solver.compute_parameterization(0.0, 0.0)
+    if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
+        return Profile(spline, grid, np.asarray(found)), "toppra"
+    from planner.motion.timing_drake import parameterise_drake
+
+    again = parameterise_drake(spline, grid, limit, acceleration)
+    return (None if again is None else Profile(spline, grid, again)), "drake"
+
+
+class _Spline(AbstractGeometricPath):  # type: ignore[misc]
+    """A scipy spline as toppra wants it."""
+
+    def __init__(self, spline: CubicSpline) -> None:
+        self._spline = spline
+
+    def __call__(self, path_positions: FloatArray, order: int = 0) -> FloatArray:
+        return np.asarray(self._spline(path_positions, order))
+
+    @property
+    def dof(self) -> int:
+        return int(self._spline.c.shape[2])
+
+    @property
+    def path_interval(self) -> FloatArray:
+        return np.array([self._spline.x[0], self._spline.x[-1]])
+
+    @property
+    def waypoints(self) -> tuple[FloatArray, FloatArray]:
+        return self._spline.x, self(self._spline.x)
+
+
+class _Bound(LinearConstraint):  # type: ignore[misc]
+    """An upper bound on the path speed at every grid point; joint speeds are one too."""
+
+    def __init__(self, limit: FloatArray) -> None:
+        super().__init__()
+        self._limit = limit
+
+    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        square = np.minimum(self._limit, 1e4) ** 2
+        return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
+
+
+def least_times(travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float) -> FloatArray:
+    """Least time (N,) [s] of the move to each target: its guarded point within ``feed``, every TCP within ``tcp`` m/s.
+
+    ``lengths`` {arm: (N,)} are the ways of the TCPs [m].
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out = np.where(travel > 0.0, travel / feed, 0.0)
+    for length in lengths.values():
+        out = np.maximum(out, length / tcp)
+    return np.asarray(out)

@@ -1,0 +1,258 @@
+"""Trajectory optimisation in which the freedoms are the only variables.
+
+Poses stay exact, because joints follow from the freedoms by closed-form inverse kinematics on the chosen branch in every
+trial step. The cost is smooth motion at the joints plus hinges (limits, singularities, clearance, preferred values);
+Gauss-Newton steps on it are a banded system, since a target meets only its two neighbours on either side.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from planner.geometry.rigid import inverse, log_pose
+from planner.motion.hinges import Rows, margin_rows, preference_rows
+from planner.motion.reach import full_turn
+from planner.motion.scene import Scene
+from planner.motion.search import speed_limits
+from planner.targets import Targets
+
+FloatArray = NDArray[np.float64]
+
+CURVATURE: Final = 64.0
+"""Weight of second differences against first ones: changes are spread over some eight targets."""
+
+ITERATIONS: Final = 30
+SMALL_GAIN: Final = 1e-4
+STEP: Final = 1e-4
+
+
+class Obstacles(Protocol):
+    """Clearance as hinges; :mod:`planner.motion.avoid` has the real one."""
+
+    def rows(self, q: FloatArray) -> Sequence[Rows]:
+        """Hinges at joints q (N, J)."""
+
+    def cost(self, q: FloatArray) -> float:
+        """Their cost alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Improved:
+    """The optimised path, with its cost and that of the path it started from."""
+
+    values: FloatArray
+    q: dict[str, FloatArray]
+    cost: float
+    cost_before: float
+    iterations: int
+
+
+def improve(
+    scene: Scene,
+    targets: Targets,
+    branch: Mapping[str, int],
+    values: FloatArray,
+    q: Mapping[str, FloatArray],
+    obstacles: Obstacles | None = None,
+) -> Improved:
+    """Smooths a path given as freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
+    problem = _Problem(scene, targets, branch, obstacles)
+    values = problem.unwrapped(values)
+    joints = problem.stack(q)
+    start = cost = problem.cost(values, joints)
+    damping, count = 1e-6, 0
+    while count < ITERATIONS and values.size:
+        count += 1
+        step, expected = problem.step(values, joints, damping)
+        if not expected > SMALL_GAIN * 0.1 * cost:
+            break
+        scale, done = 1.0, False
+        while scale > 0.05:
+            trial = problem.clip(values + scale * step)
+            moved = problem.joints(trial, joints)
+            offered = problem.cost(trial, moved) if moved is not None else np.inf
+            if moved is not None and offered < cost:
+                done = True
+                break
+            scale *= 0.5
+        if not done or moved is None:
+            damping *= 30.0
+            if damping > 1e3:
+                break
+            continue
+        gain = cost - offered
+        values, joints, cost = trial, moved, offered
+        damping = max(damping * (0.1 if scale == 1.0 else 1.0), 1e-9)
+        if gain < SMALL_GAIN * cost:
+            break
+    return Improved(values, problem.split(joints), cost, start, count)
+
+
+def path_cost(
+    scene: Scene,
+    targets: Targets,
+    values: FloatArray,
+    q: Mapping[str, FloatArray],
+    obstacles: Obstacles | None = None,
+) -> float:
+    """The cost of :func:`improve` of any path."""
+    problem = _Problem(scene, targets, {}, obstacles)
+    return problem.cost(problem.unwrapped(values), problem.stack(q))
+
+
+class _Problem:
+    def __init__(
+        self, scene: Scene, targets: Targets, branch: Mapping[str, int], obstacles: Obstacles | None
+    ) -> None:
+        self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
+        self.speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
+        self.stencil = _stencil(targets)
+        self.rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
+        bounds = [(f.lower, f.upper) for f in targets.freedoms]
+        shape = (targets.count, len(bounds))
+        self.lower = np.stack([b[0] for b in bounds], axis=1) if bounds else np.zeros(shape)
+        self.upper = np.stack([b[1] for b in bounds], axis=1) if bounds else np.zeros(shape)
+        self.lower[:, self.rings], self.upper[:, self.rings] = -np.inf, np.inf
+
+    def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
+        return np.concatenate([q[arm] for arm in self.targets.arms], axis=-1)
+
+    def split(self, joints: FloatArray) -> dict[str, FloatArray]:
+        return {arm: joints[..., 6 * k : 6 * k + 6].copy() for k, arm in enumerate(self.targets.arms)}
+
+    def clip(self, values: FloatArray) -> FloatArray:
+        return np.clip(values, self.lower, self.upper)
+
+    def unwrapped(self, values: FloatArray) -> FloatArray:
+        out = values.copy()
+        out[:, self.rings] = np.unwrap(values[:, self.rings], axis=0)
+        return out
+
+    def joints(self, values: FloatArray, near: FloatArray) -> FloatArray | None:
+        """Exact joints (N, J) on the branches, or None where a branch or a hard margin is lost."""
+        poses = self.scene.tcp(self.targets, values)
+        out = []
+        for k, arm in enumerate(self.targets.arms):
+            chain = self.scene.chains[arm]
+            q = chain.inverse(poses[arm], [self.branch[arm]])[:, 0]
+            q = chain.continuous(q, near[:, 6 * k : 6 * k + 6])
+            if chain.limit_margin(q).min() < self.scene.settings.joint_margin - 1e-12:
+                return None
+            if chain.singularity_margin(q).min() < self.scene.settings.singularity_margin - 1e-12:
+                return None
+            out.append(q)
+        return np.concatenate(out, axis=-1)
+
+    def rates(self, values: FloatArray, joints: FloatArray) -> FloatArray:
+        """dq/dvalue (N, J, F): the body twist of each freedom through the Jacobian."""
+        twists: dict[str, list[FloatArray]] = {arm: [] for arm in self.targets.arms}
+        for j in range(values.shape[1]):
+            shift = np.zeros(values.shape[1])
+            shift[j] = STEP
+            ahead = self.scene.tcp(self.targets, values + shift)
+            behind = self.scene.tcp(self.targets, values - shift)
+            for arm in self.targets.arms:
+                twists[arm].append(log_pose(inverse(behind[arm]) @ ahead[arm]) / (2.0 * STEP))
+        parts = [
+            self.scene.chains[arm].rates(joints[:, 6 * k : 6 * k + 6], np.stack(twists[arm], axis=1))
+            for k, arm in enumerate(self.targets.arms)
+        ]
+        return np.swapaxes(np.concatenate(parts, axis=-1), 1, 2)
+
+    def hinges(self, joints: FloatArray) -> list[Rows]:
+        rows = margin_rows(self.scene, self.targets.arms, joints)
+        return rows + list(self.obstacles.rows(joints)) if self.obstacles else rows
+
+    def cost(self, values: FloatArray, joints: FloatArray) -> float:
+        scaled = joints / self.speed
+        total = float(np.sum(scaled * _times(self.stencil, scaled)))
+        total += sum(r.cost for r in margin_rows(self.scene, self.targets.arms, joints, slopes=False))
+        total += sum(r.cost for r in preference_rows(self.targets, values, self.rings))
+        return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
+
+    def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
+        """Gauss-Newton step (N, F) and the gain that its model expects."""
+        rows, free = values.shape
+        rates = self.rates(values, joints)
+        scaled = rates / self.speed[:, None]
+        blocks = [
+            self.stencil[d][: rows - d, None, None] * np.einsum("njf,njg->nfg", scaled[: rows - d], scaled[d:])
+            for d in range(3)
+        ]
+        gradient = np.einsum("njf,nj->nf", scaled, _times(self.stencil, joints / self.speed))
+        for hinge in self.hinges(joints):
+            slope = np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index])
+            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", slope, slope))
+            np.add.at(gradient, hinge.index, slope * hinge.value[:, None])
+        for hinge in preference_rows(self.targets, values, self.rings):
+            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", hinge.slope, hinge.slope))
+            np.add.at(gradient, hinge.index, hinge.slope * hinge.value[:, None])
+        held = (self.upper <= self.lower) | ((values <= self.lower) & (gradient > 0))
+        held |= (values >= self.upper) & (gradient < 0)
+        banded = _banded(blocks, held, damping)
+        gradient = np.where(held, 0.0, gradient)
+        step = -solveh_banded(banded, gradient.ravel(), lower=True).reshape(rows, free)
+        return step, float(-np.sum(step * gradient))
+
+
+def _banded(blocks: Sequence[FloatArray], held: NDArray[np.bool_], damping: float) -> FloatArray:
+    """Lower banded form of the block-banded matrix, held variables taken out, the diagonal damped."""
+    rows, free = held.shape
+    width = 3 * free - 1
+    banded = np.zeros((width + 1, rows * free))
+    loose = ~held
+    for d, block in enumerate(blocks):
+        if rows <= d:
+            continue
+        kept = block * loose[: rows - d, :, None] * loose[d:, None, :]
+        for f in range(free):
+            for g in range(free):
+                offset = d * free + g - f
+                if offset >= 0:
+                    columns = np.arange(rows - d) * free + f
+                    banded[offset, columns] = kept[:, f, g]
+    diagonal = banded[0].reshape(rows, free)
+    scale = float(diagonal.max(initial=1e-12))
+    diagonal += damping * scale + 1e-12
+    diagonal[held] = 1.0
+    banded[0] = diagonal.ravel()
+    return banded
+
+
+def _stencil(targets: Targets) -> list[FloatArray]:
+    """Diagonals of the pentadiagonal matrix K with q' K q = N (sum of weighted first and second differences)."""
+    rows = targets.count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]
+    mean = float(time.mean()) if rows > 1 and time.sum() > 0 else 1.0
+    time = np.clip(time / mean, 0.2, 5.0) if mean > 0 else np.ones(rows - 1)
+    out = [np.zeros(rows), np.zeros(max(rows - 1, 0)), np.zeros(max(rows - 2, 0))]
+    out[0][:-1] += 1.0 / time
+    out[0][1:] += 1.0 / time
+    out[1] -= 1.0 / time
+    inner = ~targets.stop[1:-1]
+    weight = CURVATURE * inner / (0.5 * (time[:-1] + time[1:]))
+    a, b = 1.0 / time[:-1], 1.0 / time[1:]
+    out[0][:-2] += weight * a * a
+    out[0][1:-1] += weight * (a + b) ** 2
+    out[0][2:] += weight * b * b
+    out[1][:-1] -= weight * a * (a + b)
+    out[1][1:] -= weight * b * (a + b)
+    out[2] += weight * a * b
+    return [rows * part for part in out]
+
+
+def _times(stencil: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """K x for the diagonals of a symmetric pentadiagonal K and x (N, J)."""
+    out = stencil[0][:, None] * x
+    for d in (1, 2):
+        if len(x) > d:
+            out[:-d] += stencil[d][:, None] * x[d:]
+            out[d:] += stencil[d][:, None] * x[:-d]
+    return np.asarray(out)
