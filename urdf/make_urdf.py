@@ -209,9 +209,10 @@ def _forearm(build: Build, rest: float) -> tuple[list[Solid], list[Solid]]:
         Solid("cylinder", (0.96 * radius, prong), (0, -centre, 0), "y"),
         Solid("cylinder", (0.55 * radius, 1.03 * width), (0, 0, 0), "y", "dark"),
     ]
+    stout = max(tube, float(np.hypot(0.85 * radius, 0.5 * width)))
     solid = [
-        Solid("capsule", (tube, rest - neck), (0, 0, -neck - 0.5 * (rest - neck))),
-        Solid("box", (1.92 * radius, 1.03 * width, neck + 1.4 * radius), (0, 0, -0.5 * neck + 0.26 * radius)),
+        Solid("capsule", (stout, rest - neck), (0, 0, -neck - 0.5 * (rest - neck))),
+        Solid("cylinder", (0.96 * radius, 1.03 * width), (0, 0, 0), "y"),
     ]
     return seen, solid
 

@@ -82,10 +82,19 @@ def from_rpy(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
 
 
 def to_rpy(rotation: FloatArray) -> FloatArray:
-    """Roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3); the inverse of :func:`from_rpy`."""
-    pitch = np.arctan2(-rotation[..., 2, 0], np.hypot(rotation[..., 2, 1], rotation[..., 2, 2]))
-    roll = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
-    yaw = np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    """Roll, pitch, yaw (..., 3) [rad] of rotations (..., 3, 3); the inverse of :func:`from_rpy`.
+
+    At a pitch of +-90 degrees, where only the sum of roll and yaw is fixed, yaw is 0.
+    """
+    level = np.hypot(rotation[..., 2, 1], rotation[..., 2, 2])
+    pitch = np.arctan2(-rotation[..., 2, 0], level)
+    locked = level < 1e-9
+    roll = np.where(
+        locked,
+        np.arctan2(-rotation[..., 1, 2], rotation[..., 1, 1]),
+        np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]),
+    )
+    yaw = np.where(locked, 0.0, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 

@@ -1,0 +1,261 @@
+"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs of bodies are held apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import MeshcatVisualizer, MeshcatVisualizerParams
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame, RigidBody, SpatialInertia
+from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
+
+from planner import catalogue
+from planner.catalogue import RobotData
+from planner.cell.filters import FilteredPair, filter_pairs
+from planner.cell.robots import forward
+from planner.cell.solids import drake_shape
+from planner.issues import Issue, TandemError
+from planner.problem import Cell, Shape, Stock
+
+FloatArray = NDArray[np.float64]
+
+STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
+SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
+OBSTACLE_COLOUR = np.array([0.60, 0.62, 0.66, 1.0])
+TOOL_COLOUR = np.array([0.20, 0.30, 0.42, 1.0])
+
+
+@dataclasses.dataclass
+class _Shared:
+    """What all placements of one cell share; ``placed`` is the placement that the contexts hold now."""
+
+    plant: MultibodyPlant
+    diagram: Any
+    checker: SceneGraphCollisionChecker
+    mounts: Mapping[str, FixedOffsetFrame]
+    names: Mapping[int, str]
+    filtered: tuple[FilteredPair, ...]
+    placed: object | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CellModel:
+    """A cell in Drake, with the stock and the bases at one placement.
+
+    Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a model's
+    placement when that model is asked; a model is therefore not for use by several threads at once.
+    q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies are named
+    "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "stock", "support", "<obstacle>".
+    """
+
+    cell: Cell
+    stock: Stock
+    stock_pose: FloatArray
+    bases: Mapping[str, FloatArray]
+    robots: Mapping[str, RobotData]
+    _shared: _Shared
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Names of the arms, in the order of q."""
+        return tuple(arm.name for arm in self.cell.arms)
+
+    @property
+    def diagram(self) -> Any:
+        """The Drake ``RobotDiagram``; its default context has the placement that it was built with."""
+        return self._shared.diagram
+
+    @property
+    def plant(self) -> MultibodyPlant:
+        """The Drake plant."""
+        return self._shared.plant
+
+    @property
+    def checker(self) -> SceneGraphCollisionChecker:
+        """The collision checker, its contexts set to this placement. Pass ``parallelize=False`` to its batches."""
+        self.place()
+        return self._shared.checker
+
+    @property
+    def pairs_filtered(self) -> tuple[FilteredPair, ...]:
+        """Pairs of bodies that are not held apart, each with the reason."""
+        return self._shared.filtered
+
+    @property
+    def home(self) -> FloatArray:
+        """All arms at home, (nq,)."""
+        return np.concatenate([arm.home for arm in self.cell.arms])
+
+    def body_name(self, index: int) -> str:
+        """Our name of the Drake body with that index."""
+        return self._shared.names[index]
+
+    def body(self, name: str) -> RigidBody:
+        """The Drake body of that name; raises ``KeyError``."""
+        for index, known in self._shared.names.items():
+            if known == name:
+                return self.plant.get_body(_index(index))
+        raise KeyError(name)
+
+    def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
+        """Configurations (B, nq) from {arm: (B, 6)}; arms that are not named stay at home."""
+        count = {len(np.atleast_2d(rows)) for rows in q.values()}
+        if len(count) > 1 or set(q) - set(self.arms):
+            raise ValueError(f"q has arms {sorted(q)} with {sorted(count)} rows; the cell has {self.arms}")
+        rows = count.pop() if count else 1
+        columns = [np.broadcast_to(np.atleast_2d(q.get(a.name, a.home)), (rows, 6)) for a in self.cell.arms]
+        return np.concatenate(columns, axis=1)
+
+    def tcp(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """TCP poses {arm: (B, 4, 4)} in the world for {arm: (B, 6)}."""
+        return {
+            arm: self.bases[arm] @ forward(self.robots[arm], rows) @ self.cell.arm(arm).tool.tcp
+            for arm, rows in q.items()
+        }
+
+    def with_stock(self, pose: FloatArray) -> CellModel:
+        """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is rebuilt."""
+        return dataclasses.replace(self, stock_pose=np.array(pose, dtype=np.float64))
+
+    def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
+        """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
+        return dataclasses.replace(self, bases={**self.bases, **bases})
+
+    def place(self) -> None:
+        """Sets the checker's contexts to this placement, unless they are there."""
+        if self._shared.placed is self:
+            return
+
+        def write(_model: object, context: Any) -> None:
+            plant_context = context.plant_context()
+            for name, frame in self._shared.mounts.items():
+                pose = self.stock_pose if name == "stock" else self.bases[name]
+                frame.SetPoseInParentFrame(plant_context, rigid(pose))
+
+        self._shared.checker.PerformOperationAgainstAllModelContexts(write)
+        self._shared.placed = self
+
+
+def build(
+    cell: Cell,
+    stock: Stock,
+    stock_pose: FloatArray,
+    bases: Mapping[str, FloatArray] | None = None,
+    meshcat: Any = None,
+) -> CellModel:
+    """The model of a cell, with the stock at ``stock_pose`` (4, 4) in the world and arms at ``bases`` or their own.
+
+    With ``meshcat`` a visualizer of the visible shapes is part of the diagram. Raises :class:`TandemError` for an unknown
+    robot and for names of obstacles or arms that clash (``cell.body_name``).
+    """
+    _check_names(cell)
+    placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
+    robots = {arm.name: catalogue.robot(arm.robot) for arm in cell.arms}
+    builder = RobotDiagramBuilder(time_step=0.0)
+    plant = builder.plant()
+    mounts: dict[str, FixedOffsetFrame] = {}
+    instances = []
+    for arm in cell.arms:
+        parser = Parser(plant=plant, scene_graph=builder.scene_graph(), model_name_prefix=arm.name)
+        (instance,) = parser.AddModels(str(catalogue.urdf_path(arm.robot)))
+        instances.append(instance)
+        mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
+        plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))
+        tool = plant.AddRigidBody(f"{arm.name}/tool", instance, SpatialInertia.Zero())
+        plant.WeldFrames(plant.GetFrameByName("tool0", instance), tool.body_frame())
+        _add_shapes(plant, tool, arm.tool.shapes, TOOL_COLOUR)
+    mounts["stock"] = _mount(plant, "stock/mount", np.asarray(stock_pose))
+    block = Shape("box", (stock.size[0], stock.size[1], stock.size[2]), _lift(0.5 * stock.size[2]))
+    _fixed(plant, "stock", mounts["stock"], (block,), STOCK_COLOUR)
+    if stock.support:
+        _fixed(plant, "support", mounts["stock"], stock.support, SUPPORT_COLOUR)
+    for obstacle in cell.obstacles:
+        _fixed(plant, obstacle.name, plant.world_frame(), obstacle.shapes, OBSTACLE_COLOUR)
+    plant.Finalize()
+    if meshcat is not None:
+        parameters = MeshcatVisualizerParams()
+        MeshcatVisualizer.AddToBuilder(builder.builder(), builder.scene_graph(), meshcat, parameters)
+    names = _names(plant, cell, instances)
+    checker = SceneGraphCollisionChecker(
+        model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
+    )
+    filtered = filter_pairs(checker, names, _limits(cell, robots))
+    shared = _Shared(plant, checker.model(), checker, mounts, names, filtered)
+    return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+
+
+def rigid(pose: FloatArray) -> RigidTransform:
+    """Drake's transform of a pose (4, 4), made orthonormal to rounding."""
+    return RigidTransform(RotationMatrix.ProjectToRotationMatrix(pose[:3, :3]), pose[:3, 3])
+
+
+def _limits(cell: Cell, robots: Mapping[str, RobotData]) -> tuple[FloatArray, FloatArray]:
+    lower = np.concatenate([robots[arm.name].lower for arm in cell.arms])
+    upper = np.concatenate([robots[arm.name].upper for arm in cell.arms])
+    return lower, upper
+
+
+def _check_names(cell: Cell) -> None:
+    taken = ["stock", "support", "world", *(arm.name for arm in cell.arms)]
+    issues = []
+    for i, obstacle in enumerate(cell.obstacles):
+        if obstacle.name in taken or "/" in obstacle.name:
+            message = f"obstacle {obstacle.name!r}: the name is taken, reserved or has a '/'"
+            hint = "give it another name"
+            issues.append(Issue("cell.body_name", message, field=f"obstacles[{i}].name", hint=hint))
+        taken.append(obstacle.name)
+    if issues:
+        raise TandemError(issues)
+
+
+def _mount(plant: MultibodyPlant, name: str, pose: FloatArray) -> FixedOffsetFrame:
+    return plant.AddFrame(FixedOffsetFrame(name, plant.world_frame(), rigid(pose)))
+
+
+def _fixed(
+    plant: MultibodyPlant, name: str, mount: Any, shapes: tuple[Shape, ...], colour: FloatArray
+) -> None:
+    body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.Zero())
+    plant.WeldFrames(mount, body.body_frame())
+    _add_shapes(plant, body, shapes, colour)
+
+
+def _add_shapes(
+    plant: MultibodyPlant, body: RigidBody, shapes: tuple[Shape, ...], colour: FloatArray
+) -> None:
+    for i, shape in enumerate(shapes):
+        pose, name = rigid(shape.pose), f"{body.name()}_{i}"
+        plant.RegisterVisualGeometry(body, pose, drake_shape(shape, solid=False), name, colour)
+        plant.RegisterCollisionGeometry(
+            body, pose, drake_shape(shape, solid=True), name, CoulombFriction(0.5, 0.5)
+        )
+
+
+def _lift(height: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[2, 3] = height
+    return pose
+
+
+def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int, str]:
+    names = {0: "world"}
+    for arm, instance in zip(cell.arms, instances, strict=True):
+        for index in plant.GetBodyIndices(instance):
+            name = plant.get_body(index).name()
+            names[int(index)] = name if name.startswith(f"{arm.name}/") else f"{arm.name}/{name}"
+    for fixed in ["stock", "support", *(obstacle.name for obstacle in cell.obstacles)]:
+        if plant.HasBodyNamed(fixed):
+            names[int(plant.GetBodyByName(fixed).index())] = fixed
+    return names
+
+
+def _index(index: int) -> Any:
+    from pydrake.multibody.tree import BodyIndex
+
+    return BodyIndex(index)
