@@ -49,6 +49,8 @@ def free(
         checker.SetPaddingAllRobotRobotPairs(padding)
         checker.SetPaddingAllRobotEnvironmentPairs(padding)
         good[good] = np.array(checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False), dtype=bool)
+        checker.SetPaddingAllRobotRobotPairs(0.0)  # distances that others ask for are reduced by the padding
+        checker.SetPaddingAllRobotEnvironmentPairs(0.0)
     return good
 
 
