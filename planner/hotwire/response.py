@@ -44,7 +44,7 @@ def end_sensitivity(shape: HeavyShape, window: Array | None = None) -> EndSensit
     form = np.eye(_MODES) + base.value.T @ ((pull * w)[:, :, None] * base.value)
     rows = (normal * w) @ base.value
 
-    # inputs: xA, yA, thetaA, xB, yB, thetaB, L; a lift is the change of theta that an end angle brings by itself
+    # inputs: xA, yA, thetaA, xB, yB, thetaB, L; a lift is the change of theta that an end angle brings along
     lift = np.zeros((7, sigma.size))
     lift[2], lift[5] = 1.0 - sigma, sigma
     chord = np.zeros((batch, 2, 7))

@@ -125,11 +125,12 @@ def make(
     if both or not good:
         text = (
             f"wire size: got diameter {diameter_mm}, width {width_mm}, thickness {thickness_mm} mm, "
-            "allowed either a diameter, or a width and a thickness, all above 0, the width not below the thickness"
+            "allowed either a diameter, or a width and a thickness not above it, all above 0"
         )
         issues.append(Issue("wire.size", text, hint="give diameter_mm, or width_mm and thickness_mm"))
     if not (0.0 <= temperature_c <= data.limit_temperature):
-        text = f"wire temperature: got {temperature_c:.0f} C, allowed 0 to {data.limit_temperature:.0f} C for {material}"
+        allowed = f"allowed 0 to {data.limit_temperature:.0f} C for {material}"
+        text = f"wire temperature: got {temperature_c:.0f} C, {allowed}"
         issues.append(
             Issue(
                 "wire.temperature",
