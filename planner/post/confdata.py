@@ -22,7 +22,7 @@ def confdata(robot: RobotData, q: FloatArray) -> IntArray:
     """(..., 4) cf1, cf4, cf6, cfx of serial joint angles q (..., 6) [rad].
 
     Angles are rounded to 0.0001 deg first, about what the rounding of a written target moves an axis by, so
-    that an axis which rests on a border of two quadrants gets one number and not the noise of its last digits.
+    that an axis on the border of two quadrants gets one number and not the noise of its last digits.
     """
     degrees = np.round(np.rad2deg(robot.to_controller(q)), _DEGREE_DECIMALS)
     out = np.empty((*q.shape[:-1], 4), dtype=np.int64)

@@ -1,8 +1,8 @@
 """What all robot languages share: a plan as steps of each task, before any word of a language is chosen.
 
 Tasks go through the same operations side by side. Outside synchronised blocks one arm works while the others
-wait at the next :class:`Meet`; inside, the tasks have equal runs of moves, pair by pair. An action of the process
-always stands outside a block.
+wait at the next :class:`Meet`; inside, the tasks have equal runs of moves, pair by pair. An action always
+stands outside a block.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ Step = Joints | Meet | SyncOn | SyncOff | Do | Run
 
 @dataclasses.dataclass(frozen=True)
 class OperationProgram:
-    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. No ``track`` for an arm that only waits."""
+    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``."""
 
     name: str
     track: Track | None
@@ -123,7 +123,7 @@ class TaskProgram:
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """All tasks. ``coupled``: the arms are joined in some operation; ``signals``: those that actions switch."""
+    """All tasks. ``coupled``: the arms are joined in some operation; ``signals``: what actions switch."""
 
     tasks: tuple[TaskProgram, ...]
     meets: int

@@ -133,9 +133,9 @@ class _Task:
             bodies[f"TandemCut{module}_{n}"] = lines[:-1]
         self._unique(bodies)
         files = {f"{name}.mod": self._module(name, lines) for name, lines in bodies.items()}
-        listed = "".join(f"\t<Module>{name}</Module>\r\n" for name in files)
-        head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\r\n'
-        files[f"Tandem_{n}.pgf"] = f"{head}<Program>\r\n{listed}</Program>\r\n"
+        listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
+        head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\n'
+        files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
         return {f"{self.task.task}/{name}": text for name, text in files.items()}
 
     def _unique(self, bodies: Mapping[str, Sequence[str]]) -> None:
@@ -173,7 +173,7 @@ class _Task:
         if task.robot.coupling is not None:
             out += comment(
                 "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
-                "this arm counts cfx is not settled, so ConfL is off here: run it first without stock and wire."
+                "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
             )
         if self.job.signals:
             out += comment(

@@ -179,7 +179,7 @@ def _check(plan: OperationPlan) -> None:
 
 
 def _written(plan: OperationPlan) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as they are written."""
+    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as written."""
     out = {}
     for arm, pose in plan.targets.poses(plan.values).items():
         quaternion = to_quaternion(pose[:, :3, :3])

@@ -15,7 +15,7 @@ from planner.targets import Action, Targets
 
 HOME = np.deg2rad([0.0, 0.0, 0.0, 0.0, 30.0, 0.0])
 START = np.deg2rad([5.0, 20.0, 10.0, 15.0, 45.0, -25.0])
-DIGEST = "0123456789abcdef" * 4
+DIGEST = "0123456789abcdef" * 4  # SHA-256 in length
 STOCK = from_rpy([0.55, 0.0, 0.2], [0.0, 0.0, np.pi / 2])
 BASES = {"left": np.eye(4), "right": from_rpy([1.1, 0.0, 0.0], [0.0, 0.0, np.pi])}
 ACTIONS = (
@@ -51,7 +51,7 @@ def world_tcp(job, arm, q):
 
 
 def operation(job, q, segment, stop=(), actions=ACTIONS, name="panel", step=0.5, coupled=True, frame="stock"):
-    """An operation whose joints are ``q`` {arm: (N, 6)}; it stops at targets ``stop``, the first and the last."""
+    """An operation with joints ``q`` {arm: (N, 6)}; it stops at targets ``stop``, the first and the last."""
     count = len(segment)
     stops = np.zeros(count, dtype=bool)
     stops[[0, -1, *stop]] = True
