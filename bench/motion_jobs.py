@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.tools import wire_holder
 from planner.geometry.rigid import from_parts
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
 from planner.targets import Edge, ScrewFreedom, Targets
@@ -19,20 +20,13 @@ def box(size: tuple[float, float, float], centre: tuple[float, float, float]) ->
     return Shape("box", size, from_parts(np.eye(3), np.array(centre)))
 
 
-def holder(turned: bool) -> Tool:
-    """A wire holder: a bar of 100 mm on the flange; the wire runs across it, along the flange's x or against it."""
-    rotation = np.diag([-1.0, -1.0, 1.0]) if turned else np.eye(3)
-    tcp = from_parts(rotation, np.array([0.0, 0.0, 0.1]))
-    return Tool("holder", tcp, 0.5, np.array([0.0, 0.0, 0.05]), (box((0.03, 0.03, 0.08), (0.0, 0.0, 0.045)),))
-
-
 def two_arms(distance: float = 1.6, obstacles: tuple[Obstacle, ...] = ()) -> Cell:
     """Two IRB 140 that face each other."""
     back = from_parts(np.diag([-1.0, -1.0, 1.0]), np.array([distance / 2.0, 0.0, 0.0]))
     front = from_parts(np.eye(3), np.array([-distance / 2.0, 0.0, 0.0]))
     arms = (
-        Arm("left", "irb140", front, holder(True), HOME),
-        Arm("right", "irb140", back, holder(False), HOME),
+        Arm("left", "irb140", front, wire_holder("across", "start"), HOME),
+        Arm("right", "irb140", back, wire_holder("across", "end"), HOME),
     )
     return Cell("bench", arms, obstacles, Controller())
 
