@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from planner.verify.rapid_values import Value
 
-# ---- expressions; `start` is the offset in the module's text -------------------------------------------------------
+# ---- expressions; `start` is the offset in the module's text -----------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,7 @@ class Binary:
 Expr = Literal | Aggregate | Name | Function | Unary | Binary
 
 
-# ---- statements ----------------------------------------------------------------------------------------------------
+# ---- statements --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,9 @@ class Move(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Instruction(Statement):
-    """Any other built-in instruction: `name` in its official spelling, required arguments, options by lower-case name."""
+    """Any other built-in instruction: `name` in its official spelling, required arguments, options by
+    lower-case name.
+    """
 
     name: str
     arguments: tuple[Expr, ...] = ()
@@ -130,7 +132,9 @@ class LateCall(Statement):
 
 @dataclass(frozen=True, slots=True)
 class If(Statement):
-    """`branches`: condition and body of IF and each ELSEIF; `otherwise`: body of ELSE. `source`: text of the conditions."""
+    """`branches`: condition and body of IF and each ELSEIF; `otherwise`: body of ELSE. `source`: text of
+    the conditions.
+    """
 
     branches: tuple[tuple[Expr, tuple[Statement, ...]], ...]
     otherwise: tuple[Statement, ...]
@@ -157,7 +161,7 @@ class For(Statement):
     body: tuple[Statement, ...]
 
 
-# ---- declarations --------------------------------------------------------------------------------------------------
+# ---- declarations ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

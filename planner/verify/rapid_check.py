@@ -35,7 +35,9 @@ _MOVE_OPTIONS = ("id", "time", "velocity", "wobj")
 
 
 class Checker:
-    """Checks the modules of one task together. `signals`: names of the configured signals, None when not known."""
+    """Checks the modules of one task together. `signals`: names of the configured signals, None when not
+    known.
+    """
 
     def __init__(self, modules: Sequence[Module], signals: frozenset[str] | None = None) -> None:
         self.modules = modules

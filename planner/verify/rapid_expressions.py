@@ -161,8 +161,8 @@ _DECODER = json.JSONDecoder()
 def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
     """Nested number list at `start` and the offset behind it, or None when it is not plainly one.
 
-    A list of plain numbers is JSON too, and the JSON reader is fast. Anything else (names, truths, faults) returns
-    None, and the ordinary way reads it and says what is wrong.
+    A list of plain numbers is JSON too, and the JSON reader is fast. Anything else (names, truths, faults)
+    returns None, and the ordinary way reads it and says what is wrong.
     """
     extent = NUMERIC.match(text, start)
     if extent is None:
@@ -194,7 +194,9 @@ def plain(found: Expr) -> Any:
 
 
 def typed(found: Expr, kind: str) -> Expr:
-    """The expression as a `Literal` of type `kind` where it holds no names. Raises `SyntaxFault` where it does not fit."""
+    """The expression as a `Literal` of type `kind` where it holds no names. Raises `SyntaxFault` where it
+    does not fit.
+    """
     if kind in OPAQUE or isinstance(found, Name | Function | Unary | Binary):
         return found
     items = plain(found)

@@ -1,7 +1,8 @@
 """The straight way of a task through its modules: calls put in place, names replaced by values.
 
-Conditions on constants are decided. A condition known at run time only (an operator's answer, IsSyncMoveOn()) must
-not decide over motion, signals or synchronisation: such a program cannot be proven and is refused.
+Conditions on constants are decided. A condition known at run time only (an operator's answer,
+IsSyncMoveOn()) must not decide over motion, signals or synchronisation: such a program cannot be proven and
+is refused.
 """
 
 from __future__ import annotations
@@ -73,14 +74,17 @@ class _Left(Exception):
 def flatten(modules: Sequence[Module], entry: str = "main") -> tuple[Step, ...]:
     """All steps of a task from `entry` on, for modules without faults (`rapid_reader.read_task`).
 
-    Raises `FlowError` when the entry is missing, the calls have no end, or run-time conditions decide over the motion.
+    Raises `FlowError` when the entry is missing, the calls have no end, or run-time conditions decide over
+    the motion.
     """
     runner = _Runner(modules)
     return runner.run(entry)
 
 
 def handlers(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, ...]]:
-    """Steps of each ERROR section by (module, procedure). Branches on run-time conditions are included, and say so."""
+    """Steps of each ERROR section by (module, procedure). Branches on run-time conditions are included, and
+    say so.
+    """
     found: dict[tuple[str, str], tuple[Step, ...]] = {}
     for module in modules:
         for procedure in module.procedures:
@@ -415,7 +419,9 @@ class _Runner:
         self.cells[key] = outer
 
     def _choice(self, statement: Statement, condition: str, run: Callable[[], None]) -> None:
-        """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or synchronise."""
+        """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or
+        synchronise.
+        """
         steps, outer, cells = self.steps, self.condition, dict(self.cells)
         self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
         try:

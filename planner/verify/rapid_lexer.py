@@ -1,7 +1,7 @@
 """Words of a RAPID text, read one at a time with their places.
 
-The cursor is lazy: it looks one token ahead and leaves the text as it is, so that the parser can take whole move
-instructions and whole number lists in one step where they have their usual form.
+The cursor is lazy: it looks one token ahead and leaves the text as it is, so that the parser can take whole
+move instructions and whole number lists in one step where they have their usual form.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ _TOKEN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing wrong with a RAPID text. `line` and `column` count from 1; `code` is stable, `message` is for people."""
+    """One thing wrong with a RAPID text. `line` and `column` count from 1; `code` is stable, `message` is
+    for people.
+    """
 
     line: int
     column: int
@@ -34,7 +36,9 @@ class Fault:
 
 
 class Token(NamedTuple):
-    """One word: `kind` is name, number, string, symbol, bad or end; `word` is `text` in lower case; `start` an offset."""
+    """One word: `kind` is name, number, string, symbol, bad or end; `word` is `text` in lower case; `start`
+    an offset.
+    """
 
     kind: str
     text: str
@@ -43,7 +47,9 @@ class Token(NamedTuple):
 
 
 class SyntaxFault(Exception):
-    """Reading of one statement gave up; the parser turns it into a `Fault` and goes on behind the statement."""
+    """Reading of one statement gave up; the parser turns it into a `Fault` and goes on behind the
+    statement.
+    """
 
     def __init__(self, start: int, code: str, message: str) -> None:
         super().__init__(message)

@@ -1,7 +1,7 @@
 """Move instructions of the usual form, read in one step for speed.
 
-A job has thousands of moves that differ in their numbers only. Whatever does not match the pattern exactly goes the
-ordinary way (`rapid_instructions`), which gives the same result and explains faults.
+A job has thousands of moves that differ in their numbers only. Whatever does not match the pattern exactly
+goes the ordinary way (`rapid_instructions`), which gives the same result and explains faults.
 """
 
 from __future__ import annotations

@@ -289,7 +289,9 @@ class Parser:
         self.fault(wrong.start, wrong.code, wrong.message)
 
     def _guard(self, read: Callable[[], None]) -> None:
-        """Read one item; on a fault note it and go on behind the next ";" or at the next line that opens something."""
+        """Read one item; on a fault note it and go on behind the next ";" or at the next line that opens
+        something.
+        """
         before = self.cursor.token.start
         try:
             read()

@@ -1,7 +1,8 @@
 """RAPID programs of one task, read strictly: the door of the reader.
 
-`read_task` gives the modules and every fault of syntax, names, types and sizes; `flatten` gives the straight way of
-the task. The reader shares no code with the writer: it knows the language from ABB's manuals only.
+`read_task` gives the modules and every fault of syntax, names, types and sizes; `flatten` gives the
+straight way of the task. The reader shares no code with the writer: it knows the language from ABB's
+manuals only.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def read_module(
 def read_task(
     files: Mapping[str, str | bytes], limits: Limits | None = None, signals: Iterable[str] | None = None
 ) -> Task:
-    """All modules of one task (file name -> text). `signals`: names of the configured signals, None to allow any name.
+    """All modules of one task (file name -> text). `signals`: names of the configured signals, None to
+    allow any name.
 
     Modules that are loaded while the task runs belong to `files` too.
     """

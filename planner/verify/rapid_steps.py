@@ -9,7 +9,9 @@ from planner.verify.rapid_values import JointTarget, RobTarget, Speed, Tool, Wor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """`condition`: text of the run-time condition the step hangs on, "" for none (only in handlers is it ever set)."""
+    """`condition`: text of the run-time condition the step hangs on, "" for none (only in handlers is it
+    ever set).
+    """
 
     module: str
     procedure: str
@@ -19,7 +21,9 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveStep(Step):
-    """`kind` MoveAbsJ, MoveJ or MoveL; `time` \\T [s], `velocity` \\V [m/s]; names are "" for values in place."""
+    """`kind` MoveAbsJ, MoveJ or MoveL; `time` \\T [s], `velocity` \\V [m/s]; names are "" for values in
+    place.
+    """
 
     kind: str
     target: RobTarget | JointTarget
@@ -50,7 +54,9 @@ class SignalStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaitStep(Step):
-    """`kind` WaitTime, WaitRob or WaitDI; `seconds` for WaitTime and as the limit of WaitDI; `standing`: \\InPos."""
+    """`kind` WaitTime, WaitRob or WaitDI; `seconds` for WaitTime and as the limit of WaitDI; `standing`:
+    \\InPos.
+    """
 
     kind: str
     seconds: float | None
@@ -94,7 +100,9 @@ class CallStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingStep(Step):
-    """Motion settings and stops: ConfL, ConfJ, SingArea, AccSet, VelSet, GripLoad, StopMove, ClearPath, Stop, EXIT..."""
+    """Motion settings and stops: ConfL, ConfJ, SingArea, AccSet, VelSet, GripLoad, StopMove, ClearPath,
+    Stop, EXIT...
+    """
 
     kind: str
     switches: tuple[str, ...]
@@ -103,6 +111,8 @@ class SettingStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceStep(Step):
-    """A branch or loop on `condition` that only talks, waits or stops: its `steps` are not part of the straight way."""
+    """A branch or loop on `condition` that only talks, waits or stops: its `steps` are not part of the
+    straight way.
+    """
 
     steps: tuple[Step, ...]

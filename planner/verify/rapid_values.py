@@ -1,7 +1,9 @@
-"""RAPID data as values: records with their order and types, predefined data, and the step from numbers to SI.
+"""RAPID data as values: records with their order and types, predefined data, and the step from numbers to
+SI.
 
-Order of the record components, units (mm, degrees, s, kg) and the figures of the predefined speeds and zones: ABB,
-Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget, speeddata, zonedata...).
+Order of the record components, units (mm, degrees, s, kg) and the figures of the predefined speeds and
+zones: ABB, Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget,
+speeddata, zonedata...).
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ QUATERNION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobTarget:
-    """`position` (3,) [m], `quaternion` (4,) wxyz as written, `conf` (cf1, cf4, cf6, cfx), `external` (6,) as written."""
+    """`position` (3,) [m], `quaternion` (4,) wxyz as written, `conf` (cf1, cf4, cf6, cfx), `external` (6,)
+    as written.
+    """
 
     position: Array
     quaternion: Array
@@ -31,7 +35,9 @@ class RobTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTarget:
-    """`joints` (6,) [rad] as the controller counts them (a coupled axis 3 stays as written), `external` (6,) as written."""
+    """`joints` (6,) [rad] as the controller counts them (a coupled axis 3 stays as written), `external`
+    (6,) as written.
+    """
 
     joints: Array
     external: Array
@@ -49,8 +55,9 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """`fine` stops the arm; else radii of path `tcp` [m], of turning `turn` [m], `external` [m], and the zone's own
-    angles and lengths for turning [rad], linear [m] and rotary [rad] external axes."""
+    """`fine` stops the arm; else radii of path `tcp` [m], of turning `turn` [m], `external` [m], and the
+    zone's own angles and lengths for turning [rad], linear [m] and rotary [rad] external axes.
+    """
 
     fine: bool
     tcp: float
@@ -82,7 +89,9 @@ class Tool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkObject:
-    """`held` by the robot or not, `fixed` user frame or moved by `unit`, `user` and `object` frames (4,4) [m]."""
+    """`held` by the robot or not, `fixed` user frame or moved by `unit`, `user` and `object` frames (4,4)
+    [m].
+    """
 
     held: bool
     fixed: bool

@@ -1,16 +1,17 @@
 """Energy of a discrete Kirchhoff rod with its first and second derivatives, for many rods at once.
 
-The rod of length 1 has N straight segments of length h = 1/N. The unknowns are the segments' attitudes (unit
-quaternions); positions follow by adding up, so the rod cannot stretch. Neighbouring segments are h apart (middle to
-middle), the clamped end frames h/2 from the first and last middle; this is second order in h. The end's position is
-held by three multipliers F, the force in the rod at its end.
+The rod of length 1 has N straight segments of length h = 1/N. The unknowns are the segments' attitudes
+(unit quaternions); positions follow by adding up, so the rod cannot stretch. Neighbouring segments are h
+apart (middle to middle), the clamped end frames h/2 from the first and last middle; this is second order in
+h. The end's position is held by three multipliers F, the force in the rod at its end.
 
     Lagrangian = sum_j K.phi_j^2 / (2 D_j) - h sum_k t_k.(F + w (1 - s_k)) + F.d
 
-phi_j: rotation vector between neighbours, D_j their distance, K = (torsion, bending about y, bending about z), t_k
-the tangents, w the weight per length, s_k the segments' middles, d the end's place seen from the start. In terms of
-the relative quaternion (a, v), phi = v (8 - 2a) / 3, which is the rotation vector up to fifth order. All derivatives
-are exact ones of this energy. Arrays have their components first and instants last: quaternions are (4, N, T).
+phi_j: rotation vector between neighbours, D_j their distance, K = (torsion, bending about y, bending about
+z), t_k the tangents, w the weight per length, s_k the segments' middles, d the end's place seen from the
+start. In terms of the relative quaternion (a, v), phi = v (8 - 2a) / 3, which is the rotation vector up to
+fifth order. All derivatives are exact ones of this energy. Arrays have their components first and instants
+last: quaternions are (4, N, T).
 """
 
 from __future__ import annotations
@@ -112,8 +113,10 @@ class Ends:
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of the Lagrangian: `gradient` (3, N, T), Hessian blocks `diagonal` (3, 3, N, T) and `beside` (3, 3, N-1, T) (row
-    k, column k+1), Jacobian of the end's place `slope` (3, 3, N, T), and its error `gap` (3, T)."""
+    """Of the Lagrangian: `gradient` (3, N, T), Hessian blocks `diagonal` (3, 3, N, T) and `beside` (3, 3,
+    N-1, T) (row k, column k+1), Jacobian of the end's place `slope` (3, 3, N, T), and its error `gap` (3,
+    T).
+    """
 
     gradient: Array
     diagonal: Array
@@ -139,7 +142,9 @@ def joints(q: Array, turn: Array) -> Array:
 
 
 def inner_force(force: Array, weight: Array, n: int) -> Array:
-    """Force (3, N, T) in the middle of each segment, from the part nearer the end onto the part nearer the start."""
+    """Force (3, N, T) in the middle of each segment, from the part nearer the end onto the part nearer the
+    start.
+    """
     rest = 1.0 - (np.arange(n) + 0.5) / n
     return force[:, None, :] + weight[:, None, :] * rest[None, :, None]
 
@@ -162,7 +167,9 @@ def gap(q: Array, ends: Ends) -> Array:
 
 
 def derivatives(stiffness: Array, q: Array, force: Array, ends: Ends) -> Derivatives:
-    """Derivatives with respect to rotation vectors (3, N, T) in each segment's own frame, q -> q exp(rotation)."""
+    """Derivatives with respect to rotation vectors (3, N, T) in each segment's own frame, q -> q
+    exp(rotation).
+    """
     n = q.shape[1]
     p = joints(q, ends.turn)
     w, v = p[0], p[1:]
@@ -213,8 +220,11 @@ def _product(a: Array, b: Array, va: Array, vb: Array, dww: Array, dwv: Array, d
 
 
 def _bracket(w: Array, v: Array, dw: Array, dv: Array) -> Array:
-    """Derivative along e_i p e_j, (3, 3, ...): scalar part -w d_ij + v.(e_i x e_j), vector part worked out below."""
-    # e_i (w, v) e_j = (-v_i, w e_i + e_i x v) e_j = (-w d_ij - (e_i x v)_j, -v_i e_j + w e_i x e_j + (e_i x v) x e_j)
+    """Derivative along e_i p e_j, (3, 3, ...): scalar part -w d_ij + v.(e_i x e_j), vector part worked out
+    below.
+    """
+    # e_i (w, v) e_j = (-v_i, w e_i + e_i x v) e_j = (-w d_ij - (e_i x v)_j, -v_i e_j + w e_i x e_j + (e_i x
+    # v) x e_j)
     # and (e_i x v) x e_j = v d_ij - e_i v_j
     eye = np.eye(3)[:, :, None, None]
     turned = np.einsum("jik,k...->ij...", _LEVI, v)  # (e_i x v)_j = eps_{j i k} v_k

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.verify.rod_energy import Array, conjugate, logarithm, matrix, multiply
+from planner.verify.rod_energy import Array, Ends, conjugate, logarithm, matrix, multiply
 from planner.verify.rod_model import Drive, Rod, RodError, RodPath, RodShape, apart, apart_many
 from planner.verify.rod_path import measured
 from planner.verify.rod_solve import Outcome, State, moved, newton, newton_many, settle
@@ -38,10 +39,12 @@ class _Found:
 def follow(
     rod: Rod, start_frames: Array, end_frames: Array, gravity: Array, initial: RodShape, stride: int = _STRIDE
 ) -> RodPath:
-    """Carry the rod from `initial` through the frames (T, 4, 4) of its ends; `gravity` (3,) gives the direction only.
+    """Carry the rod from `initial` through the frames (T, 4, 4) of its ends; `gravity` (3,) gives the
+    direction only.
 
-    Every `stride`-th instant is found from the one before it, in smaller steps where the shape changes fast; those
-    between are found all at once and belong to the same branch (near the shape between their neighbours, and stable).
+    Every `stride`-th instant is found from the one before it, in smaller steps where the shape changes
+    fast; those between are found all at once and belong to the same branch (near the shape between their
+    neighbours, and stable).
     """
     drive = Drive(rod, start_frames, end_frames, gravity)
     count, n = len(drive.start), initial.attitudes.shape[1]
@@ -54,7 +57,7 @@ def follow(
     marks = [*range(0, count, max(1, stride))]
     marks += [count - 1] if marks[-1] != count - 1 else []
     todo: list[tuple[int, int]] = []
-    for a, b in zip(marks[:-1], marks[1:], strict=True):
+    for a, b in pairwise(marks):
         direct = newton(rod.stiffness, found.get(a), drive.at(float(b)))
         if b - a > 1 and _continues(found.get(a), direct):
             found.put(b, direct.state, True)
@@ -70,6 +73,9 @@ def _stand(rod: Rod, drive: Drive, found: _Found, k: int, state: State) -> None:
     """Take `state` to the ends of instant k on the spot; a jump where that takes another shape."""
     ends = drive.at(float(k))
     outcome = newton(rod.stiffness, state, ends)
+    if _too_far(ends):
+        found.put(k, state, False)
+        return
     if not _continues(state, outcome):
         outcome = settle(rod.stiffness, state, ends)
         found.jump[k] = True
@@ -89,6 +95,8 @@ def _walk(rod: Rod, drive: Drive, found: _Found, a: int, b: int) -> None:
                 state, time, step, good = outcome.state, goal, 2.0 * step, True
             elif step > _FINEST:
                 step *= 0.5
+            elif _too_far(drive.at(goal)):  # the ends pull the wire out of its clamps: no shape exists
+                time, good = goal, False
             else:
                 fallen = settle(rod.stiffness, _last(state, outcome), drive.at(goal))
                 found.jump[k + 1] = True
@@ -100,6 +108,10 @@ def _walk(rod: Rod, drive: Drive, found: _Found, a: int, b: int) -> None:
 def _continues(state: State, outcome: Outcome) -> bool:
     """Whether the outcome is stable and the same shape carried on."""
     return bool(outcome.good[0] and outcome.steady[0]) and apart(state, outcome.state) < _TURN
+
+
+def _too_far(ends: Ends) -> bool:
+    return float(np.linalg.norm(ends.place)) >= 1.0 - 1e-12
 
 
 def _last(state: State, outcome: Outcome) -> State:

@@ -27,8 +27,10 @@ class RodError(ValueError):
 
 @dataclass(frozen=True)
 class Rod:
-    """A straight, weightless-when-`weight`-is-0 rod. Bending stiffnesses `soft` (about the frame's z) and `stiff` (about
-    y) and `torsion` GJ in N m^2, `length` in m, `weight` per length in N/m, `segments` of the discrete rod."""
+    """A straight, weightless-when-`weight`-is-0 rod. Bending stiffnesses `soft` (about the frame's z) and
+    `stiff` (about y) and `torsion` GJ in N m^2, `length` in m, `weight` per length in N/m, `segments` of
+    the discrete rod.
+    """
 
     length: float
     soft: float
@@ -54,7 +56,9 @@ class Rod:
 
 @dataclass(frozen=True)
 class RodShape:
-    """One shape: segment attitudes (4, N) wxyz in the start clamp's frame and the end's force (3,) in units of EI/L^2."""
+    """One shape: segment attitudes (4, N) wxyz in the start clamp's frame and the end's force (3,) in units
+    of EI/L^2.
+    """
 
     attitudes: Array
     force: Array
@@ -64,14 +68,15 @@ class RodShape:
 class RodPath:
     """The rod at T instants, at N + 1 points of equal arc length.
 
-    `points` (T, N+1, 3) [m] and `frames` (T, N+1, 3, 3) in the world. `curvature` (T, N+1, 2) about y and z and `twist`
-    (T, N+1) [1/m], `tension` (T, N+1) [N]. `residual` (T,): error of the end's place [m].
-    `error` (T,) [m]: how far refining moved the points (the discretisation error before it; that behind it is far
-    smaller); inf where the coarser rod did not hold the shape and nothing was refined.
-    `stable` (T,): the shape at the instant is a strict minimum of energy. `min_eig` (T,): smallest eigenvalue of the
-    second variation over that of the first bending mode of a straight clamped rod (4 pi^2 EI / L^2 with `soft`); 0
-    where stability is lost. `jump` (T,): since the instant before, the rod lost its shape and fell into another one;
-    `moved` (T,) [m]: how far its points then went (0 without a jump). `shapes`: to go on from any instant.
+    `points` (T, N+1, 3) [m] and `frames` (T, N+1, 3, 3) in the world. `curvature` (T, N+1, 2) about y and z
+    and `twist` (T, N+1) [1/m], `tension` (T, N+1) [N]. `residual` (T,): error of the end's place [m].
+    `error` (T,) [m]: how far refining moved the points (the discretisation error before it; that behind it
+    is far smaller); inf where the coarser rod did not hold the shape and nothing was refined. `stable`
+    (T,): the shape at the instant is a strict minimum of energy. `min_eig` (T,): smallest eigenvalue of the
+    second variation over that of the first bending mode of a straight clamped rod (4 pi^2 EI / L^2 with
+    `soft`); 0 where stability is lost. `jump` (T,): since the instant before, the rod lost its shape and
+    fell into another one; `moved` (T,) [m]: how far its points then went (0 without a jump). `shapes`: to
+    go on from any instant.
     """
 
     points: Array

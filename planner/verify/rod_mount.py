@@ -18,9 +18,10 @@ def mount(
 ) -> RodShape:
     """The stable shape of a rod mounted between two frames (4, 4).
 
-    The rod starts as a planar curve that turns by `turning` [rad] about the plane's normal (default: the least turn
-    between the frames) and bows to the side `bow` (+1 or -1: towards y or away; default: the one of less bending), and
-    its end and weight are then brought to where they are. Raises `RodError` when no stable shape is found.
+    The rod starts as a planar curve that turns by `turning` [rad] about the plane's normal (default: the
+    least turn between the frames) and bows to the side `bow` (+1 or -1: towards y or away; default: the one
+    of less bending), and its end and weight are then brought to where they are. Raises `RodError` when no
+    stable shape is found.
     """
     drive = Drive(rod, np.asarray(start)[None], np.asarray(end)[None], gravity)
     goal = drive.ends
@@ -55,7 +56,9 @@ def mount(
 
 
 def _rotation(vector: Array, turning: float | None) -> Array:
-    """The rotation vector that means the same attitude as `vector` and turns about z most nearly by `turning`."""
+    """The rotation vector that means the same attitude as `vector` and turns about z most nearly by
+    `turning`.
+    """
     if turning is None:
         return vector
     angle = float(np.linalg.norm(vector))
@@ -65,7 +68,9 @@ def _rotation(vector: Array, turning: float | None) -> Array:
 
 
 def _bow(turning: float, distance: float, middle: Array, side: float | None) -> float:
-    """Size a [rad] of theta = turning s + a sin(2 pi s) whose ends are `distance` apart, by bisection to one side."""
+    """Size a [rad] of theta = turning s + a sin(2 pi s) whose ends are `distance` apart, by bisection to
+    one side.
+    """
     best: list[tuple[float, float]] = []
     for sign in (1.0, -1.0) if side is None else (math.copysign(1.0, side),):
         sizes = sign * np.linspace(0.0, 3.5, 701)

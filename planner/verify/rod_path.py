@@ -1,8 +1,8 @@
 """What the shapes found say in the world: points, frames, curvature, twist, tension, margins of stability.
 
-The discrete rod is of second order in h = L / N. The same shapes are found once more with half the segments, and both
-results are combined (Richardson: (4 fine - coarse) / 3), which leaves errors of the order h^4 and tells the size of
-the error that was taken out.
+The discrete rod is of second order in h = L / N. The same shapes are found once more with half the
+segments, and both results are combined (Richardson: (4 fine - coarse) / 3), which leaves errors of the
+order h^4 and tells the size of the error that was taken out.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ _SAME = 0.2  # most by which the coarser rod's shape may differ from the finer o
 
 
 class _Measures(NamedTuple):
-    """In the start frame and in units of the rod: `nodes` (3, N+1, T), `rate` (3, N+1, T), `tension` (N+1, T)."""
+    """In the start frame and in units of the rod: `nodes` (3, N+1, T), `rate` (3, N+1, T), `tension` (N+1,
+    T).
+    """
 
     nodes: Array
     rate: Array
@@ -100,9 +102,9 @@ def _measures(state: State, ends: Ends) -> _Measures:
     nodes = np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, axis=1)], axis=1)
     p = joints(state.q, ends.turn)
     rate = p[1:] * ((8.0 - 2.0 * p[0]) / 3.0) / spacing(n)[:, None]
-    # the outer joints lie a quarter segment from the clamps: carried on to the clamps in a straight line
-    rate[:, 0] -= (rate[:, 1] - rate[:, 0]) / 3.0
-    rate[:, -1] -= (rate[:, -2] - rate[:, -1]) / 3.0
+    # the outer joints belong to the clamps' half segments; a cubic through the inner ones is as smooth as they are
+    rate[:, 0] = 4.0 * rate[:, 1] - 6.0 * rate[:, 2] + 4.0 * rate[:, 3] - rate[:, 4]
+    rate[:, -1] = 4.0 * rate[:, -2] - 6.0 * rate[:, -3] + 4.0 * rate[:, -4] - rate[:, -5]
     tangent = matrix(_at_nodes(state.q, ends))[:, 0]
     force = state.force[:, None] + ends.weight[:, None] * np.linspace(1.0, 0.0, n + 1)[:, None]
     return _Measures(nodes, rate, (tangent * force).sum(axis=0))

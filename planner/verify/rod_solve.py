@@ -1,8 +1,9 @@
-"""Equilibria of the discrete rod: Newton for one instant (dense, pivoted) and for many at once (block elimination).
+"""Equilibria of the discrete rod: Newton for one instant (dense, pivoted) and for many at once (block
+elimination).
 
-Stability is read from the inertia of the saddle-point matrix: the energy has a strict minimum under the three
-conditions on the end's place if and only if the matrix has exactly three negative eigenvalues (Gould, Mathematical
-Programming 32, 1985).
+Stability is read from the inertia of the saddle-point matrix: the energy has a strict minimum under the
+three conditions on the end's place if and only if the matrix has exactly three negative eigenvalues (Gould,
+Mathematical Programming 32, 1985).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from planner.verify.rod_energy import (
 )
 
 CONVERGED = 1e-9  # rotation [rad] of the last Newton step; the error left is of its square
+# raises all eigenvalues a little: neutral shapes count as stable, and Newton does not drift along them
+LIFT = 1e-6 * 4.0 * np.pi**2
 _STEP = 0.5  # longest rotation [rad] of a segment in one Newton step
 _SHRINK = 0.3  # most that the second Newton step may be of the first, ...
 _SMALL = 2e-3  # ... or this rotation [rad]
@@ -32,7 +35,9 @@ _SMALL = 2e-3  # ... or this rotation [rad]
 
 @dataclass(frozen=True)
 class State:
-    """Attitudes `q` (4, N, T) and end forces `force` (3, T), in the start clamp's frame, in units of L and EI."""
+    """Attitudes `q` (4, N, T) and end forces `force` (3, T), in the start clamp's frame, in units of L and
+    EI.
+    """
 
     q: Array
     force: Array
@@ -40,8 +45,10 @@ class State:
 
 @dataclass(frozen=True)
 class Outcome:
-    """`state`; by instant: `converged`, `negatives` (eigenvalues below 0 beyond the three of the conditions), `steady`
-    (the second Newton step was much shorter than the first, so the shape found is the continuation of the guess)."""
+    """`state`; by instant: `converged`, `negatives` (eigenvalues below 0 beyond the three of the
+    conditions), `steady` (the second Newton step was much shorter than the first, so the shape found is the
+    continuation of the guess).
+    """
 
     state: State
     converged: NDArray[np.bool_]
@@ -59,11 +66,13 @@ def moved(state: State, rotation: Array, force: Array) -> State:
     return State(multiply(state.q, exponential(rotation)), state.force + force)
 
 
-# ---- one instant ---------------------------------------------------------------------------------------------------
+# ---- one instant -------------------------------------------------------------------------------------------
 
 
-def saddle(parts: Derivatives) -> Array:
-    """The symmetric matrix (3N + 3, 3N + 3) of one instant's Newton step."""
+def saddle(parts: Derivatives, lift: float = 0.0) -> Array:
+    """The symmetric matrix (3N + 3, 3N + 3) of one instant's Newton step, its second variation raised by
+    `lift`.
+    """
     n = parts.gradient.shape[1]
     full = np.zeros((3 * n + 3, 3 * n + 3))
     blocks = full[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
@@ -73,6 +82,8 @@ def saddle(parts: Derivatives) -> Array:
     blocks[index[:-1], :, index[1:], :] = beside
     blocks[index[1:], :, index[:-1], :] = beside.transpose(0, 2, 1)
     slope = parts.slope[..., 0].transpose(0, 2, 1).reshape(3, 3 * n)
+    inside = np.arange(3 * n)
+    full[inside, inside] += lift / n
     full[3 * n :, : 3 * n] = -slope
     full[: 3 * n, 3 * n :] = -slope.T
     return full
@@ -92,7 +103,7 @@ def newton(stiffness: Array, state: State, ends: Ends, rounds: int = 12) -> Outc
     first, steady = 0.0, True
     for count in range(rounds):
         parts = derivatives(stiffness, state.q, state.force, ends)
-        ldu, pivots, negatives = factor(saddle(parts))
+        ldu, pivots, negatives = factor(saddle(parts, LIFT))
         right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
         step, fault = lapack.dsytrs(ldu, pivots, right, lower=1)
         if fault or not np.isfinite(step).all():
@@ -109,7 +120,8 @@ def newton(stiffness: Array, state: State, ends: Ends, rounds: int = 12) -> Outc
 
 
 def weakest(stiffness: Array, state: State, ends: Ends) -> tuple[float, Array]:
-    """Smallest eigenvalue of the second variation on the shapes that keep the end's place, and its rotations (3, N).
+    """Smallest eigenvalue of the second variation on the shapes that keep the end's place, and its
+    rotations (3, N).
 
     Normalised by int |rotation|^2 ds; in units of EI / L^2.
     """
@@ -124,8 +136,9 @@ def weakest(stiffness: Array, state: State, ends: Ends) -> tuple[float, Array]:
 def settle(stiffness: Array, state: State, ends: Ends, rounds: int = 300) -> Outcome:
     """Go down to a stable shape for one instant, from a state that need not be near one.
 
-    Newton steps on the Hessian raised until it is positive on the conditions, shortened until the energy plus a
-    multiple of the end's error falls. From an unstable equilibrium the first step goes along its weakest mode.
+    Newton steps on the Hessian raised until it is positive on the conditions, shortened until the energy
+    plus a multiple of the end's error falls. From an unstable equilibrium the first step goes along its
+    weakest mode.
     """
     n = state.q.shape[1]
     found = newton(stiffness, state, ends)
@@ -138,7 +151,7 @@ def settle(stiffness: Array, state: State, ends: Ends, rounds: int = 300) -> Out
     for _ in range(rounds):
         parts = derivatives(stiffness, state.q, state.force, ends)
         right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
-        full = saddle(parts)
+        full = saddle(parts, LIFT)
         inside = np.arange(3 * n)
         diagonal = full[inside, inside].copy()
         while True:
@@ -171,19 +184,20 @@ def _merit(stiffness: Array, state: State, ends: Ends, price: float) -> float:
     return float(energy(stiffness, state.q, ends)[0]) + price * float(np.abs(gap(state.q, ends)).sum())
 
 
-# ---- many instants at once -----------------------------------------------------------------------------------------
+# ---- many instants at once ---------------------------------------------------------------------------------
 
 
 class Elimination:
     """Block elimination of the saddle-point matrices of T instants, for any number of right-hand sides."""
 
-    def __init__(self, parts: Derivatives) -> None:
+    def __init__(self, parts: Derivatives, lift: float = LIFT) -> None:
         self.n = n = parts.gradient.shape[1]
+        raised = parts.diagonal + (lift / n) * np.eye(3)[:, :, None, None]
         self.slope = parts.slope
         below = np.zeros(parts.gradient.shape[2], dtype=np.intp)
         self.inverse: list[Array] = []
         self.factors: list[Array] = []  # inverse pivot times the block beside it
-        pivot = parts.diagonal[:, :, 0]
+        pivot = raised[:, :, 0]
         for k in range(n):
             inverse, negative = _inverse(pivot)
             below += negative
@@ -191,7 +205,7 @@ class Elimination:
             if k + 1 < n:
                 beside = parts.beside[:, :, k]
                 self.factors.append(_mul(inverse, beside))
-                pivot = parts.diagonal[:, :, k + 1] - _mul_t(beside, self.factors[k])
+                pivot = raised[:, :, k + 1] - _mul_t(beside, self.factors[k])
         slope_t = np.moveaxis(parts.slope, 0, 1)  # (3 rows of a block, 3 conditions, N, T)
         self.spread = self.blocks(slope_t)
         schur = np.einsum("ijkt,jlkt->ilt", parts.slope, self.spread)
@@ -266,7 +280,7 @@ def weakest_many(stiffness: Array, state: State, ends: Ends, rounds: int = 12) -
         after, _ = work.solve(mode / n, np.zeros((3, instants)))
         value = 1.0 / ((mode * after).sum(axis=(0, 1)) / n)
         mode = after
-    return value
+    return value - LIFT
 
 
 def _mul(a: Array, b: Array) -> Array:
