@@ -69,8 +69,7 @@ class Track:
 
     ``position`` (M, 3) [mm, rounded] and ``quaternion`` (M, 4) [rounded, sign continuous] in the work frame
     ``frame``; ``q`` (M, 6) [rad, serial]; ``duration`` (M,) [s, rounded]; ``distance`` (M,) [mm] of the TCP;
-    ``reach`` (M,) [mm]: half the shorter one of the segments that meet at the target, the most that a zone
-    may take, 0 at a stop.
+    ``reach`` (M,) [mm] and ``reach_turn`` (M,) [rad]: the most that a zone at the target may take.
     """
 
     position: FloatArray
@@ -79,6 +78,7 @@ class Track:
     duration: FloatArray
     distance: FloatArray
     reach: FloatArray
+    reach_turn: FloatArray
     frame: str
 
 

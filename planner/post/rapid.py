@@ -87,7 +87,7 @@ def _zones(job: Job, operation: int) -> dict[int, NameArray]:
     for task in _moving(job, operation):
         program = task.operations[operation]
         if program.track is not None:
-            out[task.number] = zones(program.track, program.stop, program.labels)
+            out[task.number] = zones(program.track, program.stop)
     return out
 
 

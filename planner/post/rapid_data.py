@@ -12,7 +12,7 @@ from planner.issues import Issue, TandemError
 from planner.plan import Plan
 from planner.post.program import Job, Joints, TaskProgram
 from planner.post.rapid_format import identifier, jointtarget, number, pose, quoted, short, vector
-from planner.post.rapid_moves import OWN_ZONES, own_zone
+from planner.post.rapid_moves import own_zones
 from planner.problem import Problem, Tool
 
 FloatArray = NDArray[np.float64]
@@ -90,10 +90,9 @@ def data_lines(
         f"CONST speeddata {ENTRY_SPEED}:=[{speed},{_ENTRY_TURN},{speed},{_ENTRY_TURN}];",
         *stations.lines(),
     ]
-    own = [name for name in OWN_ZONES if name in set(zones)]
+    own = own_zones(set(zones))
     if own:
-        out += ["", "! zones for targets that lie closer than z0 allows"]
-        out += [f"CONST zonedata {name}:={own_zone(name)};" for name in own]
+        out += ["", "! zones that fit the distances of the targets", *own]
     if len(job.tasks) > 1:
         names = ",".join(f"[{quoted(other.task)}]" for other in job.tasks)
         out += ["", "! where the tasks meet; each point is used once"]

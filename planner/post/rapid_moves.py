@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,6 @@ from planner.catalogue import RobotData
 from planner.post.confdata import confdata
 from planner.post.program import BoolArray, IntArray, Track
 from planner.post.rapid_format import UNUSED_AXES
-from planner.targets import segment_kind
 
 FloatArray = NDArray[np.float64]
 NameArray = NDArray[np.str_]
@@ -22,36 +22,49 @@ SPEEDS: Final = (
 )
 """TCP speeds [mm/s] of the predefined speeddata v5 ... v7000."""
 
-OWN_ZONES: Final = {
-    "z100um": 0.1,
-    "z30um": 0.03,
-    "z10um": 0.01,
-    "z3um": 0.003,
-    "z1um": 0.001,
-    "z_turn": 0.0,
+OWN_ZONES: Final = {"z3mm": 3.0, "z100um": 0.1, "z30um": 0.03, "z10um": 0.01, "z3um": 0.003, "z1um": 0.001}
+"""Zones of our own by the way of the TCP [mm], for dense targets."""
+
+TURN_ZONES: Final = {
+    f"z_turn_{round(1e3 * size)}": size for size in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 }
-"""Zones [mm] of our own below z0, for dense targets; the last one is for a TCP that only turns."""
+"""Zones of our own for a TCP that stands and turns [deg], named after thousandths of a degree."""
 
-# name and the larger one of the zone's sizes for position and for turning [mm], largest first
-_ZONES: Final = (("z5", 8.0), ("z1", 1.0), ("z0", 0.3), *OWN_ZONES.items())
-_CUT_LARGEST: Final = 1.0
-
-
-def own_zone(name: str) -> str:
-    """A zone of our own: sizes in mm, angles a tenth of it in degrees, as in the predefined ones."""
-    size = OWN_ZONES[name]
-    turn = max(size / 10.0, 0.0001)
-    return f"[FALSE,{size:g},{size:g},{size:g},{turn:.4f},{size:g},{turn:.4f}]"
+# name and the larger one of a zone's sizes for position and for turning [mm], largest first
+_ZONES: Final = (
+    *(("z10", 15.0), ("z5", 8.0), ("z3mm", 3.0), ("z1", 1.0), ("z0", 0.3)),
+    *list(OWN_ZONES.items())[1:],
+)
 
 
-def zones(track: Track, stop: BoolArray, labels: tuple[str, ...]) -> NameArray:
-    """Names (M,) of the zones: fine at a stop, else the largest that takes at most half of either segment."""
-    cut = np.array([segment_kind(label) == "cut" for label in labels], dtype=bool)
-    room = np.where(cut, np.minimum(track.reach, _CUT_LARGEST), track.reach)
-    sizes = np.array([size for _, size in _ZONES])
-    choice = np.argmax(sizes[None, :] <= room[:, None] + 1e-9, axis=1)
-    names = np.array([*(name for name, _ in _ZONES), "fine"])
-    return np.asarray(names[np.where(stop, len(_ZONES), choice)])
+def own_zones(used: Collection[str]) -> list[str]:
+    """Declarations of those of our zones that are used; angles follow the sizes as in the predefined ones."""
+    out = [
+        f"CONST zonedata {name}:=[FALSE,{size:g},{size:g},{size:g},{size / 10:.4f},{size:g},{size / 10:.4f}];"
+        for name, size in OWN_ZONES.items()
+        if name in used
+    ]
+    out += [
+        f"CONST zonedata {name}:=[FALSE,0,0,0,{size:.4f},0,{size:.4f}];"
+        for name, size in TURN_ZONES.items()
+        if name in used
+    ]
+    return out
+
+
+def zones(track: Track, stop: BoolArray) -> NameArray:
+    """Names (M,) of the zones: fine at a stop, else the largest one within the room that the corner has."""
+    names = np.array([*(name for name, _ in _ZONES), *TURN_ZONES, "fine"])
+    moving = _largest([size for _, size in _ZONES], track.reach)
+    turning = _largest(list(TURN_ZONES.values()), np.rad2deg(track.reach_turn))
+    standing = moving == len(_ZONES)
+    choice = np.where(standing, np.minimum(len(_ZONES) + turning, len(names) - 2), moving)
+    return np.asarray(names[np.where(stop, len(names) - 1, choice)])
+
+
+def _largest(sizes: Sequence[float], room: FloatArray) -> IntArray:
+    """Index (M,) of the first of the descending sizes within the room; their count where there is none."""
+    return np.searchsorted(-np.array(sizes), -room - 1e-9)
 
 
 def speeds(track: Track) -> NameArray:

@@ -11,6 +11,7 @@ from planner.catalogue import robot
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plan import OperationPlan, Plan
+from planner.post import corners
 from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
@@ -225,7 +226,7 @@ def _track(
             Issue("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
         )
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
-    half = 0.5 * np.minimum(distance, np.append(distance[1:], 0.0))
-    reach = np.where(_stops(plan.targets, keep), 0.0, half)
+    stations = np.concatenate([[0], keep])
+    room = corners.room(position[stations], quaternion[stations], duration, _stops(plan.targets, keep))
     frame = plan.targets.frame[arm]
-    return Track(position[keep], quaternion[keep], plan.q[arm][keep], duration, distance, reach, frame)
+    return Track(position[keep], quaternion[keep], plan.q[arm][keep], duration, distance, *room, frame)

@@ -12,6 +12,7 @@ import pytest
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import from_quaternion
+from planner.post import corners
 from planner.post.write import programs
 from planner.targets import Action
 from planner.verify.rapid_reader import read_task
@@ -260,28 +261,26 @@ def test_zones_take_at_most_half_a_segment():
         "right": synthetic.START + 0.1 * steps[:, None] * np.array([1.0, 0.2, -0.3, 0, 0, 0]),
     }
     q["right"][30:] = q["right"][30]
-    q["right"][30:, 5] += 0.001 * np.arange(31)  # turns about an axis beside the TCP, ever so slowly
+    q["right"][30:, 5] += 0.01 * np.arange(31)  # axis 6 passes through the TCP: it stands and turns
     labels = ["transit"] * 20 + ["cut/a"] * 41
     files = programs(synthetic.plan(synthetic.operation(job, q, labels, actions=())), job)
-    known = {
-        "z5": (5, 8),
-        "z1": (1, 1),
-        "z0": (0.3, 0.3),
-        "fine": (0, 0),
-    }  # ABB's zonedata: TCP and turning, mm
+    # the larger one of position and turning in ABB's zonedata, mm
+    known = {"z10": 15, "z5": 8, "z1": 1, "z0": 0.3, "fine": 0}
     for task in ("T_ROB1", "T_ROB2"):
         data = files[f"{task}/TandemData_{task[-1]}.mod"]
         own = dict(re.findall(r"CONST zonedata (\w+):=\[FALSE,([\d.]+),", data))
-        sizes = known | {name: (float(size), float(size)) for name, size in own.items()}
+        sizes = known | {name: float(size) for name, size in own.items()}
         rows = moves(files, task)
         position = numbers(rows, 0)
         distance = np.linalg.norm(np.diff(position, axis=0), axis=1)
         for i in range(1, len(rows) - 1):
-            assert max(sizes[rows[i][6]]) <= 0.5 * min(distance[i - 1], distance[i]) + 1e-6
+            assert sizes[rows[i][6]] <= 0.5 * min(distance[i - 1], distance[i]) + 1e-6
         assert rows[-1][6] == "fine"
-        assert all(row[6] in ("z1", "z0", "fine") or row[6] in own for row in rows[20:])
         used = {row[6] for row in rows}
         assert set(own) <= used
+        assert len(used) >= 5
+    assert "fine" not in [row[6] for row in rows[:-1]]
+    assert {row[6][:6] for row in rows[30:-1]} == {"z_turn"}
 
 
 def test_speeds_are_not_below_what_distance_and_time_give(small):
@@ -371,3 +370,21 @@ def test_an_action_within_the_work_parts_the_block():
     assert left[at - 1].startswith("SyncMoveOff") and ",fine," in left[at - 2] and "\\ID:=2," in left[at - 2]
     assert left[at + 1].startswith("WaitSyncTask") and left[at + 2].startswith("SyncMoveOn")
     assert "\\ID:=3," in left[at + 3]
+
+
+def test_a_rounded_corner_passes_its_target_closely():
+    """Along an arc any zone is good; at a sharp corner the zone shrinks (Bezier: zone * turn / 4)."""
+    count = 81
+    angle = np.linspace(0.0, 1.0, count)
+    position = np.stack([300.0 * np.sin(angle), 300.0 * np.cos(angle), 0.0 * angle], axis=1)
+    # from here in another direction
+    position[40:] += np.array([40.0, 0.0, 0.0]) * np.arange(count - 40)[:, None]
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    reach, turn = corners.room(position, still, np.full(count - 1, 1.0), np.zeros(count - 1, dtype=bool))
+    steps = np.diff(position, axis=0)
+    half = 0.5 * np.minimum(*np.linalg.norm([steps[:-1], steps[1:]], axis=2))
+    assert np.allclose(reach[:38], half[:38], rtol=1e-12)
+    velocity = np.linalg.norm(steps[40] - steps[39])
+    shorter = min(np.linalg.norm(steps[39]), np.linalg.norm(steps[40]))
+    assert reach[39] == pytest.approx(4 * corners.DEVIATION / velocity * shorter)
+    assert reach[-1] == 0.0 and not turn.any()

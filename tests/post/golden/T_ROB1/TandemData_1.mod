@@ -21,6 +21,9 @@ MODULE TandemData_1
   CONST jointtarget j_1_entry_1:=[[2.500000,10.000000,5.000000,7.500000,37.500000,-12.500000],[9E9,9E9,9E9,9E9,9E9,9E9]];
   CONST jointtarget j_1_start:=[[5.000000,20.000000,10.000000,15.000000,45.000000,-25.000000],[9E9,9E9,9E9,9E9,9E9,9E9]];
 
+  ! zones that fit the distances of the targets
+  CONST zonedata z3mm:=[FALSE,3,3,3,0.3000,3,0.3000];
+
   ! where the tasks meet; each point is used once
   PERS tasks all_tasks{2}:=[["T_ROB1"],["T_ROB2"]];
   VAR syncident meet_1;
