@@ -26,6 +26,7 @@ __all__ = ["Section", "Shape", "fit", "from_params", "round", "round_section", "
 round = round_section  # noqa: A001  the word of the trade: elastica.round(nu) beside elastica.strip(ratio, nu)
 
 _ACCEPT = 1e-9  # of the length: largest miss of the end pose
+_TAUTEST = 44.0  # largest w L: beyond it rounding at the middle reaches 1e-7 L at the ends
 _SAMPLES = 72
 
 
@@ -179,7 +180,9 @@ def _issues(ok: Mask, chord: Array, lengths: Array) -> list[Issue]:
             )
         else:
             text = f"wire {i} of {have:.4f} mm has no stable shape between its clamps {gap:.4f} mm apart"
-            hint = "turn the ends less, or bring their turning nearer to that of an arc"
+            hint = (
+                "slacken the wire or turn its ends less: its bends would be tighter than 1/80 of its length"
+            )
             out.append(Issue("wire.no_stable_shape", text, index=int(i), hint=hint))
     return out
 
@@ -196,15 +199,15 @@ def _straight(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
 
 
 def _starts(a: Array, b: Array, chord: Array) -> Array:
-    """First guesses (B, g, modes): the arc, and arc + bumps of the first three kinds with about the
+    """First guesses (B, g, modes): the arc, and arc + bumps of the first two kinds with about the
     wanted chord."""
     sizes = np.concatenate([np.geomspace(1e-6, 0.1, 11), np.linspace(0.2, 9.0, 36)])
     want = np.hypot(chord[:, 0], chord[:, 1])
-    guesses = np.zeros((a.shape[0], 7, clamped.MODES))
+    guesses = np.zeros((a.shape[0], 5, clamped.MODES))
     guesses[:, 0, 1] = 1e-3
     grid = nodes(32)
     slot = 1
-    for mode in range(3):
+    for mode in range(2):
         for sign in (1.0, -1.0):
             trial = np.zeros((a.shape[0], sizes.size, clamped.MODES))
             trial[:, :, mode] = sign * sizes
@@ -228,7 +231,8 @@ def _least_energy(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
         first, last, np.repeat(chord, count, axis=0), nothing, guesses.reshape(first.size, -1)
     )
     energy = 0.5 * np.sum(found.amplitude**2, axis=1)
-    energy[(found.residual > 1e-6) | (found.margin < stability.STABLE)] = np.inf
+    taut = np.hypot(found.force[:, 0], found.force[:, 1]) > _TAUTEST**2
+    energy[(found.residual > 1e-6) | (found.margin < stability.STABLE) | taut] = np.inf
     table = energy.reshape(-1, count)
     middle = np.full((a.shape[0], 6), np.nan)
     rows = np.arange(a.shape[0])

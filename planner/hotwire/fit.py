@@ -9,7 +9,7 @@ guess: the curvature of an elastica is affine in position (Brander, Gravesen and
 Lengths are measured in target lengths inside.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ target length (k l = 1) then weighs as much as an rms distance of 2e-4 l: 0.03 m
 mm."""
 
 _ROUNDS = 40
+_FAR = 1e-2  # rms over the target's length beyond which another way in is tried
 _SETTLED = 1e-5  # relative fall of the cost that ends the search
 
 
@@ -109,6 +110,13 @@ def fit_curves(
     )
     state, foot = _guess(task)
     state, foot, rounds = _search_all(task, state, foot)
+    far = np.flatnonzero(~(_spread(task, state, foot) < _FAR))
+    if far.size:
+        again = task.pick(far)
+        other, other_foot, turns = _grow(again)
+        better = _spread(again, other, other_foot) < _spread(again, state[far], foot[far])
+        state[far[better]], foot[far[better]] = other[better], other_foot[better]
+        rounds[far] += turns
     return _finish(task, state, foot, size, length, sides, share > 0.0, rounds)
 
 
@@ -216,6 +224,32 @@ def _try(task: _Task, state: Array, foot: Array, theta: Array | None, count: int
     cost = np.sum(residual**2, axis=1)
     cost = np.where(np.isfinite(cost), cost, np.inf)
     return _Trial(wire.theta, foot, residual, jacobian, cost)
+
+
+def _spread(task: _Task, state: Array, foot: Array) -> Array:
+    """Root mean square distance (B,) of the points, in target lengths."""
+    wire = flow(state, 2.0 * task.reach, task.weight, 0.5)
+    _, here, _ = _feet(wire, task, foot)
+    gap = np.sum((task.points - here[..., :2]) ** 2, axis=2)
+    return np.asarray(np.sqrt(np.sum(task.share * gap, axis=1)))
+
+
+def _grow(task: _Task) -> tuple[Array, Array, IntArray]:
+    """Fit the middle of the target first and then more and more of it: for curves with many waves, where the errors of
+    the first guess have grown too large at the ends."""
+    _, place = _guess(task)
+    state = foot = np.empty(0)
+    rounds = np.zeros(task.reach.size, dtype=np.int64)
+    for part in (0.4, 0.6, 0.8, 1.0):
+        near = np.abs(place) <= 0.5 * part + 1e-12
+        share = task.share * np.where(near, 1.0, 1e-9)
+        share /= share.sum(axis=1, keepdims=True)
+        stage = replace(task, share=share)
+        if part == 0.4:
+            state, _ = _guess(stage)
+        state, foot, turns = _search_all(stage, state, place)
+        rounds += turns
+    return state, foot, rounds
 
 
 def _need(task: _Task, state: Array) -> IntArray:
