@@ -235,7 +235,7 @@ def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
         raise TandemError(
             Issue(
                 "part.faces",
-                f"part.back: the face {what}; normals of both faces must point away from the part "
+                f"the face {what}; normals of both faces must point away from the part "
                 "(flip: true turns those of a file)",
                 field="part.back",
             )
@@ -253,8 +253,7 @@ def _too_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> Issue
     worst = int(np.argmax(missing))
     return Issue(
         "part.stock_too_small",
-        f"stock.size_mm: the part stands out of the block of {size} mm by {short}, {turned}; "
-        "use a larger block",
+        f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
         field="stock.size_mm",
         value=float((stock_size + missing)[worst] * 1e3),
         limit=float(stock_size[worst] * 1e3),

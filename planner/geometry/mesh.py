@@ -107,7 +107,7 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
         issues.append(
             Issue(
                 "mesh.non_manifold",
-                f"{name}: {int((count > 2).sum())} edges join more than two faces, the first at "
+                f"{int((count > 2).sum())} edges join more than two faces, the first at "
                 f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; a face of a part has at most two at an edge, "
                 "so delete the extra ones",
                 file=file,
@@ -121,7 +121,7 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
         issues.append(
             Issue(
                 "mesh.orientation",
-                f"{name}: neighbouring faces have opposite normals at "
+                f"neighbouring faces have opposite normals at "
                 f"{int(((count == 2) & (same != 1)).sum())} edges; unify the normals",
                 file=file,
                 field=name,
@@ -131,7 +131,7 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
         issues.append(
             Issue(
                 "mesh.closed",
-                f"{name}: the mesh is closed, one open face of the part is wanted; export that face alone",
+                f"the mesh is closed, one open face of the part is wanted; export that face alone",
                 file=file,
                 field=name,
             )
@@ -141,7 +141,7 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
         issues.append(
             Issue(
                 "mesh.pieces",
-                f"{name}: the mesh has {pieces} separate pieces, 1 is wanted; join them or export one",
+                f"the mesh has {pieces} separate pieces, 1 is wanted; join them or export one",
                 file=file,
                 field=name,
             )
@@ -188,7 +188,7 @@ def offset(mesh: TriangleMesh, distance: float, normals: FloatArray | None = Non
         raise TandemError(
             Issue(
                 "part.offset",
-                f"part: moved by {abs(distance) * 1e3:.2f} mm the face folds over itself at "
+                f"moved by {abs(distance) * 1e3:.2f} mm the face folds over itself at "
                 f"{int(turned.sum())} of {len(turned)} facets, the first at "
                 f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger than that, "
                 "so use a thinner part, a smaller kerf or a smoother face",

@@ -58,24 +58,25 @@ def slice_mesh(mesh: TriangleMesh, origin: FloatArray, normal: FloatArray) -> Se
 def _slice(
     mesh: TriangleMesh, edges: IntArray, edge_of: IntArray, origin: FloatArray, normal: FloatArray, first: int
 ) -> Sections:
-    height = normal @ mesh.vertices.T - np.sum(origin * normal, axis=1)[:, None]
-    above = height >= 0.0
-    corner = above[:, mesh.faces]
-    rising = ~corner & np.roll(corner, -1, axis=2)  # edge i of a face goes from corner i to corner i + 1
-    falling = corner & ~np.roll(corner, -1, axis=2)
-    plane, face = np.nonzero(rising.any(axis=2))
-    enter = edge_of[face, np.argmax(rising[plane, face], axis=1)]
-    leave = edge_of[face, np.argmax(falling[plane, face], axis=1)]
+    above = normal @ mesh.vertices.T >= np.sum(origin * normal, axis=1)[:, None]
+    a, b, c = (above[:, mesh.faces[:, i]] for i in range(3))
+    plane, face = np.nonzero((a != b) | (b != c))
+    corner = above[plane[:, None], mesh.faces[face]]
+    following = np.roll(corner, -1, axis=1)  # edge i of a face goes from corner i to corner i + 1
+    enter = edge_of[face, np.argmax(~corner & following, axis=1)]
+    leave = edge_of[face, np.argmax(corner & ~following, axis=1)]
     count = len(edges)
     key, node = np.unique(np.concatenate([plane * count + leave, plane * count + enter]), return_inverse=True)
     source, target = np.split(np.reshape(node, -1), 2)
     label, position, closed = _rank(source, target, len(key))
     order = np.lexsort((position, label, key // count))
-    a, b = edges[key % count].T
     row = key // count
-    ha, hb = height[row, a], height[row, b]
-    t = (ha / (ha - hb))[:, None]
-    points = (mesh.vertices[a] * (1.0 - t) + mesh.vertices[b] * t)[order]
+    first_end, last_end = (mesh.vertices[edges[key % count, i]] for i in range(2))
+    low = np.sum((first_end - origin[row]) * normal[row], axis=1)
+    high = np.sum((last_end - origin[row]) * normal[row], axis=1)
+    span = np.where(low == high, 1.0, low - high)
+    t = np.clip(low / span, 0.0, 1.0)[:, None]
+    points = (first_end * (1.0 - t) + last_end * t)[order]
     change = np.nonzero(np.diff(label[order], prepend=-1))[0]
     return Sections(
         points,

@@ -11,7 +11,9 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
 
 
 class WireFile(BaseModel):
-    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it bends."""
+    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it
+    bends.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 

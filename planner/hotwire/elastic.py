@@ -1,0 +1,273 @@
+"""The process ``elastic_wire``: from a part in a block to synchronised poses of the two arms that hold a
+bent wire's ends.
+
+The wire's shape is a heavy elastica of exactly its hot length at every target. See ``elastic_planes``
+(sections), ``elastic_family`` (fit), ``elastic_path`` (order of the job), ``elastic_check`` (what must
+hold).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.geometry.mesh import TriangleMesh, offset
+from planner.hotwire import wire as wires
+from planner.hotwire.elastic_check import Cut, check, measure
+from planner.hotwire.elastic_exhibits import exhibits, mount_figures
+from planner.hotwire.elastic_family import FamilyFit, fit_family
+from planner.hotwire.elastic_path import Face, Route, lay_out, refine, travel
+from planner.hotwire.elastic_planes import cut_sections, direction_of, make_spine
+from planner.hotwire.elastic_slack import slack_freedom
+from planner.hotwire.elastic_sweep import Sweep, best_sweep, try_sweeps
+from planner.hotwire.elastic_wires import box_distance
+from planner.hotwire.operation import ElasticWire
+from planner.hotwire.wire import Wire
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.problem import Mesh, Part, Stock
+from planner.targets import Action, Edge, Freedom, ScrewFreedom, Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+AIR_FEED = 0.1
+"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
+
+_SECTION_STEP = 0.006  # m between the sections that the fit sees
+_CELLS = (16, 32)  # cells of the family's spline, coarse first
+_DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
+
+
+def make_targets(operation: ElasticWire, stock: Stock, part: Part | None) -> Targets:
+    """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
+    wire cannot do it.
+    """
+    wire = _wire(operation)
+    wanted = _wanted(operation, part)
+    moved = {name: offset(_mesh(face), 0.5 * operation.kerf_mm * MM) for name, face in wanted.items()}
+    tried, degrees = _sweep(operation, wire, list(moved.values()))
+    gravity = wire.load * stock.gravity
+    cuts = [_cut(operation, name, mesh, degrees, gravity, stock.size) for name, mesh in moved.items()]
+    margin, radius = operation.margin_mm * MM, 0.5 * wire.width
+    faces = [cut.face for cut in cuts]
+    route = lay_out(faces, stock.size, margin, radius, operation.step_mm * MM, operation.runs == "two")
+    route, off, miss = refine(route, faces, stock.size, _DRIVE_TOL * operation.shape_tol_mm * MM)
+    figures = measure(route, wire, stock.size)
+    issues = [
+        *_driven(operation, route, off, miss),
+        *check(operation, wire, route, cuts, figures, stock.size),
+    ]
+    if has_errors(issues):
+        raise TandemError(aggregate(issues))
+    return _targets(
+        operation, wire, stock, part, route, issues, exhibits(operation, wire, route, cuts, figures, tried)
+    )
+
+
+def claims(operation: ElasticWire, stock: Stock, part: Part | None) -> tuple[Claim, ...]:
+    """What must hold of the job, from the problem alone."""
+    del stock
+    wire = _wire(operation)
+    out: list[Claim] = [
+        WireJoins(
+            operation.arms,
+            operation.wire.length_mm * MM,
+            wire.bending,
+            wire.stiff_bending,
+            wire.torsion,
+            wire.weight,
+            operation.wire.is_round,
+            wire.max_curvature,
+            wire.thickness,
+            operation.end_error_mm * MM,
+        ),
+        ContactOnlyIn(("cut",), operation.signal, operation.heat_up_s),
+    ]
+    for name, face in _wanted(operation, part).items():
+        segment = f"cut/{name}"
+        out.append(
+            CutsSurface(
+                segment,
+                face.vertices,
+                face.faces,
+                operation.kerf_mm * MM,
+                operation.shape_tol_mm * MM,
+                operation.share,
+            )
+        )
+        out.append(FeedWindow(segment, operation.feed_min_mm_s * MM, operation.feed_mm_s * MM))
+    return tuple(out)
+
+
+def _wire(op: ElasticWire) -> Wire:
+    w = op.wire
+    return wires.make(w.material, w.diameter_mm, w.width_mm, w.thickness_mm, w.temperature_c)
+
+
+def _wanted(op: ElasticWire, part: Part | None) -> dict[str, Mesh]:
+    """The faces to cut, in order; raises ``part.missing_face``."""
+    out: dict[str, Mesh] = {}
+    for name in op.faces:
+        face = None if part is None else part.front if name == "front" else part.back
+        if face is None:
+            what = "the problem has no part" if part is None else "the part has no back face"
+            raise TandemError(
+                Issue(
+                    "part.missing_face",
+                    f"{op.name}: the {name} face is to be cut, but {what}; add it or leave it out of faces",
+                    field="part",
+                )
+            )
+        out[name] = face
+    return out
+
+
+def _mesh(face: Mesh) -> TriangleMesh:
+    return TriangleMesh(face.vertices, face.faces)
+
+
+def _sweep(op: ElasticWire, wire: Wire, faces: list[TriangleMesh]) -> tuple[list[Sweep], float]:
+    if op.sweep != "auto":
+        return [], {"x": 0.0, "y": 90.0}[op.sweep] if isinstance(op.sweep, str) else float(op.sweep)
+    length, spare = op.wire.length_mm * MM, 2.0 * op.margin_mm * MM
+    tried = try_sweeps(faces, length, spare, wire.load, op.end_error_mm * MM, op.is_normal)
+    return tried, best_sweep(tried, op.shape_tol_mm * MM).degrees
+
+
+def _cut(
+    op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, size: FloatArray
+) -> Cut:
+    """Sections of one face and the family of wires that meets them."""
+    spine = make_spine(mesh, direction_of(degrees), op.is_normal)
+    along = mesh.vertices @ spine.direction
+    lower, upper = float(along.min()) - 0.002, float(along.max()) + 0.002
+    p = np.linspace(lower, upper, int(np.clip(np.ceil((upper - lower) / _SECTION_STEP), 40, 140)))
+    sections = cut_sections(mesh, spine, p)
+    _long_enough(op, name, sections.length)
+    load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
+    reach = 0.5 * float(np.abs(spine.direction[:2]) @ size[:2]) + 2.0 * op.margin_mm * MM
+    best: FamilyFit | None = None
+    for cells in _CELLS:
+        fit = fit_family(sections, load, op.wire.length_mm * MM, -reach, reach, -spine.across, cells)
+        if best is None or np.quantile(np.abs(fit.residual), op.share) < 0.8 * np.quantile(
+            np.abs(best.residual), op.share
+        ):
+            best = fit
+        if np.abs(best.residual).max() < 0.3 * op.shape_tol_mm * MM:
+            break
+    if best is None:
+        raise ValueError("no cells to fit with")
+    return Cut(Face(name, spine, best.family, gravity), mesh, sections, best)
+
+
+def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
+    need = float(length.max()) / MM + 2.0 * op.margin_mm
+    if need > op.wire.length_mm:
+        raise TandemError(
+            Issue(
+                "wire.too_short",
+                f"{op.name}: the wire of {op.wire.length_mm:g} mm is shorter than the longest section of "
+                f"the {name} face "
+                f"with its margins, {need:.0f} mm",
+                field="wire.length_mm",
+                value=op.wire.length_mm,
+                limit=need,
+                unit="mm",
+                hint="use a longer wire, sweep the other way, or split the panel",
+            )
+        )
+
+
+def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> list[Issue]:
+    """Half-way between targets, driven by its ends, the wire must be where it is wanted."""
+    lost: NDArray[np.bool_] = np.logical_not(miss < 1e-6)
+    cutting = np.array([label.startswith("cut") for label in route.segment])
+    far = cutting & (off > 0.5 * op.shape_tol_mm * MM)
+    if not (lost | far).any():
+        return []
+    first = int(np.nonzero(lost | far)[0][0])
+    return [
+        Issue(
+            "wire.between_targets",
+            f"{op.name}: between targets {first - 1} and {first} ({route.segment[first]}) the driven wire "
+            "is off by "
+            f"{off[first] * 1e3:.2f} mm or has no equilibrium, although targets were added",
+            index=first,
+            value=float(off[first] * 1e3),
+            limit=0.5 * op.shape_tol_mm,
+            unit="mm",
+            hint="use a smaller step_mm or smoother faces",
+        )
+    ]
+
+
+def _targets(
+    op: ElasticWire,
+    wire: Wire,
+    stock: Stock,
+    part: Part | None,
+    route: Route,
+    issues: list[Issue],
+    pictures: dict[str, object],
+) -> Targets:
+    shapes = route.wires.shapes()
+    start, end = route.wires.ends(shapes)
+    points = route.wires.points(shapes)
+    foam = (box_distance(points, stock.size) < 0.0).any(axis=1)
+    cutting = np.array([label.startswith("cut") for label in route.segment])
+    burning = cutting & foam & np.concatenate([[False], foam[:-1]])
+    feed = np.where(cutting, op.feed_mm_s * MM, AIR_FEED)
+    return Targets(
+        arms=op.arms,
+        pose={op.arms[0]: start, op.arms[1]: end},
+        frame=dict.fromkeys(op.arms, "stock"),
+        freedoms=_freedoms(op, wire, stock, route),
+        feed=feed,
+        feed_min=np.where(burning, op.feed_min_mm_s * MM, 0.0),
+        travel=travel(route.wires, stock.size),
+        stop=route.stop,
+        segment=route.segment,
+        coupled=True,
+        edge=Edge(points, 0.5 * wire.width),
+        actions=_actions(op, wire, route),
+        claims=claims(op, stock, part),
+        exhibits=pictures,
+        issues=aggregate(issues),
+    )
+
+
+def _freedoms(op: ElasticWire, wire: Wire, stock: Stock, route: Route) -> tuple[Freedom, ...]:
+    out: list[Freedom] = []
+    margin = op.margin_mm * MM
+    slack = slack_freedom(
+        route.wires, op.arms, op.slack_mm * MM, stock.size, margin, wire.section, wire.max_curvature
+    )
+    if slack is not None:
+        out.append(slack)
+    if op.wire.is_round:
+        count = len(route.wires)
+        spin = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        turn = np.full(count, np.pi)
+        out.append(ScrewFreedom("spin", dict.fromkeys(op.arms, spin), -turn, turn, periodic=True))
+    return tuple(out)
+
+
+def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
+    chord, angles = mount_figures(route)
+    last = len(route.segment) - 1
+    return (
+        Action(0, "message", f"Mount wire: {wire.cold_length(op.wire.length_mm):.1f} mm cold between clamps"),
+        Action(
+            0,
+            "message",
+            f"Clamps {chord * 1e3:.1f} mm apart, wire at {angles[0]:.1f} and {angles[1]:.1f} deg",
+        ),
+        Action(0, "confirm", "Wire clamped, slide free, block fixed, nobody in the cell?"),
+        Action(0, "on", signal=op.signal),
+        Action(0, "wait", seconds=op.heat_up_s),
+        Action(0, "confirm", f"Slide taken up to {op.wire.length_mm:.1f} mm hot and locked?"),
+        Action(last, "off", signal=op.signal),
+        Action(last, "wait", seconds=op.cool_down_s),
+        Action(last, "confirm", "Wire cold and taken off?"),
+    )

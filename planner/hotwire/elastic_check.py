@@ -1,0 +1,315 @@
+"""What a planned bent wire must satisfy: stable, elastic, within tolerance with its weight and with the
+stated end errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+from planner.hotwire import heavy
+from planner.hotwire.elastic_family import FamilyFit
+from planner.hotwire.elastic_path import Face, Route
+from planner.hotwire.elastic_planes import SectionSet
+from planner.hotwire.elastic_wires import box_distance
+from planner.hotwire.fit import fit_curves
+from planner.hotwire.operation import ElasticWire
+from planner.hotwire.response import end_sensitivity, weight_deviation
+from planner.hotwire.stability import STABLE
+from planner.hotwire.wire import Wire
+from planner.issues import Issue, Severity
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+_SOME = 24  # shapes per job for which the deviation by weight is worked out
+_THIN = 0.05  # margin of stability below which a note is due
+
+
+@dataclasses.dataclass(frozen=True)
+class Cut:
+    """One face with what was fitted to it."""
+
+    face: Face
+    mesh: TriangleMesh
+    sections: SectionSet
+    fit: FamilyFit
+
+
+@dataclasses.dataclass(frozen=True)
+class Figures:
+    """Per target (N,): margins of stability, largest curvature [1/m], shape change per end error [m/m] in
+    the block, sag across the plane [m], distance of the wire's ends from the block [m]; ``weight`` [m] of
+    some targets ``weight_at``.
+    """
+
+    in_plane: FloatArray
+    out_of_plane: FloatArray
+    curvature: FloatArray
+    sensitivity: FloatArray
+    sag: FloatArray
+    end_clear: FloatArray
+    weight: FloatArray
+    weight_at: NDArray[np.intp]
+
+
+def measure(route: Route, wire: Wire, size: FloatArray) -> Figures:
+    """The figures of every target."""
+    wires = route.wires
+    shape = wires.shapes(65)
+    points = wires.points(shape)
+    distance = box_distance(points, size)
+    inside = distance < 0.0
+    place = np.linspace(0.0, wires.length, points.shape[1])
+    first = np.where(inside, place, wires.length).min(axis=1)
+    last = np.where(inside, place, 0.0).max(axis=1)
+    touches = inside.any(axis=1)
+    middle = np.where(touches, 0.5 * (first + last), 0.5 * wires.length)
+    half = np.maximum(np.where(touches, 0.5 * (last - first), 0.0), 0.03 * wires.length)
+    feel = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).position
+    sag, _ = heavy.sag_out_of_plane(shape, wires.load()[:, 2], wire.section)
+    some = np.unique(np.linspace(0, len(wires) - 1, _SOME).astype(np.intp))
+    off, _ = weight_deviation(wires[some].shapes())
+    return Figures(
+        shape.margin_in_plane,
+        shape.margin_out_of_plane(wire.section),
+        np.abs(shape.curvature).max(axis=1),
+        feel * touches,
+        sag,
+        np.minimum(distance[:, 0], distance[:, -1]),
+        off,
+        some,
+    )
+
+
+def check(
+    op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, size: FloatArray
+) -> list[Issue]:
+    """All issues of a job, errors first."""
+    issues = [*_ends(op, route, figures), *_bending(wire, route, figures), *_stability(route, figures)]
+    for cut in cuts:
+        issues += _tolerance(op, wire, route, cut, figures)
+    issues += _touching(op, wire, route, size)
+    return sorted(issues, key=lambda issue: issue.severity is not Severity.ERROR)
+
+
+def _name(route: Route, index: int) -> str:
+    """Where a target is, as a person says it."""
+    label = route.segment[index]
+    p = route.p[index]
+    return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label
+
+
+def _ends(op: ElasticWire, route: Route, figures: Figures) -> list[Issue]:
+    worst = int(np.argmin(figures.end_clear))
+    short = op.margin_mm * MM - float(figures.end_clear[worst])
+    if short <= 1e-6:
+        return []
+    need = op.wire.length_mm + 2.0 * short / MM
+    return [
+        Issue(
+            "wire.too_short",
+            f"{op.name}: the wire of {op.wire.length_mm:g} mm leaves its ends only "
+            f"{figures.end_clear[worst] * 1e3:.1f} mm outside the block ({_name(route, worst)}), "
+            f"{op.margin_mm:g} mm are wanted",
+            field="wire.length_mm",
+            index=worst,
+            value=op.wire.length_mm,
+            limit=float(np.ceil(need)),
+            unit="mm",
+            hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
+        )
+    ]
+
+
+def _bending(wire: Wire, route: Route, figures: Figures) -> list[Issue]:
+    worst = int(np.argmax(figures.curvature))
+    if figures.curvature[worst] <= wire.max_curvature:
+        return []
+    thin = wire.thickness * wire.max_curvature / figures.curvature[worst]
+    return [
+        Issue(
+            "wire.curvature",
+            f"the wire is bent to a radius of {1e3 / figures.curvature[worst]:.0f} mm "
+            f"({_name(route, worst)}), "
+            f"{wire.material.title} of {wire.thickness * 1e3:g} mm stays elastic down to "
+            f"{wire.min_bend_radius * 1e3:.0f} mm",
+            index=worst,
+            value=float(1e3 / figures.curvature[worst]),
+            limit=float(wire.min_bend_radius * 1e3),
+            unit="mm",
+            hint=f"use a wire no thicker than {thin * 1e3:.2f} mm, a stronger material, or flatter sections",
+        )
+    ]
+
+
+def _stability(route: Route, figures: Figures) -> list[Issue]:
+    issues = []
+    for margin, where, remedy in (
+        (
+            figures.in_plane,
+            "in its plane",
+            "use a shorter wire, or split the panel so that sections bend one way",
+        ),
+        (figures.out_of_plane, "out of its plane", "use a strip, which is stiff that way, or a shorter wire"),
+    ):
+        worst = int(np.argmin(margin))
+        if margin[worst] > _THIN:
+            continue
+        stable = margin[worst] > STABLE
+        issues.append(
+            Issue(
+                "wire.unstable",
+                f"the planned wire shape is {'close to snapping' if stable else 'not stable'} {where} "
+                f"({_name(route, worst)}): margin {margin[worst]:.3f}, 1 is a free wire and 0 snaps",
+                Severity.WARNING if stable else Severity.ERROR,
+                index=worst,
+                value=float(margin[worst]),
+                limit=_THIN if stable else STABLE,
+                hint=remedy,
+            )
+        )
+    return issues
+
+
+def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
+    """Shape, then shape with weight, then with end errors: the first that breaks the tolerance is the one
+    to name.
+    """
+    label = f"cut/{cut.face.name}"
+    tol = op.shape_tol_mm * MM
+    has = cut.sections.length > 0.0
+    residual = np.abs(cut.fit.residual)
+    rows = np.nonzero(np.array(route.segment) == label)[0]
+    order = rows[np.argsort(route.p[rows])]
+
+    def at_sections(values: FloatArray) -> FloatArray:
+        return np.interp(cut.sections.p, route.p[order], values[order])[:, None]
+
+    shape = residual[has]
+    lean = _lean(cut)
+    sag = (residual + lean * at_sections(figures.sag))[has]
+    feel = (
+        residual + lean * at_sections(figures.sag) + op.end_error_mm * MM * at_sections(figures.sensitivity)
+    )[has]
+    share = [float(np.quantile(v, op.share)) for v in (shape, sag, feel)]
+    if share[0] > tol:
+        return [_shape_issue(op, wire, cut, share[0])]
+    what = f"{op.name}: {op.share * 100:g} % of the {cut.face.name} face is within"
+    if share[1] > tol:
+        worst = float(figures.sag[rows].max())
+        free = max(tol - share[0], 0.1 * tol)
+        thick = wire.thickness * np.sqrt(lean * worst / free)
+        return [
+            Issue(
+                "wire.weight",
+                f"{what} {share[1] * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted: the wire's weight "
+                "bends it out of "
+                f"its plane by up to {worst * 1e3:.2f} mm",
+                value=share[1] * 1e3,
+                limit=op.shape_tol_mm,
+                unit="mm",
+                hint=f"use a strip across the sweep, about {thick * 1e3:.1f} mm thickness, a shorter "
+                "wire, upright "
+                "sections (sections: parallel), or a block that stands so that the sections are upright",
+            )
+        ]
+    if share[2] > tol:
+        worst = float(figures.sensitivity[rows].max())
+        return [
+            Issue(
+                "wire.end_error",
+                f"{what} {share[2] * 1e3:.2f} mm with ends off by {op.end_error_mm:g} mm, "
+                f"{op.shape_tol_mm:g} mm are "
+                f"wanted: the wire moves up to {worst * 0.1:.2f} mm for 0.1 mm at its ends",
+                value=share[2] * 1e3,
+                limit=op.shape_tol_mm,
+                unit="mm",
+                hint="calibrate the ends better (end_error_mm), use another sweep or a longer wire, so "
+                "that it is more "
+                "bowed; a nearly straight wire cannot be held",
+            )
+        ]
+    return []
+
+
+def _lean(cut: Cut) -> float:
+    """How much of a displacement across the planes is a distance from the surface: 95 % of the face are
+    below this.
+    """
+    centre = cut.mesh.vertices[cut.mesh.faces].mean(axis=1)
+    planes = cut.face.spine.frames(centre @ cut.face.spine.direction)
+    part = np.abs(np.sum(face_normals(cut.mesh) * planes[:, :3, 2], axis=1))
+    order = np.argsort(part)
+    area = np.cumsum(face_areas(cut.mesh)[order])
+    return float(part[order][np.searchsorted(area, 0.95 * area[-1])])
+
+
+def _shape_issue(op: ElasticWire, wire: Wire, cut: Cut, got: float) -> Issue:
+    worst = int(np.argmax(np.abs(cut.fit.residual).max(axis=1)))
+    off = float(np.abs(cut.fit.residual[worst]).max())
+    where, left = best_split(cut, worst, op.wire.length_mm * MM)
+    helps = (
+        f"each half then is within {left * 1e3:.2f} mm"
+        if left < op.shape_tol_mm * MM
+        else f"each half then still is off by {left * 1e3:.2f} mm, so split more finely"
+    )
+    return Issue(
+        "wire.shape",
+        f"{op.name}: an elastic wire of {op.wire.length_mm:g} mm meets {op.share * 100:g} % of the "
+        f"{cut.face.name} face "
+        f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
+        f"{cut.sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
+        value=got * 1e3,
+        limit=op.shape_tol_mm,
+        unit="mm",
+        hint=f"split the panel at {where * 1e3:.0f} mm along the wire, from the block's middle ({helps}), "
+        "choose "
+        "another sweep, or allow more",
+    )
+
+
+def best_split(cut: Cut, row: int, length: float) -> tuple[float, float]:
+    """Where along the wire [m], from the block's middle, to split a section so that both parts fit best;
+    and how well [m].
+    """
+    points = cut.sections.points[row]
+    count = len(points)
+    at = np.arange(8, count - 7, 2)
+    parts = []
+    for i in at:
+        for part in (points[: i + 1], points[i:]):
+            places = np.linspace(0, len(part) - 1, 25)
+            parts.append(
+                np.stack([np.interp(places, np.arange(len(part)), part[:, c]) for c in range(2)], axis=-1)
+            )
+    fitted = fit_curves(np.stack(parts), np.full(len(parts), length)).largest.reshape(-1, 2).max(axis=1)
+    best = int(np.argmin(fitted))
+    return float(points[at[best], 0] + cut.face.spine.across), float(fitted[best])
+
+
+def _touching(op: ElasticWire, wire: Wire, route: Route, size: FloatArray) -> list[Issue]:
+    """In the air the wire stays clear of the block."""
+    air = np.array([not label.startswith("cut") for label in route.segment])
+    wires = route.wires
+    near = box_distance(wires.points(wires.shapes(65)), size).min(axis=1) - 0.5 * wire.thickness
+    near = np.where(air, near, np.inf)
+    worst = int(np.argmin(near))
+    if near[worst] >= 0.5 * op.margin_mm * MM:
+        return []
+    return [
+        Issue(
+            "wire.touches",
+            f"{op.name}: in segment {route.segment[worst]} the wire comes within {near[worst] * 1e3:.1f} "
+            "mm of the block, "
+            f"{0.5 * op.margin_mm:g} mm are kept",
+            index=worst,
+            value=float(near[worst] * 1e3),
+            limit=0.5 * op.margin_mm,
+            unit="mm",
+            hint="use runs: one, a larger margin_mm, or faces that leave the block straight",
+        )
+    ]

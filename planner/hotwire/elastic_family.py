@@ -1,0 +1,222 @@
+"""A one-parameter family of heavy elasticas that meets the sections of a face: one smooth spline over the
+sweep.
+
+The state of the wire's middle (x, y, theta, k, Fx, Fy) is a cubic B-spline of the place p, so the shapes,
+the wire's free ends included, change smoothly, and sections that cover the face only in part, or not at
+all, follow from their neighbours. The coefficients minimise squared normal distances (as in ``fit``) by
+Gauss-Newton, with small prices on bent free ends and on unsteady coefficients. Lengths are in wire lengths
+inside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from planner.hotwire.basis import legendre, nodes
+from planner.hotwire.elastic_planes import SectionSet
+from planner.hotwire.fit import TAIL_WEIGHT, fit_curves
+from planner.hotwire.flow import flow, node_counts
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDS = 25
+_STEADY = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
+_HOLD = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
+_CENTRE = 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class Family:
+    """Wires of ``length`` [m] over places p in [lower, upper] [m]: ``spline`` gives the middle's state in
+    wire lengths.
+    """
+
+    spline: BSpline
+    length: float
+    lower: float
+    upper: float
+
+    def state(self, p: FloatArray) -> FloatArray:
+        """Middle states (K, 6) [m, rad, 1/m, 1/m^2] in the planes at p (K,), steady outside the range."""
+        inside = np.clip(p, self.lower, self.upper)
+        return np.asarray(self.spline(inside) * _unit(self.length))
+
+
+@dataclasses.dataclass(frozen=True)
+class FamilyFit:
+    """``residual`` (K, m): signed distances [m] of the sections' points from the wires (0 where there is no
+    section); ``foot`` (K, m): arc length [m] of their feet from the wires' start.
+    """
+
+    family: Family
+    residual: FloatArray
+    foot: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    table: FloatArray  # (K, c) basis of the spline at the sections
+    points: FloatArray  # (K, m, 2)
+    share: FloatArray  # (K,) weight of a section, sum 1
+    load: FloatArray  # (K, 2) weight of the wire
+    tail: FloatArray  # (K,) price of bent ends
+    reach: FloatArray  # (K, 2) arc lengths from the middle that the section covers
+    centre: float
+    steady: FloatArray  # (c 6, c 6)
+
+
+def fit_family(
+    sections: SectionSet,
+    load: FloatArray,
+    length: float,
+    lower: float,
+    upper: float,
+    centre: float,
+    cells: int = 16,
+) -> FamilyFit:
+    """Fit wires of ``length`` [m] to sections whose weight in the planes is ``load`` (K, 2) [1/m^3].
+
+    ``lower``, ``upper``: range of p that the family is to cover; ``centre`` [m]: where along the wire's
+    direction its middle should be. Raises ``ValueError`` where no section can be fitted at all (see
+    ``fit.fit_curves``).
+    """
+    lower, upper = min(lower, float(sections.p[0])), max(upper, float(sections.p[-1]))
+    unit = _unit(length)
+    knots = np.concatenate([[lower] * 3, np.linspace(lower, upper, cells + 1), [upper] * 3])
+    table = BSpline.design_matrix(sections.p, knots, 3).toarray()
+    has = sections.length > 0.0
+    long = float(np.median(sections.length[has]))
+    good = sections.length > 0.6 * long
+    first = fit_curves(
+        sections.points[good], np.full(int(good.sum()), length), load[good], None, 0.5, TAIL_WEIGHT
+    )
+    share = np.where(has, np.minimum(sections.length / long, 1.0), 0.0)
+    coefficient = _smooth(table[good], first.middle / unit, knots)
+    covered = np.nonzero(has)[0]
+    job = _Job(
+        table,
+        sections.points / length,
+        share / share.sum(),
+        load * length**3,
+        TAIL_WEIGHT**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * (share / share.sum()),
+        np.zeros((len(sections.p), 2)),
+        centre / length,
+        _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
+    )
+    coefficient, residual, foot = _gauss_newton(job, coefficient)
+    family = Family(BSpline(knots, coefficient, 3, extrapolate=True), length, lower, upper)
+    return FamilyFit(family, residual * length * has[:, None], (foot + 0.5) * length)
+
+
+def _unit(length: float) -> FloatArray:
+    return np.array([length, length, 1.0, 1.0 / length, length**-2, length**-2])
+
+
+def _smooth(table: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Coefficients (c, 6) of the smoothing spline through values (K, 6)."""
+    count = table.shape[1]
+    bend = np.diff(np.eye(count), 2, axis=0)
+    left = table.T @ table + 1e-2 * bend.T @ bend
+    return np.asarray(np.linalg.solve(left, table.T @ values))
+
+
+def _steadiness(knots: FloatArray, first: float, last: float) -> FloatArray:
+    """Quadratic price (6 c, 6 c): second differences everywhere; first ones of the shape where there is no
+    face.
+    """
+    count = len(knots) - 4
+    bend = np.diff(np.eye(count), 2, axis=0)
+    step = np.diff(np.eye(count), 1, axis=0)
+    places = np.array([knots[i + 1 : i + 4].mean() for i in range(count)])
+    free = ((places[1:] < first) | (places[:-1] > last)).astype(np.float64)
+    total = np.zeros((count, 6, count, 6))
+    for j in range(6):
+        total[:, j, :, j] = _STEADY[j] ** 2 * bend.T @ bend + _HOLD[j] ** 2 * (step.T * free) @ step
+    return total.reshape(count * 6, count * 6)
+
+
+def _gauss_newton(job: _Job, coefficient: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    damp = 1e-6
+    foot = _nearest(job, job.table @ coefficient)
+    job = dataclasses.replace(job, reach=np.stack([foot.min(axis=1), foot.max(axis=1)], axis=1))
+    cost, gradient, hessian, residual, foot = _evaluate(job, coefficient, foot)
+    for _ in range(_ROUNDS):
+        scale = np.diag(hessian)
+        damped = hessian + np.diag(damp * scale + 1e-13 * scale.max())
+        step = -np.linalg.solve(damped, gradient).reshape(coefficient.shape)
+        trial = _evaluate(job, coefficient + step, foot)
+        if trial[0] < cost:
+            fall = (cost - trial[0]) / cost
+            coefficient = coefficient + step
+            cost, gradient, hessian, residual, foot = trial
+            damp = max(damp * 0.1, 1e-12)
+            if fall < 1e-4:
+                break
+        else:
+            damp *= 30.0
+            if damp > 1e6:
+                break
+    return coefficient, residual, foot
+
+
+def _nearest(job: _Job, state: FloatArray) -> FloatArray:
+    """Arc length from the middle (K, m) of the wire's points nearest to the sections' points."""
+    sigma = np.linspace(0.0, 1.0, 121)
+    wire = flow(state, np.ones(len(state)), job.load, anchor=0.5)
+    at = wire.at(sigma)[..., :2]
+    gap = np.sum((job.points[:, :, None] - at[:, None]) ** 2, axis=-1)
+    return np.asarray(sigma[np.argmin(gap, axis=2)] - 0.5)
+
+
+def _evaluate(
+    job: _Job, coefficient: FloatArray, foot: FloatArray
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Cost, its gradient and Gauss-Newton matrix by the coefficients, distances (K, m) and feet (K, m)."""
+    state = job.table @ coefficient
+    count = int(np.max(node_counts(state, np.ones(len(state)), job.load, base=14.0, per_wave=3.6)))
+    grid = nodes(count)
+    wire = flow(state, np.ones(len(state)), job.load, anchor=0.5, derivatives=True, count=count)
+    series = grid.series @ np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
+    for turn in range(3):
+        table = legendre(foot + 0.5, count)
+        here = table @ series
+        gap = job.points - here[..., :2]
+        cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
+        across = gap[..., 1] * cos - gap[..., 0] * sin
+        if turn < 2:
+            along = gap[..., 0] * cos + gap[..., 1] * sin
+            bend = np.maximum(1.0 - here[..., 3] * across, 0.3)
+            foot = np.clip(foot + np.clip(along / bend, -0.1, 0.1), -0.5, 0.5)
+    d = table @ (grid.series @ np.concatenate([wire.d_x, wire.d_y], axis=-1))
+    slope = np.empty((*across.shape, 6))
+    slope[..., 0], slope[..., 1] = sin, -cos
+    slope[..., 2:] = sin[..., None] * d[..., :4] - cos[..., None] * d[..., 4:]
+    part = job.share[:, None] / across.shape[1]
+
+    place = grid.sigma - 0.5
+    outer = (place < job.reach[:, :1]) | (place > job.reach[:, 1:])
+    price = job.tail[:, None] * grid.weight * outer
+    block = np.einsum("km,kmi,kmj->kij", np.broadcast_to(part, across.shape), slope, slope)
+    vector = np.einsum("km,kmi->ki", part * across, slope)
+    block[:, 2:, 2:] += np.einsum("kn,kni,knj->kij", price, wire.d_curvature, wire.d_curvature)
+    vector[:, 2:] += np.einsum("kn,kni->ki", price * wire.curvature, wire.d_curvature)
+    off = state[:, 0] - job.centre
+    block[:, 0, 0] += _CENTRE**2 / len(state)
+    vector[:, 0] += _CENTRE**2 / len(state) * off
+
+    flat = coefficient.reshape(-1)
+    hessian = np.einsum("ka,kij,kb->aibj", job.table, block, job.table, optimize=True).reshape(
+        flat.size, flat.size
+    )
+    gradient = (job.table.T @ vector).reshape(-1) + job.steady @ flat
+    cost = float(
+        np.sum(part * across**2)
+        + np.sum(price * wire.curvature**2)
+        + _CENTRE**2 * np.mean(off**2)
+        + flat @ job.steady @ flat
+    )
+    return (cost if np.isfinite(cost) else np.inf), gradient, hessian + job.steady, across, foot
