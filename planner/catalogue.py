@@ -1,4 +1,5 @@
-"""The robots that are built in: dimensions, limits and speeds with their sources, from ``urdf/robots.yaml``."""
+"""The robots that are built in: dimensions, limits and speeds with their sources, from
+``urdf/robots.yaml``."""
 
 from __future__ import annotations
 
@@ -24,8 +25,9 @@ _HERE: Final = Path(__file__).resolve().parent
 class OpwParameters:
     """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
 
-    Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose in the base:
-    Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0, c4).
+    Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose
+    in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0,
+    c4).
     """
 
     a1: float
@@ -41,9 +43,11 @@ class OpwParameters:
 
 @dataclasses.dataclass(frozen=True)
 class RodCoupling:
-    """A parallel rod: motor 3 turns the upper arm against the base, so the controller's axis 3 is serial q3 + q2.
+    """A parallel rod: motor 3 turns the upper arm against the base, so the controller's axis 3 is serial q3
+    + q2.
 
-    ``axis3_lower``, ``axis3_upper`` [rad] bound that sum; the robot's own limits bound the serial q3. Both hold.
+    ``axis3_lower``, ``axis3_upper`` [rad] bound that sum; the robot's own limits bound the serial q3. Both
+    hold.
     """
 
     axis3_lower: float
@@ -54,8 +58,8 @@ class RodCoupling:
 class RobotData:
     """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
 
-    ``sources`` say where figures come from, ``assumed`` which ones do not come from a source, and on what ground they
-    were set.
+    ``sources`` say where figures come from, ``assumed`` which ones do not come from a source, and on what
+    ground they were set.
     """
 
     name: str
@@ -88,7 +92,8 @@ class RobotData:
         return out
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
-        """Least distance (...,) [rad] of serial angles (..., 6) to any limit; negative outside, NaN for NaN."""
+        """Least distance (...,) [rad] of serial angles (..., 6) to any limit; negative outside, NaN for
+        NaN."""
         q = np.asarray(q, dtype=np.float64)
         margin = np.minimum(q - self.lower, self.upper - q).min(axis=-1)
         if self.coupling is not None:
@@ -115,7 +120,8 @@ def robot_names() -> tuple[str, ...]:
 
 
 def robot(name: str) -> RobotData:
-    """The robot of that name; raises :class:`TandemError` (``problem.unknown_robot``) naming the known ones."""
+    """The robot of that name; raises :class:`TandemError` (``problem.unknown_robot``) naming the known
+    ones."""
     table = _table()
     if name not in table:
         message = f"robot {name!r} is not in the catalogue, which has {', '.join(table)}"
@@ -124,7 +130,8 @@ def robot(name: str) -> RobotData:
 
 
 def urdf_path(name: str) -> Path:
-    """Path of the robot's URDF file; raises as :func:`robot`, or ``catalogue.missing_data`` without the file."""
+    """Path of the robot's URDF file; raises as :func:`robot`, or ``catalogue.missing_data`` without the
+    file."""
     path = data_dir("urdf") / f"{robot(name).name}.urdf"
     if not path.is_file():
         raise _missing(path)

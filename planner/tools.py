@@ -33,14 +33,16 @@ def wire_holder(
 ) -> Tool:
     """A holder for one end of a wire: flange plate, post, insulated slide block, clamp.
 
-    The TCP is where the wire leaves the clamp. Its x axis is the wire's tangent from the start arm to the end arm, so it
-    points out of the start arm's holder and into the end arm's. The wire leaves along the flange's z axis ("along"),
-    along its -x axis ("across"), or between the two ("diagonal"): with two arms that face each other, forearms level and
-    ("across") hands down, axis 6 is then near zero on both. The TCP's y axis points from the wire back to the flange
-    ("across") or along the flange's -x ("along"), which is up in these postures; z = x cross y.
+    The TCP is where the wire leaves the clamp. Its x axis is the wire's tangent from the start arm to the
+    end arm, so it points out of the start arm's holder and into the end arm's. The wire leaves along the
+    flange's z axis ("along"), along its -x axis ("across"), or between the two ("diagonal"): with two arms
+    that face each other, forearms level and ("across") hands down, axis 6 is then near zero on both. The
+    TCP's y axis points from the wire back to the flange ("across") or along the flange's -x ("along"),
+    which is up in these postures; z = x cross y.
 
-    ``slide`` [m] moves the clamp and the TCP outward along the wire; ``reach`` [m] replaces the TCP's distance from the
-    flange. Raises ``KeyError`` for another mounting and ``ValueError`` for another side, or sizes that do not fit.
+    ``slide`` [m] moves the clamp and the TCP outward along the wire; ``reach`` [m] replaces the TCP's
+    distance from the flange. Raises ``KeyError`` for another mounting and ``ValueError`` for another side,
+    or sizes that do not fit.
     """
     if side not in ("start", "end"):
         raise ValueError(f"side is {side!r}; it must be 'start' or 'end'")
@@ -61,7 +63,11 @@ def wire_holder(
     post = 0.72 * block[0]
     shapes = (
         Shape("cylinder", (plate_radius, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0))),
-        Shape("box", (0.026, 0.034, block[2] - 0.010), from_rpy((post, 0.0, (block[2] + 0.010) / 2), (0.0, 0.0, 0.0))),
+        Shape(
+            "box",
+            (0.026, 0.034, block[2] - 0.010),
+            from_rpy((post, 0.0, (block[2] + 0.010) / 2), (0.0, 0.0, 0.0)),
+        ),
         Shape("box", (0.036, 0.036, 0.040), from_parts(along, block)),
         Shape("cylinder", (0.008, clamp), from_parts(along, corner + (slide - 0.5 * clamp) * out)),
     )
@@ -74,7 +80,10 @@ def wire_holder(
     )
 
 
-def plain(name: str, tcp: FloatArray, shapes: tuple[Shape, ...], mass: float, cog: FloatArray | None = None) -> Tool:
-    """A tool of the user's own: ``tcp`` (4, 4) and shapes in the flange frame, mass [kg]; cog (3,) [m] or half way."""
+def plain(
+    name: str, tcp: FloatArray, shapes: tuple[Shape, ...], mass: float, cog: FloatArray | None = None
+) -> Tool:
+    """A tool of the user's own: ``tcp`` (4, 4) and shapes in the flange frame, mass [kg]; cog (3,) [m] or
+    half way."""
     centre = 0.5 * tcp[:3, 3] if cog is None else cog
     return Tool(name=name, tcp=tcp, mass=mass, cog=centre, shapes=shapes)

@@ -1,9 +1,10 @@
 """Writes the URDF of every robot in robots.yaml: python urdf/make_urdf.py [FOLDER].
 
-Kinematics come from the catalogue. All link frames are parallel to the base at the controller's zero pose; joint i
-turns link_i about its own axis, with the controller's sign; joint_3 is the serial angle. tool0 is ABB's tool0 and KUKA's
-$FLANGE. The bodies are our own: plain solids, sized by eye from pictures and from the data sheets' outer dimensions, not
-from the makers' meshes. Collision solids contain the visible ones up to a few millimetres at bolts and edges.
+Kinematics come from the catalogue. All link frames are parallel to the base at the controller's zero pose;
+joint i turns link_i about its own axis, with the controller's sign; joint_3 is the serial angle. tool0 is
+ABB's tool0 and KUKA's $FLANGE. The bodies are our own: plain solids, sized by eye from pictures and from
+the data sheets' outer dimensions, not from the makers' meshes. Collision solids contain the visible ones up
+to a few millimetres at bolts and edges.
 """
 
 from __future__ import annotations
@@ -46,17 +47,24 @@ BUILDS = {
     "irb1200_7_70": Build((230, 210, 150), 98, (86, 196), (128, 104), (72, 164), 88, 54, (42, 80), 32),
     "irb4400_60": Build((920, 640, 300), 310, (190, 540), (230, 200), (165, 390), 380, 112, (92, 168), 70),
     "irb4600_40": Build((680, 512, 200), 232, (165, 420), (216, 170), (145, 330), 320, 95, (72, 138), 63),
-    "irb6640_185": Build((1100, 720, 280), 360, (230, 620), (300, 230), (210, 460), 430, 150, (112, 214), 100, 85),
-    "irb6700_200": Build((1000, 720, 280), 360, (235, 620), (310, 230), (205, 460), 400, 150, (112, 214), 100, 85),
+    "irb6640_185": Build(
+        (1100, 720, 280), 360, (230, 620), (300, 230), (210, 460), 430, 150, (112, 214), 100, 85
+    ),
+    "irb6700_200": Build(
+        (1000, 720, 280), 360, (235, 620), (310, 230), (205, 460), 400, 150, (112, 214), 100, 85
+    ),
     "kr60_ha": Build((850, 650, 330), 320, (190, 520), (240, 205), (170, 410), 390, 115, (88, 172), 63),
     "kr10_r1100": Build((210, 208, 185), 100, (86, 220), (126, 100), (70, 176), 112, 52, (44, 86), 32),
-    "kr210_r2700": Build((1000, 800, 300), 380, (240, 620), (320, 240), (215, 480), 450, 150, (118, 226), 100, 85),
+    "kr210_r2700": Build(
+        (1000, 800, 300), 380, (240, 620), (320, 240), (215, 480), 450, 150, (118, 226), 100, 85
+    ),
 }
 
 
 @dataclasses.dataclass(frozen=True)
 class Solid:
-    """A box (x, y, z), cylinder or capsule (radius, length), at xyz in mm, with its own z axis along ``axis``."""
+    """A box (x, y, z), cylinder or capsule (radius, length), at xyz in mm, with its own z axis along
+    ``axis``."""
 
     kind: str
     size: tuple[float, ...]
@@ -115,7 +123,13 @@ def _base(build: Build) -> tuple[list[Solid], list[Solid]]:
         Solid("box", (length, width, plate), (shift, 0, plate / 2), "z", "dark"),
         Solid("cylinder", (0.94 * build.column, height), (0, 0, height / 2)),
         Solid("box", (0.62 * length, 0.62 * width, 0.72 * height), (shift - 0.1 * length, 0, 0.36 * height)),
-        Solid("box", (0.10 * length, 0.45 * width, 0.4 * height), (shift - 0.45 * length, 0, 0.3 * height), "z", "dark"),
+        Solid(
+            "box",
+            (0.10 * length, 0.45 * width, 0.4 * height),
+            (shift - 0.45 * length, 0, 0.3 * height),
+            "z",
+            "dark",
+        ),
     ]
     return seen, [Solid("box", (length, max(width, 1.88 * build.column), height), (shift, 0, height / 2))]
 
@@ -135,7 +149,13 @@ def _shoulder(build: Build, a1: float, b: float, c1: float) -> tuple[list[Solid]
         Solid("cylinder", (radius, cheek), (0, centre, 0), "y"),
         Solid("cylinder", (radius, cheek), (0, -centre, 0), "y"),
         Solid("cylinder", (0.62 * radius, width * 1.04), (0, 0, 0), "y", "dark"),
-        Solid("cylinder", (0.55 * radius, 1.3 * radius), (-a1 - 0.35 * build.column, 0.3 * width, top), "z", "dark"),
+        Solid(
+            "cylinder",
+            (0.55 * radius, 1.3 * radius),
+            (-a1 - 0.35 * build.column, 0.3 * width, top),
+            "z",
+            "dark",
+        ),
     ]
     solid = [
         Solid("cylinder", (build.column, top - bottom), (-a1, -b, (top + bottom) / 2)),

@@ -1,57 +1,82 @@
-"""Whether bodies of a cell keep apart, by how much, and how that changes with the joints. Batched over configurations.
+"""Whether bodies of a cell keep apart, by how much, and how that changes with the joints. Batched over
+configurations.
 
-Arms that are not named in ``q`` stay at home. Pairs that :attr:`CellModel.pairs_filtered` lists are not looked at, which
-include pairs of fixed bodies: :func:`overlaps` looks at those.
+Arms that are not named in ``q`` stay at home. Pairs that :attr:`CellModel.pairs_filtered` lists are not
+looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.tree import BodyIndex
 
+from planner.cell.distance import LeastClearance
+from planner.cell.edge import edge
 from planner.cell.plant import CellModel
+
+__all__ = ["LeastClearance", "Pairs", "edge", "free", "gradients", "least", "overlaps"]
 
 FloatArray = NDArray[np.float64]
 Pairs = frozenset[frozenset[str]]
 
+FEW: Final = 16
+"""Below so many configurations asking Drake at once is faster than the bounds."""
 
-@dataclasses.dataclass(frozen=True)
-class LeastClearance:
-    """Least distances ``distance`` (B,) [m], negative inside, and the ``pair`` of bodies of each.
-
-    Where nothing is within the reach that was asked for, the distance is that reach and the pair is ("", "").
-    """
-
-    distance: FloatArray
-    pair: tuple[tuple[str, str], ...]
-
-    def worst(self) -> int:
-        """Index of the least distance."""
-        return int(np.argmin(self.distance))
+CHUNK: Final = 1024
+TOUCH: Final = 1e-4
+"""Bounds settle a distance only where they differ from the padding by more than this [m], above the
+solvers' errors."""
 
 
 def free(
     model: CellModel, q: Mapping[str, FloatArray], padding: float, ignore: Pairs = frozenset()
 ) -> NDArray[np.bool_]:
-    """Whether every pair of bodies, except those in ``ignore``, is farther apart than ``padding`` [m], as (B,).
+    """Whether every pair of bodies, except those in ``ignore``, is farther apart than ``padding`` [m], as
+    (B,).
 
     A configuration that is not finite is not free.
     """
     rows = model.stack(q)
     good = np.isfinite(rows).all(axis=1)
+    if len(rows) >= FEW:
+        lower, upper = _bounds(model, rows, padding, ignore)
+        good &= upper > padding
+        settled = good & (lower > padding)
+        return settled | _asked(model, rows, good & ~settled, padding, ignore)
+    return _asked(model, rows, good, padding, ignore)
+
+
+def _asked(
+    model: CellModel, rows: FloatArray, which: NDArray[np.bool_], padding: float, ignore: Pairs
+) -> NDArray[np.bool_]:
+    """Drake's verdict (B,) on the rows that ``which`` names; False for the others."""
+    good = which.copy()
     checker = model.checker
     with _ignored(model, ignore):
         checker.SetPaddingAllRobotRobotPairs(padding)
         checker.SetPaddingAllRobotEnvironmentPairs(padding)
-        good[good] = np.array(checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False), dtype=bool)
+        good[good] = np.array(
+            checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False), dtype=bool
+        )
         checker.SetPaddingAllRobotRobotPairs(0.0)  # distances that others ask for are reduced by the padding
         checker.SetPaddingAllRobotEnvironmentPairs(0.0)
     return good
+
+
+def _bounds(model: CellModel, rows: FloatArray, limit: float, ignore: Pairs) -> tuple[FloatArray, FloatArray]:
+    """Bounds (B,) of the least distances, widened by TOUCH; those above ``limit`` may be infinite."""
+    bounds = model.bounds.among(ignore)
+    lower, upper = np.empty(len(rows)), np.empty(len(rows))
+    for start in range(0, len(rows), CHUNK):
+        part = slice(start, start + CHUNK)
+        q = {arm: rows[part, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
+        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH)
+    return lower - TOUCH, upper + TOUCH
 
 
 def least(
@@ -60,9 +85,13 @@ def least(
     """Least distance between bodies (robots, tools, stock, obstacles), of those within ``reach`` [m]."""
     rows = model.stack(q)
     distance = np.full(len(rows), reach)
+    close = (
+        _bounds(model, rows, reach, ignore)[0] < reach if len(rows) >= FEW else np.ones(len(rows), dtype=bool)
+    )
     pairs = [("", "")] * len(rows)
     with _ignored(model, ignore):
-        for i, row in enumerate(rows):
+        for i in np.flatnonzero(close):
+            row = rows[i]
             found = model.checker.CalcRobotClearance(row, reach)
             values = found.distances()
             if len(values) and values.min() < reach:
@@ -75,7 +104,8 @@ def least(
 def gradients(
     model: CellModel, q_row: FloatArray, reach: float, ignore: Pairs = frozenset()
 ) -> list[tuple[float, FloatArray, tuple[str, str]]]:
-    """All distances [m] within ``reach`` at one configuration (nq,), each with its gradient (nq,) [m/rad] and pair."""
+    """All distances [m] within ``reach`` at one configuration (nq,), each with its gradient (nq,) [m/rad]
+    and pair."""
     with _ignored(model, ignore):
         found = model.checker.CalcRobotClearance(np.asarray(q_row, dtype=np.float64), reach)
     rows = zip(
@@ -85,10 +115,11 @@ def gradients(
 
 
 def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of fixed bodies (bases, stock, support, obstacles) that overlap by more than ``tolerance`` [m], with the depth.
+    """Pairs of fixed bodies (bases, stock, support, obstacles) that overlap by more than ``tolerance`` [m],
+    with the depth.
 
-    Bases and the support may stand on obstacles, so what they stand in is looked at only for the stock and between bases
-    and the support.
+    Bases and the support may stand on obstacles, so what they stand in is looked at only for the stock and
+    between bases and the support.
     """
     context = model.checker.UpdatePositions(model.home)
     query = model.plant.get_geometry_query_input_port().Eval(context)
@@ -125,7 +156,9 @@ def _ignored(model: CellModel, ignore: Pairs) -> Iterator[None]:
     changed = []
     for pair in sorted(sorted(p) for p in ignore):
         a, b = (model.body(name).index() for name in (pair[0], pair[-1]))
-        if (checker.IsPartOfRobot(a) or checker.IsPartOfRobot(b)) and not checker.IsCollisionFilteredBetween(a, b):
+        if (checker.IsPartOfRobot(a) or checker.IsPartOfRobot(b)) and not checker.IsCollisionFilteredBetween(
+            a, b
+        ):
             checker.SetCollisionFilteredBetween(a, b, True)
             changed.append((a, b))
     try:

@@ -1,4 +1,5 @@
-"""Which pairs of bodies are not held apart, and why: decided once when a cell is built, and shown in the report."""
+"""Which pairs of bodies are not held apart, and why: decided once when a cell is built, and shown in the
+report."""
 
 from __future__ import annotations
 
@@ -23,13 +24,14 @@ BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""
 
 
-
 def filter_pairs(
     checker: SceneGraphCollisionChecker, names: Mapping[int, str], limits: tuple[FloatArray, FloatArray]
 ) -> tuple[FilteredPair, ...]:
     """Filters pairs of one arm in the checker and returns all filtered pairs with reasons, sorted.
 
-    Neighbours and the pairs of BUILT_APART are filtered by structure. Other pairs of one arm are filtered when they come within 12 mm in more than 95 % of 200 random postures (seeded) within the limits (nq,), (nq,).
+    Neighbours and the pairs of BUILT_APART are filtered by structure. Other pairs of one arm are filtered
+    when they come within 12 mm in more than 95 % of 200 random postures (seeded) within the limits (nq,),
+    (nq,).
     """
     shaped = {index for index in names if _has_solids(checker, index)}
     out: list[FilteredPair] = []

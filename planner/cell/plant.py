@@ -1,4 +1,5 @@
-"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs of bodies are held apart."""
+"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs of bodies are held
+apart."""
 
 from __future__ import annotations
 
@@ -12,11 +13,14 @@ from pydrake.geometry import MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, RigidBody, SpatialInertia
+from pydrake.multibody.tree import BodyIndex, FixedOffsetFrame, RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from planner import catalogue
 from planner.catalogue import RobotData
+from planner.cell.bodies import body_poses, collect, own_shapes
+from planner.cell.bounds import Bounds, prepare
+from planner.cell.distance import Solid
 from planner.cell.filters import FilteredPair, filter_pairs
 from planner.cell.robots import forward
 from planner.cell.solids import drake_shape
@@ -41,6 +45,8 @@ class _Shared:
     mounts: Mapping[str, FixedOffsetFrame]
     names: Mapping[int, str]
     filtered: tuple[FilteredPair, ...]
+    solids: tuple[Solid, ...]
+    bounds: Bounds
     placed: object | None = None
 
 
@@ -48,10 +54,11 @@ class _Shared:
 class CellModel:
     """A cell in Drake, with the stock and the bases at one placement.
 
-    Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a model's
-    placement when that model is asked; a model is therefore not for use by several threads at once.
-    q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies are named
-    "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "stock", "support", "<obstacle>".
+    Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
+    model's placement when that model is asked; a model is therefore not for use by several threads at once.
+    q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies
+    are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "stock", "support",
+    "<obstacle>".
     """
 
     cell: Cell
@@ -78,7 +85,8 @@ class CellModel:
 
     @property
     def checker(self) -> SceneGraphCollisionChecker:
-        """The collision checker, its contexts set to this placement. Pass ``parallelize=False`` to its batches."""
+        """The collision checker, its contexts set to this placement. Pass ``parallelize=False`` to its
+        batches."""
         self.place()
         return self._shared.checker
 
@@ -86,6 +94,16 @@ class CellModel:
     def pairs_filtered(self) -> tuple[FilteredPair, ...]:
         """Pairs of bodies that are not held apart, each with the reason."""
         return self._shared.filtered
+
+    @property
+    def solids(self) -> tuple[Solid, ...]:
+        """The collision solids of all bodies."""
+        return self._shared.solids
+
+    @property
+    def bounds(self) -> Bounds:
+        """Capsules and boxes that bound the least distance."""
+        return self._shared.bounds
 
     @property
     def home(self) -> FloatArray:
@@ -100,7 +118,7 @@ class CellModel:
         """The Drake body of that name; raises ``KeyError``."""
         for index, known in self._shared.names.items():
             if known == name:
-                return self.plant.get_body(_index(index))
+                return self.plant.get_body(BodyIndex(index))
         raise KeyError(name)
 
     def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
@@ -119,8 +137,19 @@ class CellModel:
             for arm, rows in q.items()
         }
 
+    def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """World poses of all bodies by name: (B, 4, 4) of moving bodies of named arms, (1, 4, 4) of all
+        others."""
+        out = {obstacle.name: np.eye(4)[None] for obstacle in self.cell.obstacles}
+        out["stock"] = out["support"] = self.stock_pose[None]
+        for arm in self.cell.arms:
+            rows = np.atleast_2d(q.get(arm.name, arm.home))
+            out.update(body_poses(arm.name, self.robots[arm.name], self.bases[arm.name], rows))
+        return out
+
     def with_stock(self, pose: FloatArray) -> CellModel:
-        """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is rebuilt."""
+        """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is
+        rebuilt."""
         return dataclasses.replace(self, stock_pose=np.array(pose, dtype=np.float64))
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
@@ -149,10 +178,11 @@ def build(
     bases: Mapping[str, FloatArray] | None = None,
     meshcat: Any = None,
 ) -> CellModel:
-    """The model of a cell, with the stock at ``stock_pose`` (4, 4) in the world and arms at ``bases`` or their own.
+    """The model of a cell, with the stock at ``stock_pose`` (4, 4) in the world and arms at ``bases`` or
+    their own.
 
-    With ``meshcat`` a visualizer of the visible shapes is part of the diagram. Raises :class:`TandemError` for an unknown
-    robot and for names of obstacles or arms that clash (``cell.body_name``).
+    With ``meshcat`` a visualizer of the visible shapes is part of the diagram. Raises :class:`TandemError`
+    for an unknown robot and for names of obstacles or arms that clash (``cell.body_name``).
     """
     _check_names(cell)
     placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
@@ -171,10 +201,10 @@ def build(
         plant.WeldFrames(plant.GetFrameByName("tool0", instance), tool.body_frame())
         _add_shapes(plant, tool, arm.tool.shapes, TOOL_COLOUR)
     mounts["stock"] = _mount(plant, "stock/mount", np.asarray(stock_pose))
-    block = Shape("box", (stock.size[0], stock.size[1], stock.size[2]), _lift(0.5 * stock.size[2]))
-    _fixed(plant, "stock", mounts["stock"], (block,), STOCK_COLOUR)
+    own = own_shapes(cell, stock)
+    _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
     if stock.support:
-        _fixed(plant, "support", mounts["stock"], stock.support, SUPPORT_COLOUR)
+        _fixed(plant, "support", mounts["stock"], own["support"], SUPPORT_COLOUR)
     for obstacle in cell.obstacles:
         _fixed(plant, obstacle.name, plant.world_frame(), obstacle.shapes, OBSTACLE_COLOUR)
     plant.Finalize()
@@ -186,7 +216,11 @@ def build(
         model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
     )
     filtered = filter_pairs(checker, names, _limits(cell, robots))
-    shared = _Shared(plant, checker.model(), checker, mounts, names, filtered)
+    inspector = checker.model().scene_graph().model_inspector()
+    solids = collect(plant, inspector, names, own)
+    shared = _Shared(
+        plant, checker.model(), checker, mounts, names, filtered, solids, prepare(solids, filtered)
+    )
     return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
 
 
@@ -237,12 +271,6 @@ def _add_shapes(
         )
 
 
-def _lift(height: float) -> FloatArray:
-    pose = np.eye(4)
-    pose[2, 3] = height
-    return pose
-
-
 def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int, str]:
     names = {0: "world"}
     for arm, instance in zip(cell.arms, instances, strict=True):
@@ -253,9 +281,3 @@ def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int,
         if plant.HasBodyNamed(fixed):
             names[int(plant.GetBodyByName(fixed).index())] = fixed
     return names
-
-
-def _index(index: int) -> Any:
-    from pydrake.multibody.tree import BodyIndex
-
-    return BodyIndex(index)

@@ -11,10 +11,11 @@ FloatArray = NDArray[np.float64]
 
 
 def link_frames(robot: RobotData, q: FloatArray) -> FloatArray:
-    """Poses (..., 7, 4, 4) in the base of link_1 ... link_6 and the flange, for serial angles q (..., 6) [rad].
+    """Poses (..., 7, 4, 4) in the base of link_1 ... link_6 and the flange, for serial angles q (..., 6)
+    [rad].
 
-    The frame of link i lies on axis i and turns with it; all are parallel to the base in the posture where every
-    OPW angle theta is zero (arm and forearm upright). The flange is ABB's tool0 and KUKA's $FLANGE.
+    The frame of link i lies on axis i and turns with it; all are parallel to the base in the posture where
+    every OPW angle theta is zero (arm and forearm upright). The flange is ABB's tool0 and KUKA's $FLANGE.
     """
     p = robot.opw
     theta = p.signs * np.asarray(q, dtype=np.float64) - p.offsets
@@ -36,7 +37,8 @@ def forward(robot: RobotData, q: FloatArray) -> FloatArray:
 
 
 def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
-    """Geometric Jacobians (..., 6, 6) of the flange in the base frame: rows angular [-], then linear [m/rad]."""
+    """Geometric Jacobians (..., 6, 6) of the flange in the base frame: rows angular [-], then linear
+    [m/rad]."""
     frames = link_frames(robot, q)
     axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate("zyyzyz")], axis=-2)
     axes = axes * robot.opw.signs[:, None]

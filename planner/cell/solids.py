@@ -19,7 +19,8 @@ from planner.problem import Shape
 
 
 def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
-    """Drake's shape; a mesh becomes its convex hull when ``solid`` (for collision), else the mesh itself (to be seen).
+    """Drake's shape; a mesh becomes its convex hull when ``solid`` (for collision), else the mesh itself
+    (to be seen).
 
     Raises ``ValueError`` for a mesh without vertices.
     """
