@@ -80,7 +80,9 @@ def _singularities(chain: Chain, q: FloatArray, slopes: bool) -> tuple[FloatArra
         for j in (1, 2, 4):
             shift = np.zeros(6)
             shift[j] = step
-            gradient[:, :, j] = (chain.singularities(q + shift) - chain.singularities(q - shift)) / (2.0 * step)
+            gradient[:, :, j] = (chain.singularities(q + shift) - chain.singularities(q - shift)) / (
+                2.0 * step
+            )
     return margin, gradient
 
 

@@ -80,7 +80,9 @@ def dense(
             ends = chain.pose(angles)
             between = interpolate(ends[move[inner] - 1], ends[move[inner]], share[inner])
             found = chain.inverse(between, [branch[arm]])[:, 0]
-            near = angles[move[inner] - 1] + share[inner, None] * (angles[move[inner]] - angles[move[inner] - 1])
+            near = angles[move[inner] - 1] + share[inner, None] * (
+                angles[move[inner]] - angles[move[inner] - 1]
+            )
             out[arm][inner] = chain.continuous(found, near)
     return Dense(move, share, out)
 

@@ -95,7 +95,9 @@ class Ladder:
         self._turns = tuple(len(r.turns) for r in rungs)
         rows, samples = grid.values.shape[:2]
         width = int(np.prod(self._turns))
-        node = np.zeros((rows, samples, width)) if extra is None else np.repeat(extra[..., None], width, axis=2)
+        node = (
+            np.zeros((rows, samples, width)) if extra is None else np.repeat(extra[..., None], width, axis=2)
+        )
         time = np.full((len(grid.before), max(rows - 1, 0), samples), -np.inf)
         origin = np.zeros((*time.shape, width), dtype=np.intp)
         known = np.ones(origin.shape, dtype=bool)

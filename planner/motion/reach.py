@@ -92,12 +92,12 @@ def full_turn(freedom: Freedom) -> bool:
     return bool(np.all(freedom.upper - freedom.lower >= TWO_PI - 1e-9))
 
 
-def sample(targets: Targets, spin_step: float = SPIN_STEP) -> Grid:
-    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at five places.
+def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES) -> Grid:
+    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at ``slides`` places.
 
     Bounded freedoms are sampled between their bounds at each target, so that a narrow window is never missed.
     """
-    counts = [_count(f, spin_step) for f in targets.freedoms]
+    counts = [_count(f, spin_step, slides) for f in targets.freedoms]
     while counts and int(np.prod(counts)) * targets.count > MOST_SAMPLES and max(counts) > 2:
         largest = int(np.argmax(counts))
         counts[largest] = max(2, counts[largest] // 2)
@@ -113,13 +113,13 @@ def sample(targets: Targets, spin_step: float = SPIN_STEP) -> Grid:
     return Grid(values, _steps(picks, counts, rings))
 
 
-def _count(freedom: Freedom, spin_step: float) -> int:
+def _count(freedom: Freedom, spin_step: float, slides: int) -> int:
     width = float(np.max(freedom.upper - freedom.lower))
     if width <= 0.0:
         return 1
     spins = isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values())
     if not spins:
-        return SLIDES
+        return slides
     if full_turn(freedom):
         return max(4, round(TWO_PI / spin_step))
     return max(3, int(np.ceil(width / spin_step)) + 1)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
+from planner.cell.edge import edge as edge_clearance
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import transform
 from planner.motion.chain import Chain
@@ -88,7 +89,7 @@ class Scene:
         for against, rows in (("no_stock", np.flatnonzero(ok & cuts)), ("all", np.flatnonzero(ok & ~cuts))):
             if len(rows):
                 part = {arm: angles[rows] for arm, angles in q.items()}
-                found = clearance.edge(
+                found = edge_clearance(
                     self.model, part, points[rows], targets.edge.radius, SKIP_ENDS, against
                 )
                 ok[rows] = found.distance >= self.settings.clearance

@@ -124,7 +124,9 @@ class Choice:
             wanted = np.round(r.turns / TWO_PI) + whole[:, None, :]
             same = (wanted[:, :, None, :] == np.round(r.turns / TWO_PI)).all(axis=-1)
             state = np.where(same.any(axis=-1), same.argmax(axis=-1), -1)
-            paid = np.where(state >= 0, r.penalty[rows[:, None], path.sample[:, None], state], np.inf).sum(axis=0)
+            paid = np.where(state >= 0, r.penalty[rows[:, None], path.sample[:, None], state], np.inf).sum(
+                axis=0
+            )
             start = int(np.argmin(paid))
             if not np.isfinite(paid[start]):
                 return None

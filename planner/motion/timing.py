@@ -133,7 +133,8 @@ def parameterise(
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
     limit = np.minimum(bound, fastest)
     held = JointAccelerationConstraint(
-        np.stack([-acceleration, acceleration], axis=1), discretization_scheme=DiscretizationType.Interpolation
+        np.stack([-acceleration, acceleration], axis=1),
+        discretization_scheme=DiscretizationType.Interpolation,
     )
     solver = TOPPRA([_Bound(limit), held], _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
     _, found, _ = solver.compute_parameterization(0.0, 0.0)
@@ -179,7 +180,9 @@ class _Bound(LinearConstraint):  # type: ignore[misc]
         return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
 
 
-def least_times(travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float) -> FloatArray:
+def least_times(
+    travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float
+) -> FloatArray:
     """Least time (N,) [s] of the move to each target: its guarded point within ``feed``, every TCP within ``tcp`` m/s.
 
     ``lengths`` {arm: (N,)} are the ways of the TCPs [m].

@@ -182,7 +182,8 @@ class _Problem:
         rates = self.rates(values, joints)
         scaled = rates / self.speed[:, None]
         blocks = [
-            self.stencil[d][: rows - d, None, None] * np.einsum("njf,njg->nfg", scaled[: rows - d], scaled[d:])
+            self.stencil[d][: rows - d, None, None]
+            * np.einsum("njf,njg->nfg", scaled[: rows - d], scaled[d:])
             for d in range(3)
         ]
         gradient = np.einsum("njf,nj->nf", scaled, _times(self.stencil, joints / self.speed))

@@ -1,0 +1,122 @@
+"""The way of each arm from home to the first target and back, alone, while the others stand."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import clearance
+from planner.issues import Issue, TandemError
+from planner.motion.rrt import connect
+from planner.motion.scene import Scene
+from planner.targets import Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+STEP = np.deg2rad(3.0)
+"""Distance [rad] between checks along a line in the joints."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ways:
+    """Joint waypoints {arm: (M, 6)} with both ends, and the order in which the arms go."""
+
+    way: dict[str, FloatArray]
+    order: tuple[str, ...]
+
+
+def entry(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> Ways:
+    """Ways from home to the first target in the first order of arms that has them.
+
+    Raises :class:`TandemError` (``motion.entry``) with the closest bodies where no order has.
+    """
+    return _ways(scene, targets, q, 0)
+
+
+def leave(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], order: tuple[str, ...]
+) -> dict[str, FloatArray]:
+    """Ways {arm: (M, 6)} from the last target home, the arms going in the reverse of ``order``.
+
+    Raises :class:`TandemError` (``motion.entry``).
+    """
+    found = _ways(scene, targets, q, targets.count - 1, order)
+    return {arm: way[::-1].copy() for arm, way in found.way.items()}
+
+
+def _ways(
+    scene: Scene,
+    targets: Targets,
+    q: Mapping[str, FloatArray],
+    row: int,
+    order: tuple[str, ...] | None = None,
+) -> Ways:
+    orders = [order] if order is not None else list(itertools.permutations(targets.arms))
+    failed: Issue | None = None
+    for choice in orders:
+        standing = {arm: scene.chains[arm].home for arm in targets.arms}
+        ways: dict[str, FloatArray] = {}
+        for arm in choice:
+            goal = q[arm][row]
+            way = _way(scene, standing, arm, goal)
+            if way is None:
+                failed = failed or _blocked(scene, targets, standing, arm, goal, row)
+                break
+            ways[arm] = way
+            standing[arm] = goal
+        if len(ways) == len(choice):
+            return Ways(ways, tuple(choice))
+    if failed is None:
+        raise ValueError("targets without arms have no way in")
+    raise TandemError(failed)
+
+
+def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
+    """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no way."""
+    chain = scene.chains[arm]
+    hard = scene.settings.joint_margin
+
+    def free(points: FloatArray) -> NDArray[np.bool_]:
+        ok = chain.limit_margin(points) >= min(hard, 0.0)
+        if scene.model is None:
+            return ok
+        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
+        return ok & clearance.free(scene.model, rows, scene.settings.clearance)
+
+    robot = chain.robot
+    return connect(chain.home, goal, free, robot.lower + hard, robot.upper - hard, STEP, scene.settings.seed)
+
+
+def _blocked(
+    scene: Scene, targets: Targets, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray, row: int
+) -> Issue:
+    """What stands in the way: the closest bodies at home, at the target, or on the straight line between them."""
+    home, name = scene.chains[arm].home, targets.name(row)
+    line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
+    points = np.concatenate([home[None], goal[None], line])
+    rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
+    if scene.model is None:
+        raise ValueError("without a model nothing is in the way")
+    found = clearance.least(scene.model, rows, 0.2)
+    ends = [k for k in (0, 1) if found.distance[k] < scene.settings.clearance]
+    worst = ends[0] if ends else found.worst()
+    place = "at home" if worst == 0 else f"at {name}" if worst == 1 else f"between home and {name}"
+    distance = float(found.distance[worst]) / MM
+    return Issue(
+        "motion.entry",
+        f"arm {arm} has no free way from home to {name}: {found.pair[worst][0]} and {found.pair[worst][1]} are "
+        f"{distance:.1f} mm apart {place}, allowed is {scene.settings.clearance / MM:.1f} mm at least",
+        arm=arm,
+        index=row,
+        target=name,
+        bodies=found.pair[worst],
+        value=distance,
+        limit=scene.settings.clearance / MM,
+        unit="mm",
+        hint="choose another home posture, or move what is in the way",
+    )

@@ -1,0 +1,227 @@
+"""Motion of one operation: reach, ladder, trajectory optimisation, timing, and the way in and out."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import clearance
+from planner.cell.plant import CellModel
+from planner.issues import Issue, Severity, TandemError, aggregate
+from planner.cell.edge import edge as edge_clearance
+from planner.motion import diagnose, entry, transit
+from planner.motion.avoid import Avoid
+from planner.motion.joints import Dense, dense, joint_path
+from planner.motion.reach import sample
+from planner.motion.scene import SKIP_ENDS, Scene
+from planner.motion.search import Found, search, speed_limits
+from planner.motion.timing import Clock, Limits, TimingFailed, clock, least_times
+from planner.motion.trajopt import Improved, improve, path_cost
+from planner.plan import OperationPlan
+from planner.problem import Cell, Settings
+from planner.targets import Targets, segment_kind
+from planner.units import DEG, MM
+
+FloatArray = NDArray[np.float64]
+
+CLEARANCE_WEIGHTS = (0.5, 10.0)
+REPORTED_REACH = 0.2
+
+
+def plan_operation(
+    name: str,
+    cell: Cell,
+    targets: Targets,
+    settings: Settings,
+    stock_pose: FloatArray,
+    model: CellModel | None = None,
+    bases: Mapping[str, FloatArray] | None = None,
+) -> OperationPlan:
+    """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
+
+    ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions, which only
+    benchmarks and tests want. Raises :class:`TandemError` with the reasons when there is no plan.
+    """
+    scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
+    watch = _Watch()
+    targets, found = _path(scene, targets, watch)
+    better, kept = _improve(scene, targets, found, watch)
+    samples = dense(scene, targets, found.path.branch, better.q)
+    diagnose.require_moves(scene, targets, found.path.branch, samples)
+    ticks, deviation, issues = _clock(scene, targets, better.q, samples)
+    watch.lap("timing")
+    ways = entry.entry(scene, targets, better.q)
+    leaves = entry.leave(scene, targets, better.q, ways.order)
+    watch.lap("entry")
+    metrics = {
+        "stages": watch.laps,
+        "ladder_cost": better.cost_before,
+        "trajopt_cost": better.cost,
+        "trajopt_gain": 1.0 - better.cost / better.cost_before if better.cost_before > 0 else 0.0,
+        "trajopt_iterations": better.iterations,
+        "trajopt_used": kept,
+        "ladder_time": found.path.cost,
+        "branch": dict(found.path.branch),
+        "branch_choices": found.choices,
+        "collision_checks": found.checks,
+        "ladder_rounds": found.rounds,
+        "timing_solver": sorted(set(ticks.used)),
+        "peak_speed_share": ticks.peak_speed,
+        "peak_acceleration_share": ticks.peak_acceleration,
+        "path_deviation_mm": deviation / MM,
+        **_margins(scene, targets, better.q),
+    }
+    watch.lap("margins")
+    return OperationPlan(
+        name=name,
+        targets=targets,
+        q=better.q,
+        values=better.values,
+        time=ticks.time,
+        entry=ways.way,
+        exit=leaves,
+        order=ways.order,
+        metrics=metrics,
+        issues=aggregate(issues),
+    )
+
+
+class _Watch:
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
+        self._last = now
+
+
+def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found]:
+    """The ladder's path, transit moves mended where they collide."""
+    grid = sample(targets)
+    found = search(scene, targets, grid)
+    watch.lap("ladder")
+    if not isinstance(found, Found):
+        raise TandemError(diagnose.no_path(scene, targets, grid, found))
+    mended = transit.mend(scene, targets, found)
+    watch.lap("transit")
+    if mended is None:
+        return targets, found
+    targets, grid = mended, sample(mended)
+    again = search(scene, targets, grid)
+    watch.lap("ladder")
+    if not isinstance(again, Found):
+        raise TandemError(diagnose.no_path(scene, targets, grid, again))
+    return targets, again
+
+
+def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:
+    """The optimised path if it keeps clearance at and between targets, or the ladder's own."""
+    plain = path_cost(scene, targets, found.values, found.q)
+    for weight in CLEARANCE_WEIGHTS:
+        avoid = None
+        if scene.model is not None:
+            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, weight)
+        better = improve(scene, targets, found.path.branch, found.values, found.q, avoid)
+        cost = path_cost(scene, targets, better.values, better.q)
+        better = dataclasses.replace(better, cost=cost, cost_before=plain)
+        samples = dense(scene, targets, found.path.branch, better.q)
+        if not np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any() and diagnose.keeps_clear(
+            scene, targets, samples
+        ):
+            watch.lap("trajopt")
+            return better, True
+        if scene.model is None:
+            break
+    watch.lap("trajopt")
+    return Improved(found.values, found.q, plain, plain, 0), False
+
+
+def _clock(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], samples: Dense
+) -> tuple[Clock, float, list[Issue]]:
+    settings = scene.settings
+    speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
+    strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
+    lengths = {
+        arm: np.append(0.0, np.linalg.norm(np.diff(scene.chains[arm].pose(q[arm])[:, :3, 3], axis=0), axis=1))
+        for arm in targets.arms
+    }
+    least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
+    path = joint_path(scene, targets, samples, speed)
+    try:
+        ticks = clock(path, Limits(speed, settings.acceleration_fraction * strength, least))
+    except TimingFailed as failure:
+        message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
+        hint = "a joint may jump there: look at the branch and the margins, or move the stock"
+        raise TandemError(Issue("motion.timing", message, index=failure.index, hint=hint)) from failure
+    return ticks, path.deviation, _slow(targets, ticks.time)
+
+
+def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:
+    """Moves that the arms cannot make as fast as the process wants."""
+    out = []
+    speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
+    for i in np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1:
+        got, least = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
+        out.append(
+            Issue(
+                "motion.feed_min",
+                f"the move to {targets.name(i)} runs at {got:.3g} mm/s, allowed is {least:.3g} mm/s at least",
+                severity=Severity.WARNING,
+                index=int(i),
+                target=targets.name(i),
+                time=float(clock_time[i]),
+                value=got,
+                limit=least,
+                unit="mm/s",
+                hint="let the run-up lie outside the stock, lower feed_min, or raise the fractions of joint speed",
+            )
+        )
+    return out
+
+
+def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Least margins of the path, with the place and the pair where they are least."""
+    out: dict[str, Any] = {"limit_margin_deg": {}, "singularity_margin_deg": {}}
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        limit, single = chain.limit_margin(q[arm]), chain.singularity_margin(q[arm])
+        out["limit_margin_deg"][arm] = float(limit.min()) / DEG
+        out["singularity_margin_deg"][arm] = float(single.min()) / DEG
+    if scene.model is not None:
+        found = clearance.least(scene.model, q, REPORTED_REACH)
+        worst = found.worst()
+        out["clearance_mm"] = float(found.distance[worst]) / MM
+        out["clearance_pair"] = list(found.pair[worst])
+        out["clearance_index"] = worst
+        out.update(_edge_margin(scene, targets, q))
+    return out
+
+
+def _edge_margin(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
+    if targets.edge is None or scene.model is None:
+        return {}
+    points = scene.edge(targets, np.arange(targets.count))
+    if points is None:
+        return {}
+    cuts = np.array([segment_kind(label) == "cut" for label in targets.segment])
+    best = (np.inf, 0, ("", ""))
+    for against, rows in (("no_stock", np.flatnonzero(cuts)), ("all", np.flatnonzero(~cuts))):
+        if len(rows):
+            part = {arm: angles[rows] for arm, angles in q.items()}
+            found = edge_clearance(scene.model, part, points[rows], targets.edge.radius, SKIP_ENDS, against)
+            k = found.worst()
+            if found.distance[k] < best[0]:
+                best = (float(found.distance[k]), int(rows[k]), found.pair[k])
+    return {
+        "edge_clearance_mm": best[0] / MM,
+        "edge_clearance_pair": list(best[2]),
+        "edge_clearance_index": best[1],
+    }

@@ -1,0 +1,321 @@
+"""Where to put the stock, and bases that may be moved, so that the whole job is reachable with the best margin.
+
+A seeded search from coarse to fine over few targets and few spins, batched over candidates: random places and
+heuristic ones, then generations of shrinking steps around the best. What collides is sorted out afterwards on the best ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import clearance
+from planner.cell.plant import CellModel
+from planner.geometry.rigid import exp_rotation, from_parts
+from planner.motion.chain import Chain
+from planner.motion.reach import sample
+from planner.motion.scene import Scene
+from planner.motion.subset import subset
+from planner.problem import Cell, Settings, Stock
+from planner.targets import Targets
+from planner.units import DEG
+
+FloatArray = NDArray[np.float64]
+
+FIRST: Final = 384
+GENERATIONS: Final = 7
+PARENTS: Final = 8
+CHILDREN: Final = 10
+LAST: Final = 12
+COARSE_TARGETS: Final = 10
+FINE_TARGETS: Final = 20
+SPIN_STEP: Final = np.deg2rad(30.0)
+ENOUGH: Final = np.deg2rad(30.0)
+"""Margins wider than this count no more."""
+
+APART: Final = 0.08
+"""Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """A candidate: stock pose (4, 4) and base poses {arm: (4, 4)} in the world; ``score`` [rad] is the least margin."""
+
+    stock: FloatArray
+    bases: dict[str, FloatArray]
+    score: float
+    number: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """All candidates looked at: ``positions`` (K, 3) of the stock [m] and ``score`` (K,) [rad]."""
+
+    positions: FloatArray
+    score: FloatArray
+
+    def metrics(self, chosen: int | None) -> dict[str, Any]:
+        """The search as the report reads it, in degrees; candidates that fail have no score."""
+        score = np.where(self.score > 0.0, self.score / DEG, np.nan)
+        return {
+            "positions": self.positions,
+            "score": score,
+            "chosen": chosen,
+            "unit": "deg",
+            "name": "least margin to limits and singularities",
+        }
+
+
+class Search:
+    """The search for one cell and the targets of all operations on one stock."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        stock: Stock,
+        jobs: Sequence[Targets],
+        settings: Settings,
+        start: FloatArray | None = None,
+        seed: int | None = None,
+    ) -> None:
+        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which a part of the candidates lies."""
+        self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
+        self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
+        self._rng = np.random.default_rng(settings.seed if seed is None else seed)
+        self._fixed = stock.place is not None
+        self._start = start
+        self._coarse = [_few(t, COARSE_TARGETS) for t in jobs]
+        self._fine = [_few(t, FINE_TARGETS) for t in jobs]
+
+    def run(self, model: CellModel | None = None) -> tuple[list[Place], Trace]:
+        """Places in the order in which to try them, and the trace; the list is empty if none is reachable."""
+        points = self._first()
+        scores = self._score(points, self._coarse)
+        seen, known = [points], [scores]
+        spread = self._spread()
+        for generation in range(GENERATIONS):
+            best = np.argsort(-scores, kind="stable")[:PARENTS]
+            points, scores = points[best], scores[best]
+            size = spread * 0.55**generation
+            steps = self._rng.normal(size=(len(points), CHILDREN, points.shape[1])) * size
+            children = self._legal((points[:, None] + steps).reshape(-1, points.shape[1]))
+            offered = self._score(children, self._coarse)
+            seen.append(children)
+            known.append(offered)
+            points, scores = np.concatenate([points, children]), np.concatenate([scores, offered])
+        every, all_scores = np.concatenate(seen), np.concatenate(known)
+        finalists = self._distinct(every, all_scores)
+        fine = self._score(every[finalists], self._fine)
+        places = [
+            Place(self._stock_pose(every[k]), self._bases(every[k]), float(s), int(k))
+            for k, s in zip(finalists, fine, strict=True)
+            if s > 0.0
+        ]
+        places.sort(key=lambda p: -p.score)
+        if model is not None:
+            places = [p for p in places if self._stands_free(model, p)]
+        positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
+        return places, Trace(positions, all_scores)
+
+    def _first(self) -> FloatArray:
+        """Random places within the arms' reach, some with the block's edges along the world's axes."""
+        centre = np.mean([arm.base[:3, 3] for arm in self._cell.arms], axis=0)
+        reach = max(Chain.of(arm).robot.reach for arm in self._cell.arms)
+        count = FIRST
+        if self._fixed:
+            columns = [np.zeros((count, 4))]
+        else:
+            place = centre + self._rng.uniform(
+                [-reach, -reach, -0.3 * reach], [reach, reach, 1.2 * reach], (count, 3)
+            )
+            place[: count // 3, :2] = centre[:2] + 0.25 * (place[: count // 3, :2] - centre[:2])
+            yaw = self._rng.uniform(-np.pi, np.pi, count)
+            yaw[::2] = np.round(yaw[::2] / (np.pi / 2.0)) * (np.pi / 2.0)
+            if self._start is not None:
+                near = slice(2 * count // 3, count)
+                place[near] = self._start[:3] + 0.1 * self._rng.normal(size=place[near].shape)
+                yaw[near] = self._start[3]
+            columns = [np.column_stack([place, yaw])]
+        for arm in self._movable:
+            shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
+            turn = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
+            columns.append(np.column_stack([shift, turn + 0.2 * self._rng.normal(size=count)]))
+            columns[-1][: count // 6] = 0.0
+            del arm
+        return self._legal(np.concatenate(columns, axis=1))
+
+    def _spread(self) -> FloatArray:
+        stock = [0.0] * 4 if self._fixed else [0.2, 0.2, 0.15, 0.4]
+        return np.array(stock + [0.2, 0.2, 0.3] * len(self._movable))
+
+    def _legal(self, points: FloatArray) -> FloatArray:
+        return points
+
+    def _stock_pose(self, point: FloatArray) -> FloatArray:
+        if self._stock.place is not None:
+            return self._stock.place
+        turn = exp_rotation(np.array([0.0, 0.0, point[3]])) @ self._stock.attitude
+        return from_parts(turn, point[:3])
+
+    def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
+        """Bases of the movable arms: moved in the world, turned about their own vertical."""
+        out = {}
+        for k, arm in enumerate(self._movable):
+            dx, dy, turn = point[4 + 3 * k : 7 + 3 * k]
+            pose = arm.base.copy()
+            pose[:3, :3] = exp_rotation(np.array([0.0, 0.0, turn])) @ pose[:3, :3]
+            pose[:2, 3] += (dx, dy)
+            out[arm.name] = pose
+        return out
+
+    def _score(self, points: FloatArray, few: Sequence[_Few]) -> FloatArray:
+        """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0: not reachable."""
+        out = np.empty(len(points))
+        for first in range(0, len(points), 64):
+            part = points[first : first + 64]
+            stock = np.array([self._stock_pose(p) for p in part])[:, None]
+            moved = [self._bases(p) for p in part]
+            bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
+            scores = [
+                margin(self._cell, f.targets, f.values, f.index, stock, bases, self._settings) for f in few
+            ]
+            out[first : first + 64] = np.min(scores, axis=0)
+        return out
+
+    def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
+        """Indices of the best candidates that lie apart."""
+        out: list[int] = []
+        weight = np.array([1.0, 1.0, 1.0, 0.3] + [1.0, 1.0, 0.3] * len(self._movable))
+        for k in np.argsort(-scores, kind="stable"):
+            if len(out) == LAST or scores[k] <= 0.0:
+                break
+            if all(np.abs((points[k] - points[j]) * weight).max() > APART for j in out):
+                out.append(int(k))
+        return out
+
+    def _stands_free(self, model: CellModel, place: Place) -> bool:
+        """Whether nothing that stands overlaps, and every target of a few has a free posture."""
+        placed = model.with_stock(place.stock).with_bases(place.bases)
+        if clearance.overlaps(placed):
+            return False
+        return all(self._few_free(placed, place, few) for few in self._coarse)
+
+    def _few_free(self, model: CellModel, place: Place, few: _Few) -> bool:
+        scene = Scene.of(self._cell, few.targets.arms, place.stock, self._settings, model, place.bases)
+        margins, q = margins_at(
+            scene, few.targets, few.values, few.index, place.stock[None, None], self._settings
+        )
+        pair = best_branches(margins, few.index)[0]
+        choice = np.unravel_index(pair, (8,) * len(few.targets.arms))
+        least = np.min([margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0)
+        good = np.flatnonzero(least > 0.0)
+        part = {a: q[a][0, good, b] for a, b in zip(few.targets.arms, choice, strict=True)}
+        free = scene.free(few.targets, part, few.index[good])
+        return set(few.index[good][free].tolist()) == set(range(few.targets.count))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Few:
+    """Some targets with samples of their freedoms, one after the other."""
+
+    targets: Targets
+    values: FloatArray
+    index: NDArray[np.intp]
+
+
+def _few(targets: Targets, count: int) -> _Few:
+    rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
+    few = subset(targets, rows)
+    grid = sample(few, SPIN_STEP, slides=1)
+    index = np.repeat(np.arange(few.count), grid.samples)
+    return _Few(few, grid.values.reshape(len(index), -1), index)
+
+
+def margin(
+    cell: Cell,
+    targets: Targets,
+    values: FloatArray,
+    index: NDArray[np.intp],
+    stock: FloatArray,
+    bases: Mapping[str, FloatArray],
+    settings: Settings,
+) -> FloatArray:
+    """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best branches."""
+    scene = Scene.of(cell, targets.arms, stock, settings, None, bases)
+    margins, _ = margins_at(scene, targets, values, index, stock, settings)
+    return _combined(margins, index).max(axis=1)
+
+
+def margins_at(
+    scene: Scene,
+    targets: Targets,
+    values: FloatArray,
+    index: NDArray[np.intp],
+    stock: FloatArray,
+    settings: Settings,
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Margins {arm: (K, M, 8)} beyond the hard ones, capped, and joints {arm: (K, M, 8, 6)}, for M sampled states.
+
+    Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
+    """
+    placed = dataclasses.replace(scene, stock=stock)
+    poses = placed.world(targets, targets.poses(values, index))
+    out, joints = {}, {}
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        pose = np.broadcast_to(
+            poses[arm], (*np.broadcast_shapes(poses[arm].shape, stock.shape[:-2] + (1, 1)),)
+        )
+        q = chain.inverse(pose)
+        limit = np.max(chain.limit_margins(q, chain.turns), axis=0) - settings.joint_margin
+        single = chain.singularity_margin(q) - settings.singularity_margin
+        value = np.minimum(np.minimum(limit, single), ENOUGH)
+        beyond = -1.0 - reach_gap(chain, pose)[..., None]
+        out[arm] = np.where(np.isfinite(value), value, beyond)
+        joints[arm] = q
+    return out, joints
+
+
+def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
+    """How far (...,) [m] the wrist's centre of TCP poses (..., 4, 4) lies outside what the arm reaches."""
+    flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
+    p = chain.robot.opw
+    centre = flange[..., :3, 3] - p.c4 * flange[..., :3, 2]
+    radial = np.hypot(centre[..., 0], centre[..., 1]) - p.a1
+    distance = np.hypot(radial, centre[..., 2] - p.c1)
+    forearm = np.hypot(p.a2, p.c3)
+    return np.maximum(np.maximum(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance), 0.0)
+
+
+def best_branches(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Flat index (K,) of the best choice of branches."""
+    return np.asarray(_combined(margins, index).argmax(axis=1))
+
+
+def _combined(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> FloatArray:
+    """Score (K, 8 ** arms) of each choice of branches: least over targets of the best sample, and a little of the mean."""
+    total: FloatArray | None = None
+    for value in margins.values():
+        if total is None:
+            total = value
+        else:
+            total = np.minimum(total[..., :, None], value[..., None, :]).reshape(*value.shape[:-1], -1)
+    if total is None:
+        raise ValueError("targets without arms have no margin")
+    starts = np.flatnonzero(np.append(True, np.diff(index) > 0))
+    best = np.maximum.reduceat(total, starts, axis=1)
+    least = best.min(axis=1)
+    return np.where(
+        least > 0.0,
+        least * (1.0 + 0.0) + 0.02 * best.mean(axis=1),
+        least + 0.02 * np.minimum(best.mean(axis=1), 0.0),
+    )
+
+
+def tried(places: Sequence[Place]) -> Iterator[Place]:
+    """Places to plan in, best first."""
+    yield from places
