@@ -1,0 +1,148 @@
+"""The programs of all tasks laid side by side: stages between synchronisation points, moves in pairs.
+
+A stage is what happens between two synchronisation points. In a synchronised one the moves of all tasks run
+in pairs; in any other one at most one task may move, so that no order of events depends on chance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+
+from planner.problem import Arm, Problem
+from planner.verify.rapid_ast import Module
+from planner.verify.rapid_lexer import Fault
+from planner.verify.rapid_parser import Limits
+from planner.verify.rapid_reader import FlowError, flatten, handlers, read_task
+from planner.verify.rapid_steps import MoveStep, Step, SyncStep
+
+Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class TaskText:
+    """One task: its arm, its modules, its straight way and its error handlers."""
+
+    name: str
+    unit: str
+    arm: Arm
+    modules: tuple[Module, ...]
+    steps: tuple[Step, ...]
+    handlers: Handlers
+    files: Mapping[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """Steps of each task between two synchronisation points. ``opened`` by ``ident`` (None for the first
+    stage)."""
+
+    synchronised: bool
+    ident: str | None
+    steps: Mapping[str, tuple[Step, ...]]
+
+    def moves(self, task: str) -> tuple[MoveStep, ...]:
+        """The moves of one task."""
+        return tuple(step for step in self.steps[task] if isinstance(step, MoveStep))
+
+
+@dataclasses.dataclass(frozen=True)
+class JobText:
+    """All tasks, the stages they share (empty where the synchronisation points do not match), and faults of
+    reading."""
+
+    tasks: tuple[TaskText, ...]
+    stages: tuple[Stage, ...]
+    faults: tuple[Fault, ...]
+    flow: tuple[Fault, ...]
+    strays: tuple[str, ...]
+    lists: Mapping[str, str]
+
+
+def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
+    """Module files of each task by the task's name in the path, and the files that belong to none."""
+    found: dict[str, dict[str, str]] = {task: {} for task in problem.cell.controller.tasks}
+    strays: list[str] = []
+    for path, text in sorted(programs.items()):
+        if PurePosixPath(path).suffix.lower() not in (".mod", ".sys"):
+            continue
+        words = [
+            task for task in found if re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)
+        ]
+        if words:
+            found[max(words, key=len)][path] = text
+        else:
+            strays.append(path)
+    return found, strays
+
+
+def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
+    """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
+    controller = problem.cell.controller
+    files, strays = task_files(problem, programs)
+    limits = Limits(bytes=controller.max_bytes)
+    tasks, faults, flow = [], [], []
+    for number, arm in enumerate(problem.cell.arms):
+        if number >= len(controller.tasks) or not files[controller.tasks[number]]:
+            continue
+        name = controller.tasks[number]
+        text = read_task(files[name], limits)
+        faults += text.faults
+        steps: tuple[Step, ...] = ()
+        sections: Handlers = {}
+        if not text.faults:
+            try:
+                steps, sections = flatten(text.modules), handlers(text.modules)
+            except FlowError as wrong:
+                flow += wrong.faults
+        unit = controller.units[number] if number < len(controller.units) else ""
+        tasks.append(TaskText(name, unit, arm, text.modules, steps, sections, files[name]))
+    lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
+    return JobText(tuple(tasks), _stages(tasks), tuple(faults), tuple(flow), tuple(strays), lists)
+
+
+def sync_points(task: TaskText) -> tuple[SyncStep, ...]:
+    """The synchronisation points of a task in order."""
+    return tuple(step for step in task.steps if isinstance(step, SyncStep))
+
+
+def _stages(tasks: list[TaskText]) -> tuple[Stage, ...]:
+    """Stages where all tasks pass the same synchronisation points, else none."""
+    if not tasks:
+        return ()
+    rows = [[(step.kind, step.ident) for step in sync_points(task)] for task in tasks]
+    if any(row != rows[0] for row in rows):
+        return ()
+    cut: list[list[tuple[Step, ...]]] = []
+    for task in tasks:
+        parts: list[list[Step]] = [[]]
+        for step in task.steps:
+            if isinstance(step, SyncStep):
+                parts.append([])
+            else:
+                parts[-1].append(step)
+        cut.append([tuple(part) for part in parts])
+    stages = []
+    inside = False
+    for i in range(len(rows[0]) + 1):
+        kind, ident = rows[0][i - 1] if i else ("", None)
+        inside = kind == "SyncMoveOn" or (inside and kind not in ("SyncMoveOff", "SyncMoveUndo"))
+        stages.append(Stage(inside, ident, {task.name: cut[n][i] for n, task in enumerate(tasks)}))
+    return tuple(stages)
+
+
+_LABEL = re.compile(
+    r"^(mount|unmount|transit|approach|cut|link|retreat|entry|exit|lead)(?:_(.+?))?(?:__?\d+)?$", re.I
+)
+
+
+def label(procedure: str) -> str:
+    """Segment label of a procedure's name: ``cut_front`` is ``cut/front``; other names are taken as they
+    are."""
+    found = _LABEL.match(procedure)
+    if found is None:
+        return procedure.lower()
+    kind, name = found.group(1).lower(), found.group(2)
+    return f"{kind}/{name.lower()}" if name else kind

@@ -1,0 +1,221 @@
+"""The proof: from the problem and the program text alone to a verdict, rule by rule.
+
+Rules stand in an order in which each one may rely on those before it: text, tasks side by side, data,
+motion, cell, wire, surface. Where a fault leaves a later rule nothing to look at, that rule has not run, and
+the proof does not hold.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from planner.cell.plant import CellModel, build
+from planner.claims import Claim
+from planner.issues import Issue, aggregate
+from planner.problem import Problem
+from planner.verify import (
+    report_series,
+    rules_cell,
+    rules_data,
+    rules_motion,
+    rules_surface,
+    rules_sync,
+    rules_text,
+    rules_wire,
+)
+from planner.verify.context import Context, Outcome
+from planner.verify.result import CutFace, Proof, RuleResult
+from planner.verify.wire import Wire, follow_wire
+
+_RuleTable = tuple[tuple[str, Callable[[Context], Outcome]], ...]
+
+TEXT: _RuleTable = (
+    ("verify.syntax", rules_text.syntax),
+    ("verify.declarations", rules_text.declarations),
+    ("verify.pers_literal", rules_text.persistents),
+    ("verify.names", rules_text.names),
+    ("verify.line_length", rules_text.line_lengths),
+    ("verify.module_size", rules_text.module_size),
+    ("verify.decimals", rules_text.decimals),
+    ("verify.files", rules_text.files),
+    ("verify.digest", rules_text.digest),
+)
+TASKS: _RuleTable = (
+    ("verify.task_list", rules_sync.task_list),
+    ("verify.sync_order", rules_sync.sync_order),
+    ("verify.error_handler", rules_data.error_handler),
+    ("verify.motion_settings", rules_data.motion_settings),
+)
+STAGES: _RuleTable = (
+    ("verify.move_count", rules_sync.move_count),
+    ("verify.move_ids", rules_sync.move_ids),
+    ("verify.zone_kind", rules_sync.zone_kind),
+    ("verify.move_time", rules_sync.move_time),
+    ("verify.arms_alone", rules_sync.arms_alone),
+    ("verify.wire_alone", rules_sync.wire_alone),
+    ("verify.stop_before_logic", rules_sync.stop_before_logic),
+    ("verify.tool_data", rules_data.tool_data),
+    ("verify.work_object", rules_data.work_object),
+    ("verify.base_frames", rules_data.base_frames),
+    ("verify.move_kinds", rules_data.move_kinds),
+    ("verify.zone_size", rules_data.zone_size),
+    ("verify.zero_length", rules_data.zero_length),
+    ("verify.wire_mount", rules_wire.wire_mount),
+)
+MOTION: _RuleTable = (
+    ("verify.reach", rules_motion.reach),
+    ("verify.corner", rules_motion.corners),
+    ("verify.continuity", rules_motion.continuity),
+    ("verify.confdata", rules_motion.confdata),
+    ("verify.joint_limits", rules_motion.joint_limits),
+    ("verify.rod_limits", rules_motion.rod_limits),
+    ("verify.joint_speed", rules_motion.joint_speed),
+    ("verify.joint_acceleration", rules_motion.joint_acceleration),
+    ("verify.singularity", rules_motion.singularity),
+    ("verify.tcp_speed", rules_motion.tcp_speed),
+    ("verify.follows", rules_motion.follows),
+)
+WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
+    ("verify.wire_length", rules_wire.wire_length),
+    ("verify.wire_stability", rules_wire.wire_stability),
+    ("verify.curvature", rules_wire.curvature),
+    ("verify.contact", rules_wire.contact),
+    ("verify.stop_in_foam", rules_wire.stop_in_foam),
+    ("verify.wire_power", rules_wire.wire_power),
+    ("verify.feed", rules_wire.feed),
+)
+OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
+    ("verify.kinematics", rules_cell.kinematics),
+    ("verify.clearance", rules_cell.bodies),
+    ("verify.wire_clearance", rules_cell.wire_bodies),
+    ("verify.surface", rules_surface.surface),
+    ("verify.ridge", rules_surface.ridges),
+)
+
+RULES: tuple[str, ...] = tuple(
+    code for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS) for code, _ in table
+)
+"""Codes of all rules."""
+
+_TITLES = {
+    code: (rule.__doc__ or code).splitlines()[0].rstrip(".")
+    for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS)
+    for code, rule in table
+}
+
+
+@dataclasses.dataclass
+class Prover:
+    """Proves programs of one problem. Keeps the Drake model between proofs, which then start at once."""
+
+    problem: Problem
+    claims: Mapping[str, tuple[Claim, ...]]
+    _model: CellModel | None = None
+
+    def prove(self, programs: Mapping[str, str], first_error: bool = False) -> Proof:
+        """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
+        the same)."""
+        context = Context(self.problem, self.claims, programs)
+        run = _Run(context)
+        for _ in self._steps(context, run):
+            if first_error and run.broken:
+                break
+        return run.proof()
+
+    def model(self, context: Context) -> CellModel:
+        """The cell with stock and bases where the text has them."""
+        if self._model is None:
+            self._model = build(self.problem.cell, self.problem.stock, context.stock_pose, context.bases)
+        return self._model.with_stock(context.stock_pose).with_bases(context.bases)
+
+    def _steps(self, context: Context, run: _Run) -> Iterator[None]:
+        """Runs the rules one after the other and hands control back behind each."""
+        for code, rule in TEXT:
+            yield run.add(code, rule(context))
+        if not context.readable:
+            return
+        for code, rule in TASKS:
+            yield run.add(code, rule(context))
+        if not context.playable:
+            return
+        for code, rule in STAGES:
+            yield run.add(code, rule(context))
+        if run.broken_any("verify.move_count", "verify.sync_order", "verify.arms_alone"):
+            return
+        for code, rule in MOTION:
+            yield run.add(code, rule(context))
+        if run.broken_any("verify.reach"):
+            return
+        yield from self._physics(context, run)
+
+    def _physics(self, context: Context, run: _Run) -> Iterator[None]:
+        wires = tuple(follow_wire(context, phase) for phase in context.phases)
+        run.wires = wires
+        for code, rule in WIRE:
+            yield run.add(code, rule(context, wires))
+        sweeps = rules_surface.sweeps(context, wires)
+        outcome, run.faces, run.part = rules_surface.surface(context, sweeps)
+        yield run.add("verify.surface", outcome)
+        yield run.add("verify.ridge", rules_surface.ridges(run.faces))
+        model = self.model(context)
+        yield run.add("verify.kinematics", rules_cell.kinematics(context, model))
+        run.looks = rules_cell.looks(context)
+        outcome, run.clearance = rules_cell.bodies(context, model, run.looks)
+        yield run.add("verify.clearance", outcome)
+        outcome, run.wire_clearance = rules_cell.wire_bodies(context, model, wires)
+        yield run.add("verify.wire_clearance", outcome)
+
+
+class _Run:
+    """What a proof has found so far."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.results: dict[str, RuleResult] = {}
+        self.issues: list[Issue] = []
+        self.wires: tuple[Wire, ...] = ()
+        self.faces: tuple[CutFace, ...] = ()
+        self.part = ""
+        self.looks: Any = np.zeros(0, dtype=np.int64)
+        self.clearance: Any = None
+        self.wire_clearance: list[Any] = []
+
+    @property
+    def broken(self) -> bool:
+        return bool(self.issues)
+
+    def broken_any(self, *codes: str) -> bool:
+        return any(code in self.results and not self.results[code].passed for code in codes)
+
+    def add(self, code: str, outcome: Outcome) -> None:
+        self.issues += outcome.issues
+        self.results[code] = RuleResult(
+            code, _TITLES[code], not outcome.issues, outcome.worst, outcome.limit, outcome.unit, outcome.where
+        )
+
+    def proof(self) -> Proof:
+        rules = tuple(
+            self.results.get(code) or RuleResult(code, _TITLES[code], False, where="not reached", ran=False)
+            for code in RULES
+        )
+        series: dict[str, Any] = {}
+        if self.context.playable and "verify.reach" in self.results:
+            series = report_series.series(
+                self.context, self.wires, self.looks, self.clearance, self.wire_clearance
+            )
+        return Proof(
+            self.context.problem.digest, rules, aggregate(self.issues), series, self.faces, self.part
+        )
+
+
+def prove(problem: Problem, claims: Mapping[str, tuple[Claim, ...]], programs: Mapping[str, str]) -> Proof:
+    """Prove programs from their text.
+
+    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. Never raises for
+    what is wrong with the programs: that is in the proof.
+    """
+    return Prover(problem, claims).prove(programs)

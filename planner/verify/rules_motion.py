@@ -1,0 +1,373 @@
+"""Rules on the replayed motion of the joints and tools."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.catalogue import robot
+from planner.geometry.rigid import inverse, log_rotation
+from planner.issues import Issue
+from planner.verify.arm_ik import singularity_distance
+from planner.verify.context import Context, Outcome, mm
+
+FloatArray = NDArray[np.float64]
+
+JUMP = np.deg2rad(8.0)
+"""A joint that turns farther than this from one sample to the next (4 ms) has changed its solution, not
+moved."""
+TCP_SLACK = 1.10
+"""The replay's ramps may exceed the planned speed between targets by this factor."""
+KINEMATICS = 1e-6
+_DRAKE_SAMPLES = 200
+
+
+def reach(context: Context) -> Outcome:
+    """The arms can go the path that the text states."""
+    issues = [
+        Issue("verify.reach", fault.message, file=fault.task, line=fault.line, index=fault.index)
+        for fault in context.motion.faults
+        if fault.kind in ("reach", "motion")
+    ]
+    return Outcome(tuple(issues))
+
+
+def corners(context: Context) -> Outcome:
+    """No zone joins a joint move and a straight one."""
+    issues = [
+        Issue(
+            "verify.corner",
+            fault.message,
+            file=fault.task,
+            line=fault.line,
+            index=fault.index,
+            hint="stop there",
+        )
+        for fault in context.motion.faults
+        if fault.kind == "corner"
+    ]
+    return Outcome(tuple(issues))
+
+
+def continuity(context: Context) -> Outcome:
+    """The joints go on from where they were: no jump between samples or from one move to the next."""
+    motion = context.motion
+    issues, worst = [], 0.0
+    for arm, q in motion.q.items():
+        step = np.abs(np.diff(q, axis=0))
+        if not len(step):
+            continue
+        worst = max(worst, float(np.rad2deg(step.max())))
+        for i in np.flatnonzero((step > JUMP).any(axis=1))[:20]:
+            joint = int(np.argmax(step[i]))
+            message = f"axis {joint + 1} jumps by {np.rad2deg(step[i, joint]):.2f} deg between two samples"
+            issues.append(
+                _at(
+                    context,
+                    "verify.continuity",
+                    message,
+                    arm,
+                    int(i) + 1,
+                    float(np.rad2deg(step[i, joint])),
+                    float(np.rad2deg(JUMP)),
+                    "deg",
+                    f"axis {joint + 1}",
+                )
+            )
+    return Outcome(tuple(issues), worst, float(np.rad2deg(JUMP)), "deg")
+
+
+def confdata(context: Context) -> Outcome:
+    """Confdata alone select the joint solution that the motion has at each target."""
+    motion = context.motion
+    issues, worst = [], 0.0
+    for task in context.job.tasks:
+        arm = task.arm.name
+        if robot(task.arm.robot).coupling is not None:
+            continue  # cfx of parallel-rod arms is not settled; the programs run with ConfL\Off
+        selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
+        straight = _straight(context, arm)
+        none = straight & ~np.isfinite(selected).all(axis=1)
+        far = np.abs(np.where(np.isfinite(selected), selected, here) - here).max(axis=1)
+        wrong = straight & (none | (far > JUMP) | ~motion.node_conf_ok[arm])
+        worst = max(worst, float(np.rad2deg(far[straight].max()))) if straight.any() else worst
+        for i in np.flatnonzero(wrong):
+            what = (
+                "select no joint solution" if none[i] else "select another joint solution than the motion has"
+            )
+            issues.append(_node(context, "verify.confdata", f"the confdata {what}", arm, int(i)))
+    return Outcome(tuple(issues), worst, float(np.rad2deg(JUMP)), "deg")
+
+
+def joint_limits(context: Context) -> Outcome:
+    """Every axis stays within its limits."""
+    issues, least, where = [], np.inf, ""
+    for task in context.job.tasks:
+        machine, arm = robot(task.arm.robot), task.arm.name
+        q = context.motion.q[arm]
+        margin = np.minimum(q - machine.lower, machine.upper - q)
+        i, joint = np.unravel_index(int(np.argmin(margin)), margin.shape)
+        if margin[i, joint] < least:
+            least, where = float(margin[i, joint]), f"{arm} axis {joint + 1}"
+        if margin[i, joint] < 0.0:
+            value, limit = (
+                np.rad2deg(q[i, joint]),
+                np.rad2deg((machine.lower if q[i, joint] < 0 else machine.upper)[joint]),
+            )
+            message = f"axis {joint + 1} of {arm} is at {value:.2f} deg; allowed: {np.rad2deg(machine.lower[joint]):g} to {np.rad2deg(machine.upper[joint]):g}"
+            issues.append(
+                _at(
+                    context,
+                    "verify.joint_limits",
+                    message,
+                    arm,
+                    int(i),
+                    float(value),
+                    float(limit),
+                    "deg",
+                    f"axis {joint + 1}",
+                )
+            )
+    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin", where)
+
+
+def rod_limits(context: Context) -> Outcome:
+    """Parallel-rod arms: the controller's axis 3, serial angle plus axis 2, is within its own limits too."""
+    issues, least = [], np.inf
+    for task in context.job.tasks:
+        machine, arm = robot(task.arm.robot), task.arm.name
+        if machine.coupling is None:
+            continue
+        axis3 = context.motion.q[arm][:, 1] + context.motion.q[arm][:, 2]
+        margin = np.minimum(axis3 - machine.coupling.axis3_lower, machine.coupling.axis3_upper - axis3)
+        i = int(np.argmin(margin))
+        least = min(least, float(margin[i]))
+        if margin[i] < 0.0:
+            low, high = np.rad2deg([machine.coupling.axis3_lower, machine.coupling.axis3_upper])
+            message = f"axis 3 of {arm}, as the controller counts it, is at {np.rad2deg(axis3[i]):.2f} deg; allowed: {low:g} to {high:g}"
+            issues.append(
+                _at(
+                    context,
+                    "verify.rod_limits",
+                    message,
+                    arm,
+                    i,
+                    float(np.rad2deg(axis3[i])),
+                    float(high),
+                    "deg",
+                    "axis 3",
+                )
+            )
+    if not np.isfinite(least):
+        return Outcome(where="no parallel-rod arm")
+    return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin")
+
+
+def joint_speed(context: Context) -> Outcome:
+    """Joint speeds that the times ask for are within the robot's."""
+    return _rates(context, "verify.joint_speed", "speed", context.motion.speed, "deg/s")
+
+
+def joint_acceleration(context: Context) -> Outcome:
+    """Joint accelerations that the times ask for are within the robot's."""
+    return _rates(
+        context, "verify.joint_acceleration", "acceleration", context.motion.acceleration, "deg/s^2"
+    )
+
+
+def _rates(context: Context, code: str, word: str, rates: object, unit: str) -> Outcome:
+    issues, worst, where = [], 0.0, ""
+    for task in context.job.tasks:
+        machine, arm = robot(task.arm.robot), task.arm.name
+        limit = machine.velocity if word == "speed" else machine.acceleration
+        rate = np.abs(rates[arm])  # type: ignore[index]
+        share = rate / limit
+        i, joint = np.unravel_index(int(np.argmax(share)), share.shape)
+        if share[i, joint] > worst:
+            worst, where = float(share[i, joint]), f"{arm} axis {joint + 1}"
+        nodes = np.unique(context.motion.node[(share > 1.0).any(axis=1)])
+        for node in nodes[:200]:
+            rows = np.flatnonzero(context.motion.node == node)
+            k = int(rows[np.argmax(share[rows].max(axis=1))])
+            joint = int(np.argmax(share[k]))
+            value, most = float(np.rad2deg(rate[k, joint])), float(np.rad2deg(limit[joint]))
+            message = (
+                f"axis {joint + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
+            )
+            issues.append(_at(context, code, message, arm, k, value, most, unit, f"axis {joint + 1}"))
+    return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where)
+
+
+def singularity(context: Context) -> Outcome:
+    """The arms keep off their singular postures by the problem's margin wherever they move straight."""
+    issues, least, where = [], np.inf, ""
+    limit = context.problem.settings.singularity_margin
+    for task in context.job.tasks:
+        arm = task.arm.name
+        rows = np.flatnonzero(_straight(context, arm)[context.motion.node])
+        if not len(rows):
+            continue
+        distance = singularity_distance(robot(task.arm.robot), context.motion.q[arm][rows])
+        k = int(np.argmin(distance))
+        if distance[k] < least:
+            least, where = float(distance[k]), arm
+        if distance[k] < limit - np.deg2rad(0.05):
+            value = float(np.rad2deg(distance[k]))
+            message = (
+                f"{arm} comes within {value:.2f} deg of a singular posture; allowed: {np.rad2deg(limit):.2f}"
+            )
+            issues.append(
+                _at(
+                    context,
+                    "verify.singularity",
+                    message,
+                    arm,
+                    int(rows[k]),
+                    value,
+                    float(np.rad2deg(limit)),
+                    "deg",
+                    "",
+                )
+            )
+    return Outcome(tuple(issues), float(np.rad2deg(least)), float(np.rad2deg(limit)), "deg", where)
+
+
+def tcp_speed(context: Context) -> Outcome:
+    """The tools move no faster than the problem allows, wherever the text states the time of the move."""
+    motion = context.motion
+    issues, worst, where = [], 0.0, ""
+    limit = context.problem.settings.tcp_speed
+    stages = np.array([stage.synchronised for stage in context.job.stages])
+    timed = stages[motion.stage[1:]] & (motion.stage[1:] == motion.stage[:-1])
+    for task in context.job.tasks:
+        arm = task.arm.name
+        step = np.linalg.norm(np.diff(motion.tcp[arm][:, :3, 3], axis=0), axis=1)
+        speed = np.where(timed, step / np.maximum(np.diff(motion.time), 1e-6), 0.0)
+        if not len(speed):
+            continue
+        k = int(np.argmax(speed))
+        if speed[k] > worst:
+            worst, where = float(speed[k]), arm
+        if speed[k] > TCP_SLACK * limit:
+            message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
+            issues.append(
+                _at(context, "verify.tcp_speed", message, arm, k + 1, mm(speed[k]), mm(limit), "mm/s", "")
+            )
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
+
+
+def follows(context: Context) -> Outcome:
+    """Tools pass the poses that the problem gives, in order, up to the free axes."""
+    issues, worst = [], 0.0
+    motion = context.motion
+    for claim in context.follows:
+        tcp = motion.tcp.get(claim.arm)
+        if tcp is None:
+            issues.append(Issue("verify.follows", f"arm {claim.arm} has no program", arm=claim.arm))
+            continue
+        frame = context.stock_pose if claim.frame == "stock" else np.eye(4)
+        stages = np.array([stage.synchronised for stage in context.job.stages]) | (
+            len(context.job.tasks) == 1
+        )
+        rows = np.flatnonzero(stages[motion.stage]) if stages.any() else np.arange(len(tcp))
+        path = inverse(frame) @ tcp[rows]
+        start = 0
+        for i, pose in enumerate(claim.poses):
+            off = _off(path[start:], pose, claim.free)
+            score = np.maximum(off[:, 0] / claim.position_tol, off[:, 1] / claim.angle_tol)
+            good = np.flatnonzero(score <= 1.0)
+            best = int(good[0]) if len(good) else int(np.argmin(score))
+            # the first place where it is good enough, then the best one near it
+            best += int(np.argmin(score[best : best + 50]))
+            worst = max(worst, mm(float(off[best, 0])))
+            if score[best] > 1.0:
+                message = f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm and {np.rad2deg(off[best, 1]):.4f} deg"
+                issues.append(
+                    Issue(
+                        "verify.follows",
+                        message,
+                        arm=claim.arm,
+                        index=i,
+                        value=mm(float(off[best, 0])),
+                        limit=mm(claim.position_tol),
+                        unit="mm",
+                    )
+                )
+                continue
+            start += best
+    if not context.follows:
+        return Outcome(where="no such claim")
+    return Outcome(tuple(issues), worst, mm(max(c.position_tol for c in context.follows)), "mm")
+
+
+def _off(path: FloatArray, pose: FloatArray, free: tuple[FloatArray, ...]) -> FloatArray:
+    """Distance and angle (S, 2) of poses (S, 4, 4) to one pose, without what lies along the free twists."""
+    relative = np.linalg.inv(pose) @ path
+    twist = np.concatenate([log_rotation(relative[:, :3, :3]), relative[:, :3, 3]], axis=1)
+    if free:
+        basis = np.linalg.qr(np.stack(free, axis=1))[0]
+        twist = twist - (twist @ basis) @ basis.T
+    return np.stack([np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1)
+
+
+def _straight(context: Context, arm: str) -> NDArray[np.bool_]:
+    """Nodes (K,) that the arm reaches by a straight move."""
+    key = f"_straight_{arm}"
+    if key not in context.__dict__:
+        lines = context.motion.node_line[arm]
+        task = next(task for task in context.job.tasks if task.arm.name == arm)
+        flags = np.zeros(len(lines), dtype=bool)
+        place = 0
+        stages = context.motion.node_stage
+        for number, stage in enumerate(context.job.stages):
+            moves = stage.moves(task.name)
+            rows = np.flatnonzero((stages == number) & (lines > 0))
+            for row, move in zip(rows, moves, strict=False):
+                flags[row] = move.kind == "MoveL"
+            place += len(rows)
+        context.__dict__[key] = flags
+    found: NDArray[np.bool_] = context.__dict__[key]
+    return found
+
+
+def _node(context: Context, code: str, message: str, arm: str, node: int) -> Issue:
+    motion = context.motion
+    return Issue(
+        code,
+        message,
+        arm=arm,
+        index=node,
+        target=f"ID {motion.node_ids[node]}" if motion.node_ids[node] else None,
+        line=int(motion.node_line[arm][node]) or None,
+        field=motion.node_label[node],
+        time=float(motion.time[motion.node_sample[node]]),
+    )
+
+
+def _at(
+    context: Context,
+    code: str,
+    message: str,
+    arm: str,
+    sample: int,
+    value: float,
+    limit: float,
+    unit: str,
+    body: str,
+) -> Issue:
+    motion = context.motion
+    node = int(motion.node[sample])
+    return Issue(
+        code,
+        message,
+        arm=arm,
+        index=node,
+        target=f"ID {motion.node_ids[node]}" if motion.node_ids[node] else None,
+        line=int(motion.node_line[arm][node]) or None,
+        field=motion.node_label[node],
+        time=float(motion.time[sample]),
+        bodies=(body,) if body else (),
+        value=value,
+        limit=limit,
+        unit=unit,
+    )

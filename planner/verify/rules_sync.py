@@ -1,0 +1,221 @@
+"""Rules on how the tasks run together: task lists, synchronisation points, pairs of moves."""
+
+from __future__ import annotations
+
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, place
+from planner.verify.job import Stage, TaskText, sync_points
+from planner.verify.rapid_steps import MoveStep, SettingStep, Step
+
+_TIME_TOLERANCE = 1e-9
+
+
+def task_list(context: Context) -> Outcome:
+    """Every synchronisation point names all tasks that take part."""
+    tasks = context.job.tasks
+    wanted = tuple(task.name for task in tasks)
+    issues = []
+    for task in tasks:
+        for step in sync_points(task):
+            if step.kind in ("WaitSyncTask", "SyncMoveOn") and tuple(step.tasks) != wanted:
+                message = (
+                    f"{step.kind} {step.ident} names {list(step.tasks)}; the job's tasks are {list(wanted)}"
+                )
+                issues.append(Issue("verify.task_list", message, arm=task.arm.name, **place(task.name, step)))  # type: ignore[arg-type]
+    return Outcome(tuple(issues))
+
+
+def sync_order(context: Context) -> Outcome:
+    """All tasks pass the same synchronisation points in the same order, each of them once, with each block
+    closed."""
+    issues = []
+    rows = [(task, sync_points(task)) for task in context.job.tasks]
+    first = rows[0][1] if rows else ()
+    for task, row in rows:
+        here = [(step.kind, step.ident.lower()) for step in row]
+        there = [(step.kind, step.ident.lower()) for step in first]
+        if here != there:
+            i = next(
+                (k for k, (a, b) in enumerate(zip(here, there, strict=False)) if a != b),
+                min(len(here), len(there)),
+            )
+            step = row[i] if i < len(row) else None
+            message = f"synchronisation point {i + 1} of {task.name} is not that of the other task"
+            issues.append(Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step)))  # type: ignore[arg-type]
+        seen: set[str] = set()
+        inside = False
+        for step in row:
+            if step.ident.lower() in seen:
+                message = f"syncident {step.ident} is used again; each one may be used once"
+                issues.append(
+                    Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step))
+                )  # type: ignore[arg-type]
+            seen.add(step.ident.lower())
+            if (step.kind == "SyncMoveOn") == inside or (step.kind == "SyncMoveUndo"):
+                if step.kind == "WaitSyncTask" and not inside:
+                    continue
+                message = f"{step.kind} {step.ident} does not stand where a block may open, close or wait"
+                issues.append(
+                    Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step))
+                )  # type: ignore[arg-type]
+            inside = step.kind == "SyncMoveOn" or (inside and step.kind != "SyncMoveOff")
+        if inside:
+            issues.append(
+                Issue("verify.sync_order", f"{task.name} never leaves its last block", arm=task.arm.name)
+            )
+    return Outcome(tuple(issues))
+
+
+def _blocks(context: Context) -> list[tuple[Stage, dict[str, tuple[MoveStep, ...]]]]:
+    tasks = context.job.tasks
+    return [
+        (stage, {task.name: stage.moves(task.name) for task in tasks})
+        for stage in context.job.stages
+        if stage.synchronised
+    ]
+
+
+def _pairs(context: Context) -> list[tuple[TaskText, MoveStep, TaskText, MoveStep]]:
+    """Moves that run together: of the first task and of each other one."""
+    tasks = context.job.tasks
+    out = []
+    for _, moves in _blocks(context):
+        for other in tasks[1:]:
+            pairs = zip(moves[tasks[0].name], moves[other.name], strict=False)
+            out += [(tasks[0], a, other, b) for a, b in pairs]
+    return out
+
+
+def move_count(context: Context) -> Outcome:
+    """All tasks have the same number of moves in a block."""
+    issues = []
+    worst = 0
+    for stage, moves in _blocks(context):
+        counts = {name: len(row) for name, row in moves.items()}
+        worst = max(worst, max(counts.values()) - min(counts.values()))
+        if len(set(counts.values())) > 1:
+            message = f"block {stage.ident}: " + ", ".join(
+                f"{name} has {n} moves" for name, n in counts.items()
+            )
+            issues.append(Issue("verify.move_count", message, hint="every move of a block needs its partner"))
+    return Outcome(tuple(issues), worst, 0, "moves")
+
+
+def move_ids(context: Context) -> Outcome:
+    """IDs ascend and are equal in both tasks inside a block, and there are none outside."""
+    issues = []
+    for _, stage, task, moves in context.moves():
+        last = -1
+        for move in moves:
+            if not stage.synchronised:
+                if move.id is not None:
+                    issues.append(
+                        _move_issue("verify.move_ids", f"\\ID:={move.id} outside a block", task, move)
+                    )
+                continue
+            if move.id is None:
+                issues.append(_move_issue("verify.move_ids", "a move in a block has no \\ID", task, move))
+            elif move.id <= last:
+                message = f"\\ID:={move.id} follows {last}; IDs must ascend"
+                issues.append(_move_issue("verify.move_ids", message, task, move))
+            last = move.id if move.id is not None else last
+    for a_task, a, b_task, b in _pairs(context):
+        if a.id != b.id:
+            message = f"\\ID:={b.id} runs with \\ID:={a.id} of {a_task.name} (line {a.line})"
+            issues.append(_move_issue("verify.move_ids", message, b_task, b))
+    return Outcome(tuple(issues))
+
+
+def zone_kind(context: Context) -> Outcome:
+    """Both moves of a pair stop, or both pass through a zone."""
+    issues = [
+        _move_issue("verify.zone_kind", f"{b.zone_name} runs with {a.zone_name} of {a_task.name}", b_task, b)
+        for a_task, a, b_task, b in _pairs(context)
+        if a.zone.fine != b.zone.fine
+    ]
+    return Outcome(tuple(issues))
+
+
+def move_time(context: Context) -> Outcome:
+    """Every move of a block states its time, and both moves of a pair the same."""
+    issues = []
+    worst = 0.0
+    for stage, moves in _blocks(context):
+        del stage
+        for task in context.job.tasks:
+            for move in moves[task.name]:
+                if move.time is None or move.time <= 0.0:
+                    issues.append(
+                        _move_issue("verify.move_time", "a move in a block has no \\T above 0", task, move)
+                    )
+    for a_task, a, b_task, b in _pairs(context):
+        if a.time is not None and b.time is not None:
+            worst = max(worst, abs(a.time - b.time))
+            if abs(a.time - b.time) > _TIME_TOLERANCE:
+                message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
+                issues.append(_move_issue("verify.move_time", message, b_task, b))
+    return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
+
+
+def arms_alone(context: Context) -> Outcome:
+    """Outside synchronised blocks only one arm moves at a time."""
+    issues = []
+    for number, stage in enumerate(context.job.stages):
+        moving = [task for task in context.job.tasks if stage.moves(task.name)]
+        if not stage.synchronised and len(moving) > 1:
+            first = stage.moves(moving[1].name)[0]
+            message = f"stage {number + 1}: {' and '.join(task.name for task in moving)} move at once, unsynchronised"
+            issues.append(_move_issue("verify.arms_alone", message, moving[1], first))
+    return Outcome(tuple(issues))
+
+
+def wire_alone(context: Context) -> Outcome:
+    """No arm moves alone while a wire is mounted: each wire has one run of synchronised stages."""
+    runs, wires = len(context.runs), len(context.wires)
+    if not wires or runs == wires:
+        return Outcome()
+    lone = [
+        (task, moves[0])
+        for number, stage, task, moves in context.moves()
+        if not stage.synchronised and context.runs and context.runs[0][0] < number < context.runs[-1][-1]
+    ]
+    message = f"{wires} wires are mounted, and there are {runs} runs of synchronised moves between lone ones"
+    if lone:
+        return Outcome((_move_issue("verify.wire_alone", message, *lone[0]),))
+    return Outcome(
+        (Issue("verify.wire_alone", message, hint="move both arms together while a wire is mounted"),)
+    )
+
+
+def stop_before_logic(context: Context) -> Outcome:
+    """The arms stand before every synchronisation point outside a block, signal, wait and message."""
+    issues = []
+    for _, stage, task, _ in context.moves():
+        last: MoveStep | None = None
+        for step in stage.steps[task.name]:
+            if isinstance(step, MoveStep):
+                last = step
+            elif last is not None and not _harmless(step) and not last.zone.fine:
+                message = f"{last.zone_name} stands before {type(step).__name__.removesuffix('Step').lower()} logic in line {step.line}"
+                issues.append(_move_issue("verify.stop_before_logic", message, task, last))
+        if last is not None and not last.zone.fine:
+            message = f"{last.zone_name} stands before a synchronisation point or the end"
+            issues.append(_move_issue("verify.stop_before_logic", message, task, last))
+    return Outcome(tuple(issues))
+
+
+def _harmless(step: Step) -> bool:
+    return isinstance(step, SettingStep) and step.kind in ("ConfL", "ConfJ", "SingArea", "AccSet", "VelSet")
+
+
+def _move_issue(code: str, message: str, task: TaskText, move: MoveStep) -> Issue:
+    name = f"ID {move.id}" if move.id is not None else move.target_name or None
+    return Issue(
+        code,
+        message,
+        arm=task.arm.name,
+        file=f"{task.name}/{move.module}",
+        line=move.line,
+        target=name,
+        field=move.procedure,
+    )

@@ -1,0 +1,186 @@
+"""Rules on the text itself: syntax, declarations, names, sizes, numbers, files, the problem's digest."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
+
+from planner.issues import Issue
+from planner.verify.context import DIGEST, Context, Outcome
+from planner.verify.rapid_ast import Literal
+from planner.verify.rapid_lexer import Fault
+from planner.verify.rapid_steps import MoveStep
+
+_DECLARATION = frozenset(
+    {
+        "rapid.undeclared",
+        "rapid.unknown_procedure",
+        "rapid.type",
+        "rapid.no_value",
+    }
+)
+_PERS = frozenset({"rapid.pers_literal"})
+_NAMES = frozenset({"rapid.name_form", "rapid.name_length", "rapid.name_reserved", "rapid.name_duplicate"})
+_LINES = frozenset({"rapid.line_length", "rapid.string_length"})
+_SIZES = frozenset({"rapid.file_size"})
+_NUMBERS = frozenset({"rapid.number", "rapid.quaternion"})
+_OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS
+
+POSITION_DECIMALS = 4
+QUATERNION_DECIMALS = 8
+UNIT_TOLERANCE = 1e-7
+_TARGET = re.compile(r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]")
+
+
+def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> Outcome:
+    issues = tuple(
+        Issue(code, fault.message, file=fault.file, line=fault.line, field=fault.code, hint=hint)
+        for fault in faults
+    )
+    return Outcome(issues, float(len(issues)), 0.0, "faults")
+
+
+def syntax(context: Context) -> Outcome:
+    """The text is RAPID and has one straight way."""
+    job = context.job
+    faults = [*(f for f in job.faults if f.code not in _OTHERS), *job.flow]
+    return _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
+
+
+def declarations(context: Context) -> Outcome:
+    """What is used is declared, of the right type, with a value."""
+    faults = [f for f in context.job.faults if f.code in _DECLARATION]
+    return _faults(context, "verify.declarations", faults, "declare what is used, with its type and value")
+
+
+def persistents(context: Context) -> Outcome:
+    """PERS data are given literals."""
+    faults = [f for f in context.job.faults if f.code in _PERS]
+    return _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
+
+
+def names(context: Context) -> Outcome:
+    """Names are legal, not too long and unique."""
+    faults = [f for f in context.job.faults if f.code in _NAMES]
+    return _faults(context, "verify.names", faults, "a letter first, at most 32 characters, no reserved word")
+
+
+def line_lengths(context: Context) -> Outcome:
+    """Lines and strings are within what the controller reads."""
+    faults = [f for f in context.job.faults if f.code in _LINES]
+    return _faults(context, "verify.line_length", faults, "break the line")
+
+
+def module_size(context: Context) -> Outcome:
+    """Modules are within the problem's limits of bytes and moves."""
+    issues = [
+        Issue("verify.module_size", f.message, file=f.file, line=f.line, hint="split the module")
+        for f in context.job.faults
+        if f.code in _SIZES
+    ]
+    limit, worst = context.problem.cell.controller.max_moves, 0
+    for task in context.job.tasks:
+        for module in task.modules:
+            steps = (step for p in module.procedures for step in p.body)
+            count = sum(type(step).__name__ == "Move" for step in steps)
+            worst = max(worst, count)
+            if count > limit:
+                message = f"module {module.name} has {count} moves; allowed: {limit}"
+                issues.append(
+                    Issue("verify.module_size", message, file=module.file, value=count, limit=limit)
+                )
+    return Outcome(tuple(issues), worst, limit, "moves")
+
+
+def decimals(context: Context) -> Outcome:
+    """Targets are written finely enough, with unit quaternions and without a negative zero."""
+    issues = [
+        Issue("verify.decimals", f.message, file=f.file, line=f.line, hint="write plain decimals")
+        for f in context.job.faults
+        if f.code in _NUMBERS
+    ]
+    worst = 0.0
+    for task in context.job.tasks:
+        for file, text in task.files.items():
+            issues += _coarse(file, text)
+        for step in task.steps:
+            if isinstance(step, MoveStep) and step.kind != "MoveAbsJ":
+                off = abs(float((step.target.quaternion**2).sum()) ** 0.5 - 1.0)  # type: ignore[union-attr]
+                worst = max(worst, off)
+                if off > UNIT_TOLERANCE:
+                    message = f"the quaternion's norm is off 1 by {off:.2g}; allowed: {UNIT_TOLERANCE:g}"
+                    issues.append(
+                        Issue("verify.decimals", message, file=f"{task.name}/{step.module}", line=step.line)
+                    )
+    return Outcome(tuple(issues), worst, UNIT_TOLERANCE, "")
+
+
+def _coarse(file: str, text: str) -> list[Issue]:
+    issues = []
+    for found in _TARGET.finditer(text):
+        if not _few(found.group(1), POSITION_DECIMALS) and not _few(found.group(2), QUATERNION_DECIMALS):
+            continue
+        line = text.count("\n", 0, found.start()) + 1
+        message = f"a target has fewer than {POSITION_DECIMALS} decimals in mm or {QUATERNION_DECIMALS} in its quaternion"
+        issues.append(Issue("verify.decimals", message, file=file, line=line, hint="write all decimals"))
+    return issues
+
+
+def _few(numbers: str, wanted: int) -> bool:
+    return any(len(part.strip().partition(".")[2]) < wanted for part in numbers.split(","))
+
+
+def files(context: Context) -> Outcome:
+    """Every task of the cell has modules, no file is left over, and the program lists name the modules that
+    are there."""
+    issues = []
+    job = context.job
+    controller = context.problem.cell.controller
+    read = {task.name for task in job.tasks}
+    used = {arm for operation in context.problem.operations for arm in operation.arms}
+    for number, arm in enumerate(context.problem.cell.arms):
+        name = controller.tasks[number] if number < len(controller.tasks) else f"task {number + 1}"
+        if arm.name in used and name not in read:
+            message = f"arm {arm.name} has no module for task {name}"
+            issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
+    for path in job.strays:
+        issues.append(Issue("verify.files", f"{path} belongs to none of the tasks", file=path))
+    for path, text in job.lists.items():
+        issues += _list(context, path, text)
+    return Outcome(tuple(issues))
+
+
+def _list(context: Context, path: str, text: str) -> list[Issue]:
+    try:
+        root = ElementTree.fromstring(text.encode("latin-1", "replace"))
+    except ElementTree.ParseError as wrong:
+        return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
+    listed = sorted((item.text or "").lower().removesuffix(".mod") for item in root.iter("Module"))
+    folder = path.rpartition("/")[0]
+    for task in context.job.tasks:
+        if any(file.rpartition("/")[0] == folder for file in task.files):
+            there = sorted(module.name.lower() for module in task.modules)
+            if listed != there:
+                message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
+                return [Issue("verify.files", message, file=path, hint="list every module once")]
+    return []
+
+
+def digest(context: Context) -> Outcome:
+    """The programs were written for this very problem."""
+    issues = []
+    for task in context.job.tasks:
+        found = [
+            data.initial.value
+            for data in context.data(task, rf"{DIGEST}(_\d+)?")
+            if isinstance(data.initial, Literal) and data.kind == "string"
+        ]
+        text = "".join(str(part) for part in found)
+        if text != context.problem.digest:
+            message = (
+                f"task {task.name} states the problem {text[:12] or '(none)'}..., "
+                f"this problem is {context.problem.digest[:12]}..."
+            )
+            issues.append(Issue("verify.digest", message, file=task.name, hint="plan this problem again"))
+    return Outcome(tuple(issues))

@@ -1,0 +1,202 @@
+"""The surface that the wire leaves in the foam: swept wire shapes less half the kerf, against the wanted
+face.
+
+The swept shapes form a grid of points, row by station and column by arc length. From each sample of the
+wanted face the nearest point of that grid's triangles is found (nearest grid point first, then the triangles
+around it); a wire that cuts exactly right passes at half the kerf on the outer side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.claims import CutsSurface
+from planner.verify.result import CutFace
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SAMPLE = 0.005
+"""Largest edge of the triangles that the wanted face is sampled with [m]."""
+MOST_SAMPLES = 60_000
+_FINER = 2
+_EDGE = 1e-9
+
+
+def cut_face(claim: CutsSurface, rows: FloatArray) -> CutFace:
+    """The cut of one segment. ``rows`` (T, P, 3) are the wire's points at its stations, in the stock frame,
+    in order of time."""
+    points, normals, area = sample_face(claim.vertices, claim.faces)
+    if len(rows) < 2:
+        deviation = np.full(len(points), np.nan)
+    else:
+        distance = distance_to_sweep(points, normals, _refined(rows))
+        deviation = distance - 0.5 * claim.kerf
+    good = np.abs(deviation) <= claim.tolerance  # NaN compares as not good
+    known = np.isfinite(deviation)
+    weight = area[known] / max(float(area[known].sum()), 1e-30)
+    return CutFace(
+        segment=claim.segment,
+        points=points,
+        deviation=deviation,
+        area=area,
+        tolerance=claim.tolerance,
+        share=float(area[good].sum() / max(area.sum(), 1e-30)),
+        wanted_share=claim.share,
+        rms=float(np.sqrt((weight * deviation[known] ** 2).sum())) if known.any() else float("nan"),
+        largest=float(np.abs(deviation[known]).max()) if known.any() else float("nan"),
+    )
+
+
+def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (M, 3) on a face, its unit normals there and the area [m^2] each stands for: centroids of a
+    fine division."""
+    corners = vertices[faces]
+    corners = corners[
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 0.0
+    ]
+    smooth = _vertex_normals(vertices, faces)[faces]
+    smooth = (
+        smooth[: len(corners)]
+        if len(smooth) == len(corners)
+        else np.repeat(_flat(corners)[:, None], 3, axis=1)
+    )
+    for _ in range(12):
+        edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        large = edge > SAMPLE
+        if not large.any() or len(corners) + 3 * int(large.sum()) > MOST_SAMPLES:
+            break
+        corners = np.concatenate([corners[~large], _quartered(corners[large])])
+        smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
+    normals = smooth.mean(axis=1)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return corners.mean(axis=1), normals, 0.5 * np.linalg.norm(cross, axis=1)
+
+
+def distance_to_sweep(points: FloatArray, normals: FloatArray, grid: FloatArray) -> FloatArray:
+    """Signed distance (M,) from points of the face to the swept grid (T, P, 3), positive where it lies
+    outwards.
+
+    NaN where the nearest place is on the border of the sweep: the wire did not pass there.
+    """
+    count, width = grid.shape[:2]
+    tree = cKDTree(grid.reshape(-1, 3))
+    _, nearest = tree.query(points, k=1)
+    best = np.full(len(points), np.inf)
+    foot = np.zeros((len(points), 3))
+    border = np.zeros(len(points), dtype=bool)
+    row, column = np.divmod(nearest, width)
+    for down in (-2, -1, 0, 1):
+        for right in (-1, 0):
+            a = np.clip(row + down, 0, count - 2)
+            b = np.clip(column + right, 0, width - 2)
+            quad = grid[a, b], grid[a, b + 1], grid[a + 1, b + 1], grid[a + 1, b]
+            for triangle, edges in (
+                ((0, 1, 2), (a == 0, b == width - 2)),
+                ((0, 2, 3), (a == count - 2, b == 0)),
+            ):
+                place, weights = closest(points, *(quad[i] for i in triangle))
+                distance = np.linalg.norm(points - place, axis=1)
+                better = distance < best - 1e-12
+                best = np.where(better, distance, best)
+                foot[better] = place[better]
+                first, second = edges
+                # triangle (0, 1, 2) has the rows' first edge 0-1 and the right edge 1-2; (0, 2, 3) the last edge 2-3 and the left 3-0
+                on_first = weights[:, 2] < _EDGE if triangle == (0, 1, 2) else weights[:, 0] < _EDGE
+                on_second = weights[:, 0] < _EDGE if triangle == (0, 1, 2) else weights[:, 1] < _EDGE
+                border = np.where(better, (first & on_first) | (second & on_second), border)
+    along = np.einsum("ij,ij->i", foot - points, normals)
+    signed = np.where(along < 0.0, -best, best)
+    # at the border the foot may still be straight under the point: only a slanted one means that the wire passed by
+    slanted = np.abs(along) < 0.9 * best - 1e-6
+    return np.asarray(np.where(border & slanted, np.nan, signed))
+
+
+def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Closest places (M, 3) of triangles to points, with their barycentric weights (M, 3).
+
+    Regions of the triangle as in Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    """
+    ab, ac, ap = b - a, c - a, points - a
+    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    bp, cp = points - b, points - c
+    d3, d4, d5, d6 = _dot(ab, bp), _dot(ac, bp), _dot(ab, cp), _dot(ac, cp)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    total = np.where(np.abs(va + vb + vc) > 0.0, va + vb + vc, 1.0)
+    v, w = vb / total, vc / total
+    with np.errstate(divide="ignore", invalid="ignore"):
+        on_ab, on_ac = d1 / (d1 - d3), d2 / (d2 - d6)
+        on_bc = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+    bc = (va <= 0) & (d4 - d3 >= 0) & (d5 - d6 >= 0)
+    v, w = np.where(bc, 1.0 - on_bc, v), np.where(bc, on_bc, w)
+    edge_ac = (vb <= 0) & (d2 >= 0) & (d6 <= 0)
+    v, w = np.where(edge_ac, 0.0, v), np.where(edge_ac, on_ac, w)
+    edge_ab = (vc <= 0) & (d1 >= 0) & (d3 <= 0)
+    v, w = np.where(edge_ab, on_ab, v), np.where(edge_ab, 0.0, w)
+    at_c = (d6 >= 0) & (d5 <= d6)
+    v, w = np.where(at_c, 0.0, v), np.where(at_c, 1.0, w)
+    at_b = (d3 >= 0) & (d4 <= d3)
+    v, w = np.where(at_b, 1.0, v), np.where(at_b, 0.0, w)
+    at_a = (d1 <= 0) & (d2 <= 0)
+    v, w = np.where(at_a, 0.0, v), np.where(at_a, 0.0, w)
+    v, w = np.nan_to_num(v), np.nan_to_num(w)
+    place = a + v[:, None] * ab + w[:, None] * ac
+    return place, np.stack([1.0 - v - w, v, w], axis=1)
+
+
+def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[FloatArray, ...]) -> str:
+    """The simulated part as OBJ text in mm: each wanted face with its vertices moved to where the cut
+    surface is."""
+    lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
+    offset = 1
+    for claim, rows in zip(claims, sweeps, strict=True):
+        normals = _vertex_normals(claim.vertices, claim.faces)
+        moved = claim.vertices
+        if len(rows) >= 2:
+            deviation = distance_to_sweep(claim.vertices, normals, _refined(rows)) - 0.5 * claim.kerf
+            moved = claim.vertices + np.nan_to_num(deviation)[:, None] * normals
+        lines.append(f"o {claim.segment.replace('/', '_')}")
+        lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved * 1e3).tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
+        offset += len(claim.vertices)
+    return "\n".join(lines) + "\n"
+
+
+def _refined(rows: FloatArray) -> FloatArray:
+    """Rows with points between the points along the wire (cubic), so that triangles follow its curve."""
+    moving = np.concatenate([[True], np.linalg.norm(np.diff(rows, axis=0), axis=2).max(axis=1) > 1e-7])
+    rows = rows[moving]
+    wide = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
+    middle = (-wide[:, :-3] + 9.0 * wide[:, 1:-2] + 9.0 * wide[:, 2:-1] - wide[:, 3:]) / 16.0
+    out = np.empty((rows.shape[0], _FINER * rows.shape[1] - 1, 3))
+    out[:, ::2], out[:, 1::2] = rows, middle
+    return out
+
+
+def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], cross)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+
+def _flat(corners: FloatArray) -> FloatArray:
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30))
+
+
+def _quartered(corners: FloatArray) -> FloatArray:
+    """Four triangles of each, by the middles of its edges."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -1,0 +1,207 @@
+"""A small job with a known answer: a weightless wire bent to circular arcs cuts both faces of a panel.
+
+Two arms stand face to face with the wire between them, across their hands. The wire's end tangents and its
+chord are those of a circular arc of the wire's length, so its shape is that arc (the one stable shape
+without a force); the half angle changes slowly along the sweep. The wanted faces are those arcs, half a kerf
+nearer to the part.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from planner.catalogue import robot
+from planner.cell.robots import forward
+from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.geometry.rigid import from_parts, from_rpy, inverse
+from planner.plan import OperationPlan, Plan
+from planner.post import write
+from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
+from planner.targets import Action, Targets
+from planner.tools import wire_holder
+from planner.verify import arm_ik
+
+LENGTH = 0.5
+KERF = 0.002
+TOLERANCE = 0.0005
+DIGEST = "ab12" * 16
+SIZE = np.array([0.16, 0.12, 0.1])
+STOCK = from_rpy([0.0, 0.0, 0.45], [0.0, 0.0, 0.0])
+BASES = {
+    "left": from_rpy([-0.8, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    "right": from_rpy([0.8, 0.0, 0.0], [0.0, 0.0, np.pi]),
+}
+SIGNAL = "doWirePower"
+HOME = np.deg2rad([0.0, -20.0, 20.0, 0.0, 70.0, 0.0])
+OUT = 0.09
+FEED = 0.008
+AIR = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class Operation:
+    """The least that an operation is."""
+
+    name: str = "panel"
+    process: str = "elastic_wire"
+    arms: tuple[str, ...] = ("left", "right")
+
+
+def half_angle(y):
+    """Half the angle [rad] of the arc of the section at y."""
+    return 0.5 + 0.3 * y
+
+
+def middle(y, low):
+    """Height [m] of the arc's middle in the stock frame."""
+    return (0.045 if low else 0.070) + 0.05 * y
+
+
+def ends(y, low, lift=0.0):
+    """TCP poses of both arms in the stock frame for the section at y (N,), and the section's arc."""
+    angle = half_angle(y)
+    radius = 0.5 * LENGTH / angle
+    half = radius * np.sin(angle)
+    z = middle(y, low) - radius * (1.0 - np.cos(angle)) + lift
+    pose = {}
+    for arm, side in (("left", 1.0), ("right", -1.0)):
+        c, s = np.cos(side * angle), np.sin(side * angle)
+        zero = np.zeros_like(y)
+        x_axis = np.stack([c, zero, s], axis=-1)
+        z_axis = np.broadcast_to([0.0, -1.0, 0.0], x_axis.shape)
+        y_axis = np.cross(z_axis, x_axis)
+        rotation = np.stack([x_axis, y_axis, z_axis], axis=-1)
+        pose[arm] = from_parts(rotation, np.stack([-side * half, y, z], axis=-1))
+    return pose
+
+
+def face(low, count=41):
+    """The wanted face: front (upper) or back (lower), as a mesh with normals away from the part."""
+    side = -1.0 if low else 1.0
+    y = np.linspace(-0.5 * SIZE[1], 0.5 * SIZE[1], count)
+    radius = 0.5 * LENGTH / half_angle(y) - side * 0.5 * KERF
+    centre = middle(y, low) - 0.5 * LENGTH / half_angle(y)
+    x = np.linspace(-0.5 * SIZE[0], 0.5 * SIZE[0], count)
+    z = centre[:, None] + np.sqrt(radius[:, None] ** 2 - x[None, :] ** 2)
+    grid = np.stack([np.broadcast_to(x, z.shape), np.broadcast_to(y[:, None], z.shape), z], axis=-1)
+    index = np.arange(count * count).reshape(count, count)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    return grid.reshape(-1, 3), faces if not low else faces[:, ::-1]
+
+
+def problem(**settings):
+    """The cell of the job."""
+    arms = tuple(
+        Arm(name, "irb140", BASES[name], wire_holder("across", side), HOME)
+        for name, side in (("left", "start"), ("right", "end"))
+    )
+    cell = Cell("small", arms, (), Controller(wire_signal=SIGNAL))
+    stock = Stock(SIZE, STOCK, np.eye(3))
+    return Problem(
+        "small", cell, stock, None, (Operation(),), Settings(**settings), Path("small.yaml"), DIGEST
+    )
+
+
+def claims():
+    """What the process claims."""
+    wire = WireJoins(("left", "right"), LENGTH, 0.02, 0.02, 0.0154, 0.0, True, 8.0, 0.0006, 5e-5)
+    faces = [
+        CutsSurface(f"cut/{name}", *face(low), KERF, TOLERANCE)
+        for name, low in (("front", False), ("back", True))
+    ]
+    feeds = [FeedWindow(f"cut/{name}", 0.003, 0.012) for name in ("front", "back")]
+    return {"panel": (wire, *faces, ContactOnlyIn(("cut",), SIGNAL, 10.0), *feeds)}
+
+
+def way(count=24):
+    """Sections of the job: y, whether low, lift, speed, label, stop."""
+    rows = [(0.14, False, 0.0, AIR, "mount", True)]
+
+    def go(ys, low, speed, label, lift=0.0):
+        rows.extend((y, low, lift, speed, label, False) for y in ys)
+        rows[-1] = (*rows[-1][:5], True)
+
+    go(np.linspace(0.14, OUT, 6)[1:], False, AIR, "approach")
+    go(np.linspace(OUT, -OUT, count + 1)[1:], False, FEED, "cut/front")
+    go([-OUT - 0.01, -OUT - 0.02], False, AIR, "link")
+    go([-OUT - 0.02], True, AIR, "link")
+    go([-OUT - 0.01, -OUT], True, AIR, "link")
+    go(np.linspace(-OUT, OUT, count + 1)[1:], True, FEED, "cut/back")
+    go(np.linspace(OUT, 0.14, 6)[1:], True, AIR, "retreat")
+    return rows
+
+
+def plan(count=24):
+    """The plan, its joints by the proof's own inverse kinematics (the posture is chosen, nothing is
+    searched)."""
+    rows = way(count)
+    y, lift, speed = (np.array([row[i] for row in rows], dtype=float) for i in (0, 2, 3))
+    low = np.array([row[1] for row in rows])
+    pose = {}
+    high, deep = ends(y, False, lift), ends(y, True, lift)
+    for arm in ("left", "right"):
+        pose[arm] = np.where(low[:, None, None], deep[arm], high[arm])
+    job = problem()
+    q, travel = {}, np.zeros(len(y))
+    for arm in job.cell.arms:
+        machine = robot(arm.robot)
+        flange = inverse(arm.base) @ STOCK @ pose[arm.name] @ inverse(arm.tool.tcp)
+        branch = np.full(len(y), int(arm_ik.branch_of(machine, arm.home)))
+        q[arm.name] = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
+        assert np.isfinite(q[arm.name]).all(), arm.name
+        assert np.abs(forward(machine, q[arm.name]) - flange).max() < 1e-9
+        step = np.linalg.norm(np.diff(pose[arm.name][:, :3, 3], axis=0), axis=1)
+        travel[1:] = np.maximum(travel[1:], step)
+    duration = np.maximum(travel / speed, 0.2)
+    stop = np.array([row[5] for row in rows])
+    # moves from and to a stop take half as long again, so that ramps fit in
+    duration[1:] *= np.where(stop[1:] | stop[:-1], 1.4, 1.0)
+    duration[0] = 0.0
+    last = len(y) - 1
+    actions = (
+        Action(0, "message", text="Mount a wire of 495 mm, cold."),
+        Action(0, "confirm", text="Press OK when the wire is mounted."),
+        Action(0, "on", signal=SIGNAL),
+        Action(0, "wait", seconds=10.0),
+        Action(0, "confirm", text="Take up the slack at the slide, then press OK."),
+        Action(last, "off", signal=SIGNAL),
+        Action(last, "wait", seconds=5.0),
+        Action(last, "confirm", text="Take the wire off, then press OK."),
+    )
+    targets = Targets(
+        arms=("left", "right"),
+        pose=pose,
+        frame={"left": "stock", "right": "stock"},
+        freedoms=(),
+        feed=speed,
+        feed_min=np.zeros(len(y)),
+        travel=travel,
+        stop=stop,
+        segment=tuple(row[4] for row in rows),
+        coupled=True,
+        actions=actions,
+    )
+    aside = {arm: 0.5 * (HOME + joints[0]) for arm, joints in q.items()}
+    operation = OperationPlan(
+        name="panel",
+        targets=targets,
+        q=q,
+        values=np.zeros((len(y), 0)),
+        time=np.cumsum(duration),
+        entry={arm: np.stack([HOME, aside[arm], joints[0]]) for arm, joints in q.items()},
+        exit={arm: np.stack([joints[-1], aside[arm], HOME]) for arm, joints in q.items()},
+        order=("left", "right"),
+        metrics={},
+    )
+    return Plan("small", DIGEST, {}, STOCK, BASES, (operation,), {})
+
+
+@functools.cache
+def programs(count=24):
+    """The texts of the job as the planner writes them."""
+    return write.programs(plan(count), problem())
