@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
 from planner.post.program import Job, OperationProgram, Run, splittable
-from planner.post.rapid_format import identifier
+from planner.post.rapid_format import NAME_LENGTH, identifier
 
 IntArray = NDArray[np.int64]
 
@@ -114,4 +114,10 @@ def _name(label: str, visits: dict[str, int], labels: dict[str, str]) -> str:
             Issue("post.name", message, hint="give them names that differ in letters or digits")
         )
     visits[name] = visits.get(name, 0) + 1
-    return name if visits[name] == 1 else f"{name}__{visits[name]}"
+    full = name if visits[name] == 1 else f"{name}__{visits[name]}"
+    if len(full) > NAME_LENGTH:
+        message = f"segment {label!r} comes {visits[name]} times, and {full} is too long for a name"
+        raise TandemError(
+            Issue("post.name", message, hint=f"shorten the label; allowed: {NAME_LENGTH} characters")
+        )
+    return full

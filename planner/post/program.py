@@ -37,9 +37,10 @@ class Joints:
 
 @dataclasses.dataclass(frozen=True)
 class Meet:
-    """All tasks wait here for each other; ``number`` from 1, equal in all tasks."""
+    """All tasks wait here for each other; ``number`` from 1. ``reached``: what is then so."""
 
     number: int
+    reached: str
 
 
 @dataclasses.dataclass(frozen=True)

@@ -42,10 +42,10 @@ NameArray = NDArray[np.str_]
 _INDENT = "  "
 _PROC_BYTES = 1500
 _NO_WIRE = (
-    "Is there NO wire between the arms? From here each arm moves alone to its first position. "
-    "Take off what joins them, then press OK."
+    "Is there NO wire between the arms? Each arm now goes alone to home and to its first position. "
+    "Take off what joins them, see that their ways are clear, then press OK."
 )
-_READY = "Is the stock in place and the cell clear? Press OK to start."
+_READY = "Is the stock in place and the way of each arm clear? Press OK to start."
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -210,8 +210,8 @@ class _Task:
             case Joints():
                 name = self.stations.of(step, operation + 1)
                 return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{self.tool};"]
-            case Meet(number):
-                return [f"WaitSyncTask {meet(number)},{TASKS};"]
+            case Meet(number, reached):
+                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASKS};"]
             case SyncOn(number):
                 return [f"SyncMoveOn {block(number, 'on')},{TASKS};"]
             case SyncOff(number):

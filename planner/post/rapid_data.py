@@ -111,13 +111,16 @@ def _tool(tool: Tool) -> str:
 
 
 def _wobjs(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
-    """Work objects of the frames that the task's targets are in."""
+    """Work objects of the frames that the task's targets are in.
+
+    ``TASK PERS``, though equal in all tasks: a shared ``PERS`` keeps the value of a program loaded before.
+    """
     identity = pose(np.eye(4))
     out = []
     for frame in dict.fromkeys(item.track.frame for item in task.operations if item.track is not None):
         if frame == "stock":
             out.append(
-                f'PERS wobjdata {wobj_name(frame)}:=[FALSE,TRUE,"",{pose(plan.stock_pose)},{identity}];'
+                f'TASK PERS wobjdata {wobj_name(frame)}:=[FALSE,TRUE,"",{pose(plan.stock_pose)},{identity}];'
             )
         elif frame.startswith("held:"):
             holder = next((t for t in job.tasks if t.arm.name == frame.removeprefix("held:")), None)
@@ -126,7 +129,7 @@ def _wobjs(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
                 raise TandemError(Issue("post.frame", message, hint="name an arm that takes part"))
             # the user frame rides on the other arm's flange; the held work's frame is that arm's tool frame
             unit = f"[FALSE,FALSE,{quoted(holder.unit)},{pose(holder.arm.tool.tcp)},{identity}]"
-            out.append(f"PERS wobjdata {wobj_name(frame)}:={unit};")
+            out.append(f"TASK PERS wobjdata {wobj_name(frame)}:={unit};")
         elif frame != "world":
             message = f"targets of {task.arm.name} lie in the unknown frame {frame!r}"
             raise TandemError(Issue("post.frame", message, hint="allowed: stock, world, held:<arm>"))

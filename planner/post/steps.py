@@ -35,6 +35,8 @@ from planner.problem import Arm, Problem
 from planner.targets import Targets
 
 MAX_TASKS = 2
+SAME_JOINTS = 1e-6
+"""Joints [rad] that differ by less are one place, some 0.00005 deg apart."""
 
 
 def build(plan: Plan, problem: Problem) -> Job:
@@ -88,35 +90,36 @@ class _Builder:
         stop = _stops(targets, keep)
         labels = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
-        self._meet()
+        self._meet(f"all tasks are ready for operation {plan.name}")
         homes = {arm.name: arm.home for arm in cell}
         for arm in self.arms:
             if number == 0 and arm not in targets.arms:
-                self._alone(arm, [Joints(homes[arm], "entry")])
+                self._alone(arm, [Joints(homes[arm], "entry")], f"{arm} stands at home")
         for arm in plan.order:
             steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
             steps[-1] = Joints(plan.q[arm][0], "start")
-            self._alone(arm, steps if number == 0 else steps[1:])
+            self._alone(arm, steps if number == 0 else steps[1:], f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, labels)
         for arm in reversed(plan.order):
-            self._alone(arm, _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")[1:])
+            steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
+            self._alone(arm, steps[1:], f"{arm} is home again")
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(plan.name, tracks.get(arm), ids, stop, labels, tuple(self.steps[arm]))
             for arm in self.arms
         }
 
-    def _meet(self) -> None:
+    def _meet(self, reached: str) -> None:
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
-                self.steps[arm].append(Meet(self.meets))
+                self.steps[arm].append(Meet(self.meets, reached))
 
-    def _alone(self, arm: str, steps: Sequence[Step]) -> None:
+    def _alone(self, arm: str, steps: Sequence[Step], reached: str) -> None:
         if steps:
             self.steps[arm] += steps
-            self._meet()
+            self._meet(reached)
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
         """Actions from the target of this row to before that of the next one; row -1 is the first target."""
@@ -124,7 +127,8 @@ class _Builder:
         high = keep[row + 1] if row + 1 < len(keep) else targets.count
         due = [action for action in targets.actions if low <= action.at < high]
         due.sort(key=lambda action: action.at)
-        self._alone(targets.arms[0], [Do(action) for action in due])
+        lead = next(arm for arm in self.arms if arm in targets.arms)
+        self._alone(lead, [Do(action) for action in due], "what this stop asks for is done")
 
     def _blocks(self, number: int, targets: Targets, keep: IntArray, labels: Sequence[str]) -> None:
         together = len(targets.arms) > 1
@@ -137,7 +141,7 @@ class _Builder:
             for arm in targets.arms:
                 self.steps[arm] += [SyncOn(self.blocks), *runs, SyncOff(self.blocks)] if together else runs
             if not together:
-                self._meet()
+                self._meet(f"{targets.arms[0]} has run its moves")
             self._actions(targets, last - 1, keep)
 
 
@@ -147,13 +151,14 @@ def _runs(number: int, labels: Sequence[str], first: int, last: int, together: b
 
 
 def _joints(stations: Sequence[FloatArray], place: str) -> list[Step]:
-    """Steps to the stations in order, without those where the arm already stands."""
+    """Steps to the stations in order; of two that are one place the later one counts."""
     steps: list[Step] = []
     last: FloatArray | None = None
     for q in stations:
-        if last is None or np.abs(q - last).max() > 1e-8:
-            steps.append(Joints(np.asarray(q, dtype=np.float64), place))
-            last = q
+        if last is not None and np.abs(q - last).max() < SAME_JOINTS:
+            steps.pop()
+        steps.append(Joints(np.asarray(q, dtype=np.float64), place))
+        last = q
     return steps
 
 

@@ -388,3 +388,20 @@ def test_a_rounded_corner_passes_its_target_closely():
     shorter = min(np.linalg.norm(steps[39]), np.linalg.norm(steps[40]))
     assert reach[39] == pytest.approx(4 * corners.DEVIATION / velocity * shorter)
     assert reach[-1] == 0.0 and not turn.any()
+
+
+def test_an_operation_may_be_a_single_place():
+    job = synthetic.problem()
+    q = {"left": synthetic.sweep(3)[:1], "right": synthetic.sweep(3)[:1]}
+    files = programs(synthetic.plan(synthetic.operation(job, q, ["mount"])), job)
+    assert not any("Cut" in name for name in files)
+    assert "SyncMove" not in "\n".join(flat(files, "T_ROB1"))
+    assert "SetDO doWirePower,1;" in flat(files, "T_ROB1")
+    for task in ("T_ROB1", "T_ROB2"):
+        assert read_task(modules(files, task)).faults == ()
+
+
+def test_persistent_data_of_one_task_cannot_be_kept_from_an_older_program(small):
+    for text in small[2].values():
+        shared = re.findall(r"^ +PERS (\w+) (\w+)", text, re.MULTILINE)
+        assert all(kind == "tasks" for kind, _ in shared)

@@ -71,6 +71,14 @@ def test_a_label_that_gives_no_name(small, label):
     assert refused(changed(small[0], segment=segment), small[1]) == {"post.name"}
 
 
+def test_a_long_label_that_comes_too_often():
+    job = synthetic.problem(("left",))
+    segment = [label for _ in range(100) for label in ("x" * 28, "link")]
+    q = {"left": synthetic.sweep(len(segment) + 1)}
+    operation = synthetic.operation(job, q, ["mount", *segment], actions=(), coupled=False)
+    assert refused(synthetic.plan(operation), job) == {"post.name"}
+
+
 def test_two_labels_with_one_name(small):
     segment = (*small[0].operations[0].targets.segment[:7], "cut_front", "unmount")
     assert refused(changed(small[0], segment=segment), small[1]) == {"post.name"}

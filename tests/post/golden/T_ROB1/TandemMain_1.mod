@@ -11,9 +11,10 @@ MODULE TandemMain_1
     ConfL\On;
     SingArea\Off;
     SetDO doWirePower,0;
-    UIMsgBox\Header:="Tandem","Is there NO wire between the arms? From here each arm"
-        \MsgLine2:="moves alone to its first position. Take off what joins"
-        \MsgLine3:="them, then press OK."
+    UIMsgBox\Header:="Tandem","Is there NO wire between the arms? Each arm now goes"
+        \MsgLine2:="alone to home and to its first position. Take off what"
+        \MsgLine3:="joins them, see that their ways are clear, then press"
+        \MsgLine4:="OK."
         \Buttons:=btnOK\Icon:=iconInfo;
     operation_1;
   ERROR
@@ -27,23 +28,28 @@ MODULE TandemMain_1
 
   PROC operation_1()
     ! Operation panel.
+    ! meet_1: all tasks are ready for operation panel
     WaitSyncTask meet_1,all_tasks;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_start\NoEOffs,v_entry,fine,t_Holder;
+    ! meet_2: left stands at its first target
     WaitSyncTask meet_2,all_tasks;
+    ! meet_3: right stands at its first target
     WaitSyncTask meet_3,all_tasks;
     TPWrite "Mount a wire of 812.5 mm, cold.";
     SetDO doWirePower,1;
     WaitTime 12.5;
     UIMsgBox\Header:="Tandem","Take up the slack at the slide, then press ""OK""."
         \Buttons:=btnOK\Icon:=iconInfo;
+    ! meet_4: what this stop asks for is done
     WaitSyncTask meet_4,all_tasks;
     SyncMoveOn block_1_on,all_tasks;
     approach;
     cut_front;
     SyncMoveOff block_1_off;
     SetDO doWirePower,0;
+    ! meet_5: what this stop asks for is done
     WaitSyncTask meet_5,all_tasks;
     SyncMoveOn block_2_on,all_tasks;
     retreat;
@@ -51,10 +57,13 @@ MODULE TandemMain_1
     SyncMoveOff block_2_off;
     UIMsgBox\Header:="Tandem","Take the wire off."
         \Buttons:=btnOK\Icon:=iconInfo;
+    ! meet_6: what this stop asks for is done
     WaitSyncTask meet_6,all_tasks;
+    ! meet_7: right is home again
     WaitSyncTask meet_7,all_tasks;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
+    ! meet_8: left is home again
     WaitSyncTask meet_8,all_tasks;
   ERROR
     SetDO doWirePower,0;

@@ -22,26 +22,34 @@ MODULE TandemMain_2
 
   PROC operation_1()
     ! Operation panel.
+    ! meet_1: all tasks are ready for operation panel
     WaitSyncTask meet_1,all_tasks;
+    ! meet_2: left stands at its first target
     WaitSyncTask meet_2,all_tasks;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_1_start\NoEOffs,v_entry,fine,t_Holder;
+    ! meet_3: right stands at its first target
     WaitSyncTask meet_3,all_tasks;
+    ! meet_4: what this stop asks for is done
     WaitSyncTask meet_4,all_tasks;
     SyncMoveOn block_1_on,all_tasks;
     approach;
     cut_front;
     SyncMoveOff block_1_off;
+    ! meet_5: what this stop asks for is done
     WaitSyncTask meet_5,all_tasks;
     SyncMoveOn block_2_on,all_tasks;
     retreat;
     unmount;
     SyncMoveOff block_2_off;
+    ! meet_6: what this stop asks for is done
     WaitSyncTask meet_6,all_tasks;
     MoveAbsJ j_1_entry_1\NoEOffs,v_entry,fine,t_Holder;
     MoveAbsJ j_home\NoEOffs,v_entry,fine,t_Holder;
+    ! meet_7: right is home again
     WaitSyncTask meet_7,all_tasks;
+    ! meet_8: left is home again
     WaitSyncTask meet_8,all_tasks;
   ERROR
     SetDO doWirePower,0;
