@@ -166,7 +166,7 @@ class For(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """One data declaration: `storage` CONST, VAR, PERS or TASK PERS; `size` the length of an array or None."""
+    """One data declaration: `storage` CONST, VAR, PERS or TASK PERS; `size` of an array or None."""
 
     line: int
     start: int

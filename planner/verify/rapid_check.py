@@ -27,7 +27,7 @@ from planner.verify.rapid_ast import (
     While,
 )
 from planner.verify.rapid_lexer import Fault, shown
-from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, ValueFault, base_type, conform
+from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, RapidValueError, base_type, conform
 from planner.verify.rapid_words import FORMS, FUNCTIONS, IN_HANDLER_ONLY
 
 _SIGNALS = ("signaldo", "signaldi")
@@ -73,7 +73,8 @@ class Checker:
     def _declare(self, module: Module) -> None:
         names: dict[str, str] = {module.name.lower(): "the module"}
         own = self.locals.setdefault(module.name.lower(), {})
-        for item in (*module.data, *module.procedures):
+        items: list[Data | Procedure] = [*module.data, *module.procedures]
+        for item in items:
             key = item.name.lower()
             taken = names.get(key)
             if key in PREDEFINED:
@@ -105,7 +106,7 @@ class Checker:
         if "PERS" in data.storage and any(
             not isinstance(part, Literal | Aggregate) for part in walk(data.initial)
         ):
-            message = f"{data.storage} {data.name} must be given a literal (numbers, strings, [..]), not an expression"
+            message = f"{data.storage} {data.name} must be given a literal (numbers, strings, [..])"
             self.fault(data.initial.start, "rapid.pers_literal", message)
             return
         if data.size is None:
@@ -208,13 +209,14 @@ class Checker:
             return
         if wanted in _SIGNALS and isinstance(value, Name) and self.find(value.key) is None:
             if self.signals is not None and value.key not in self.signals:
-                message = f"{shown(value.text)} is not a signal of the cell; known: {', '.join(sorted(self.signals))}"
+                known = ", ".join(sorted(self.signals))
+                message = f"{shown(value.text)} is not a signal of the cell; known: {known}"
                 self.fault(value.start, "rapid.undeclared", message)
             return
         if isinstance(value, Literal) and value.kind == "list":
             try:
                 conform(wanted, value.value, wanted)
-            except ValueFault as wrong:
+            except RapidValueError as wrong:
                 self.fault(value.start, wrong.code, wrong.message)
             return
         got = self.infer(value)
@@ -286,13 +288,14 @@ class Checker:
         left, right = self.infer(value.left), self.infer(value.right)
         if left is None or right is None:
             return None
+        result = "bool"
         if value.operator in ("=", "<>"):
-            fits, result = left == right, "bool"
+            fits = left == right
         elif value.operator in ("<", ">", "<=", ">="):
-            fits, result = left == right == "num", "bool"
+            fits = left == right == "num"
         else:
             fits = left == right == "num" or (value.operator == "+" and left == right == "string")
-            result = left
+            result = str(left)
         if not fits:
             self.fault(value.start, "rapid.type", f"{value.operator} does not take {left} and {right}")
         return result

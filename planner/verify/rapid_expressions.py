@@ -8,8 +8,8 @@ import re
 from typing import Any
 
 from planner.verify.rapid_ast import Aggregate, Binary, Expr, Function, Literal, Name, Unary
-from planner.verify.rapid_lexer import Cursor, SyntaxFault, shown
-from planner.verify.rapid_values import NUMBERS, OPAQUE, ValueFault, base_type, build
+from planner.verify.rapid_lexer import Cursor, RapidSyntaxError, shown
+from planner.verify.rapid_values import NUMBERS, OPAQUE, RapidValueError, base_type, build
 from planner.verify.rapid_words import RESERVED
 
 MAX_DEPTH = 40
@@ -20,7 +20,9 @@ _COMPARE = frozenset({"=", "<>", "<", ">", "<=", ">="})
 
 
 def expression(cursor: Cursor, longest_string: int, depth: int = 0) -> Expr:
-    """One expression: [NOT] terms joined by OR and XOR, of relations joined by AND. Raises `SyntaxFault`."""
+    """One expression: [NOT] terms joined by OR and XOR, of relations joined by AND. Raises
+    `RapidSyntaxError`.
+    """
     if depth > MAX_DEPTH:
         raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
     left = _logical_term(cursor, longest_string, depth)
@@ -96,7 +98,7 @@ def number(text: str, start: int) -> float:
     """The number of an unsigned numeral; refuses what a float cannot hold."""
     value = float(text)
     if not math.isfinite(value):
-        raise SyntaxFault(start, "rapid.number", f"{shown(text)} is too large for a number")
+        raise RapidSyntaxError(start, "rapid.number", f"{shown(text)} is too large for a number")
     return value
 
 
@@ -107,7 +109,7 @@ def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
     operand = _primary(cursor, longest, depth + 1)
     if isinstance(operand, Literal) and operand.kind == "num":
         if sign.text == "-" and operand.value == 0.0:
-            raise SyntaxFault(sign.start, "rapid.number", 'got "-0"; write 0')
+            raise RapidSyntaxError(sign.start, "rapid.number", 'got "-0"; write 0')
         return Literal(sign.start, "num", -operand.value if sign.text == "-" else operand.value)
     return Unary(sign.start, sign.text, operand)
 
@@ -117,7 +119,7 @@ def _string(cursor: Cursor, longest: int) -> str:
     value = token.text[1:-1].replace('""', '"').replace("\\\\", "\\")
     if len(value) > longest:
         message = f"the string {shown(value)} has {len(value)} characters; allowed: {longest}"
-        raise SyntaxFault(token.start, "rapid.string_length", message)
+        raise RapidSyntaxError(token.start, "rapid.string_length", message)
     return value
 
 
@@ -180,7 +182,7 @@ def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
 def _finite(found: Any) -> bool:
     if isinstance(found, list):
         return bool(found) and all(map(_finite, found))
-    return -1e300 < found < 1e300
+    return bool(-1e300 < found < 1e300)
 
 
 def plain(found: Expr) -> Any:
@@ -194,8 +196,8 @@ def plain(found: Expr) -> Any:
 
 
 def typed(found: Expr, kind: str) -> Expr:
-    """The expression as a `Literal` of type `kind` where it holds no names. Raises `SyntaxFault` where it
-    does not fit.
+    """The expression as a `Literal` of type `kind` where it holds no names. Raises `RapidSyntaxError` where
+    it does not fit.
     """
     if kind in OPAQUE or isinstance(found, Name | Function | Unary | Binary):
         return found
@@ -204,5 +206,5 @@ def typed(found: Expr, kind: str) -> Expr:
         return found
     try:
         return Literal(found.start, base_type(kind) if kind in NUMBERS else kind, build(kind, items))
-    except ValueFault as wrong:
-        raise SyntaxFault(found.start, wrong.code, wrong.message) from None
+    except RapidValueError as wrong:
+        raise RapidSyntaxError(found.start, wrong.code, wrong.message) from None

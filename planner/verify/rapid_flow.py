@@ -8,30 +8,25 @@ is refused.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from contextlib import suppress
 
 from planner.verify.rapid_ast import (
-    Aggregate,
     Assign,
-    Binary,
     Data,
     Expr,
     For,
-    Function,
     If,
     Instruction,
     LateCall,
-    Literal,
     Module,
     Move,
     Name,
     ProcCall,
     Procedure,
     Statement,
-    Unary,
     While,
 )
-from planner.verify.rapid_check import placed
+from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_steps import (
     CallStep,
@@ -45,25 +40,20 @@ from planner.verify.rapid_steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid_values import OPAQUE, PREDEFINED, SyncIdent, Value, ValueFault, WorkObject, build
+from planner.verify.rapid_values import (
+    PREDEFINED,
+    Value,
+    WorkObject,
+)
 from planner.verify.rapid_words import FORMS
 
-UNKNOWN = None  # the value of what only the controller knows
 MAX_CALLS = 50
 MAX_STEPS = 2_000_000
 _ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
 _MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
 
 
-class FlowError(ValueError):
-    """The programs have no single straight way; `faults` says where and why."""
-
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
-        self.faults = tuple(faults)
-
-
-class _Left(Exception):
+class _LeaveError(Exception):
     """A RETURN, EXIT, RAISE, RETRY or TRYNEXT was met."""
 
     def __init__(self, word: str) -> None:
@@ -94,17 +84,14 @@ def handlers(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, 
     return found
 
 
-class _Runner:
+class _Runner(Evaluator):
     def __init__(self, modules: Sequence[Module], handler: bool = False) -> None:
-        self.modules = {module.name.lower(): module for module in modules}
+        super().__init__(modules)
         self.handler = handler
         self.steps: list[Step] = []
-        self.module: Module = modules[0]
         self.procedure = ""
         self.condition = ""
         self.depth = 0
-        self.cells: dict[tuple[str, str], Any] = {}  # values of assigned variables
-        self.cache: dict[tuple[str, str], Any] = {}
 
     # ---- entry ----
 
@@ -120,114 +107,9 @@ class _Runner:
 
     def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
         self.module, self.procedure = module, procedure.name
-        try:
+        with suppress(_LeaveError):
             self.block(body)
-        except _Left:
-            pass
         return tuple(self.steps)
-
-    def fail(self, start: int, message: str) -> FlowError:
-        return FlowError([placed(self.module, start, "rapid.flow", message)])
-
-    # ---- names ----
-
-    def find(self, key: str) -> tuple[Module, Data | Procedure] | None:
-        own = [self.module, *(module for module in self.modules.values() if module is not self.module)]
-        for module in own:
-            for item in self._items(module).get(key, ()):
-                if module is self.module or not item.local:
-                    return module, item
-        return None
-
-    def _items(self, module: Module) -> dict[str, list[Data | Procedure]]:
-        key = ("", module.name.lower())
-        if key not in self.cache:
-            table: dict[str, list[Data | Procedure]] = {}
-            for item in (*module.data, *module.procedures):
-                table.setdefault(item.name.lower(), []).append(item)
-            self.cache[key] = table
-        found: dict[str, list[Data | Procedure]] = self.cache[key]
-        return found
-
-    def value(self, expr: Expr | None, kind: str) -> Value:
-        """The value of an expression, UNKNOWN where it is known at run time only."""
-        match expr:
-            case None:
-                return UNKNOWN
-            case Literal():
-                return build(kind, expr.value) if expr.kind == "list" else expr.value
-            case Name():
-                return self._name(expr)
-            case Aggregate():
-                items = self._plain(expr)
-                try:
-                    return UNKNOWN if items is None else build(kind, items)
-                except ValueFault as wrong:
-                    raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
-            case Unary():
-                inner = self.value(expr.operand, "num")
-                return UNKNOWN if inner is None else _UNARY[expr.operator](inner)
-            case Binary():
-                return self._binary(expr)
-            case Function():
-                return UNKNOWN
-
-    def _plain(self, expr: Expr) -> Any:
-        if isinstance(expr, Aggregate):
-            items = [self._plain(item) for item in expr.items]
-            return UNKNOWN if any(item is None for item in items) else items
-        if isinstance(expr, Name):
-            found = self.find(expr.key)
-            if found and isinstance(found[1], Data) and found[1].kind not in ("num", "bool", "string"):
-                raise self.fail(
-                    expr.start, f"{expr.text}: records inside records must be written out in this subset"
-                )
-        return self.value(expr, "num")
-
-    def _name(self, name: Name) -> Value:
-        counter = self.cells.get(("for", name.key))
-        if counter is not None:
-            return counter
-        found = self.find(name.key)
-        if found is None:
-            return PREDEFINED[name.key][1] if name.key in PREDEFINED else UNKNOWN
-        module, data = found
-        if not isinstance(data, Data):
-            return UNKNOWN
-        key = (module.name.lower(), name.key)
-        if key in self.cells:
-            return self.cells[key]
-        if key not in self.cache:
-            self.cache[key] = UNKNOWN  # a constant that refers to itself has no value
-            self.cache[key] = self._initial(module, data)
-        return self.cache[key]
-
-    def _initial(self, module: Module, data: Data) -> Value:
-        if data.kind == "syncident":
-            return SyncIdent(data.name)
-        if data.initial is None or data.kind in OPAQUE:
-            return UNKNOWN
-        here, self.module = self.module, module
-        try:
-            if data.size is None:
-                return self.value(data.initial, data.kind)
-            items = self._plain(data.initial)
-            return UNKNOWN if items is None else tuple(build(data.kind, item) for item in items)
-        finally:
-            self.module = here
-
-    def _binary(self, expr: Binary) -> Value:
-        left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
-        if expr.operator == "and" and (left is False or right is False):
-            return False
-        if expr.operator == "or" and (left is True or right is True):
-            return True
-        if left is None or right is None:
-            return UNKNOWN
-        try:
-            return _BINARY[expr.operator](left, right)
-        except (ZeroDivisionError, OverflowError):
-            raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
 
     # ---- statements ----
 
@@ -268,7 +150,7 @@ class _Runner:
         found = self.find(short.lower())
         if holder:
             module = self.modules.get(holder.lower())
-            items = self._items(module).get(short.lower(), []) if module else []
+            items = self.items(module).get(short.lower(), []) if module else []
             found = (module, items[0]) if module and items else None
         if found is None or not isinstance(found[1], Procedure):
             raise self.fail(start, f"no procedure {name} in the task's modules")
@@ -278,7 +160,7 @@ class _Runner:
         self.module, self.procedure, self.depth = found[0], found[1].name, self.depth + 1
         try:
             self.block(found[1].body)
-        except _Left as left:
+        except _LeaveError as left:
             if left.word != "RETURN":
                 raise
         finally:
@@ -360,7 +242,7 @@ class _Runner:
             )
             self.steps.append(SettingStep(*where, name, tuple(options), values))
             if name in _ENDS and not self.condition:
-                raise _Left(name)
+                raise _LeaveError(name)
 
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
         name, arguments = statement.name, statement.arguments
@@ -426,7 +308,7 @@ class _Runner:
         self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
         try:
             run()
-        except _Left:
+        except _LeaveError:
             pass
         finally:
             aside, self.steps, self.condition = self.steps, steps, outer
@@ -455,23 +337,3 @@ def _ends(steps: Sequence[Step]) -> bool:
 
 def _text(expr: Expr) -> str:
     return expr.text if isinstance(expr, Name) else ""
-
-
-_UNARY: dict[str, Callable[[Any], Any]] = {"-": lambda x: -x, "+": lambda x: x, "not": lambda x: not x}
-_BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-    "div": lambda a, b: float(int(a / b)),
-    "mod": lambda a, b: a - b * int(a / b),
-    "=": lambda a, b: a == b,
-    "<>": lambda a, b: a != b,
-    "<": lambda a, b: a < b,
-    ">": lambda a, b: a > b,
-    "<=": lambda a, b: a <= b,
-    ">=": lambda a, b: a >= b,
-    "and": lambda a, b: a and b,
-    "or": lambda a, b: a or b,
-    "xor": lambda a, b: a != b,
-}

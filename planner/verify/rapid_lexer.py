@@ -46,7 +46,7 @@ class Token(NamedTuple):
     start: int
 
 
-class SyntaxFault(Exception):
+class RapidSyntaxError(Exception):
     """Reading of one statement gave up; the parser turns it into a `Fault` and goes on behind the
     statement.
     """
@@ -103,23 +103,23 @@ class Cursor:
         return None
 
     def expect_symbol(self, symbol: str, where: str) -> None:
-        """Take this symbol or raise `SyntaxFault`."""
+        """Take this symbol or raise `RapidSyntaxError`."""
         if not self.take_symbol(symbol):
             raise self.fault(f'"{symbol}" {where}')
 
     def expect_word(self, word: str, where: str) -> None:
-        """Take this word or raise `SyntaxFault`."""
+        """Take this word or raise `RapidSyntaxError`."""
         if self.take_word(word) is None:
             raise self.fault(f"{word.upper()} {where}")
 
-    def fault(self, allowed: str) -> SyntaxFault:
+    def fault(self, allowed: str) -> RapidSyntaxError:
         """What to raise when the current token is not what is `allowed` here."""
         token = self.token
         if token.kind == "end":
-            return SyntaxFault(token.start, "rapid.syntax", f"the text ends here; expected {allowed}")
+            return RapidSyntaxError(token.start, "rapid.syntax", f"the text ends here; expected {allowed}")
         if token.kind == "bad":
             return bad_token(token)
-        return SyntaxFault(token.start, "rapid.syntax", f"got {shown(token.text)}; expected {allowed}")
+        return RapidSyntaxError(token.start, "rapid.syntax", f"got {shown(token.text)}; expected {allowed}")
 
     def place(self, offset: int) -> tuple[int, int]:
         """Line and column, from 1, of an offset."""
@@ -141,19 +141,21 @@ def shown(text: str) -> str:
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
-def bad_token(token: Token) -> SyntaxFault:
+def bad_token(token: Token) -> RapidSyntaxError:
     """The fault of a token that no RAPID text may contain."""
     text, first = token.text, token.text[0]
     if first == '"':
-        return SyntaxFault(token.start, "rapid.syntax", f"the string {shown(text)} is not closed on its line")
+        return RapidSyntaxError(
+            token.start, "rapid.syntax", f"the string {shown(text)} is not closed on its line"
+        )
     if first.isdigit() and re.fullmatch(r"[\d.]+(?:[eE][\w.#]*)?|\d[\d.]*#\w*", text):
-        return SyntaxFault(
+        return RapidSyntaxError(
             token.start, "rapid.number", f"{shown(text)} is not a number; allowed: 12, 12.5, 1.2E3"
         )
     if first.isdigit():
-        return SyntaxFault(
+        return RapidSyntaxError(
             token.start, "rapid.name_form", f"{shown(text)}: a name must not start with a digit"
         )
-    return SyntaxFault(
+    return RapidSyntaxError(
         token.start, "rapid.syntax", f"{shown(text)} is not part of RAPID; names use A-Z, 0-9 and _"
     )

@@ -11,7 +11,7 @@ import re
 from planner.verify.rapid_ast import Expr, Literal, Move, Name
 from planner.verify.rapid_expressions import NEGATIVE_ZERO, number_list
 from planner.verify.rapid_lexer import Cursor
-from planner.verify.rapid_values import ValueFault, build
+from planner.verify.rapid_values import RapidValueError, build
 from planner.verify.rapid_words import RESERVED
 
 _HEAD = re.compile(r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII)
@@ -49,7 +49,7 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
         speed = _speed(text, tail)
         if zone is None or tool is None or speed is None or (tail["wobj"] and wobj is None):
             return None
-    except ValueFault:
+    except RapidValueError:
         return None
     ident = Literal(tail.start("id"), "num", float(tail["id"])) if tail["id"] else None
     time = Literal(tail.start("time"), "num", float(tail["time"])) if tail["time"] else None

@@ -21,7 +21,7 @@ from planner.verify.rapid_ast import (
 )
 from planner.verify.rapid_expressions import MAX_DEPTH, expression, typed
 from planner.verify.rapid_instructions import instruction
-from planner.verify.rapid_lexer import Cursor, Fault, SyntaxFault, Token, bad_token, shown
+from planner.verify.rapid_lexer import Cursor, Fault, RapidSyntaxError, Token, bad_token, shown
 from planner.verify.rapid_moves import quick_move
 from planner.verify.rapid_values import TYPES
 from planner.verify.rapid_words import ATTRIBUTES, FORMS, FUNCTIONS, RESERVED
@@ -68,7 +68,7 @@ class Parser:
             self.cursor.expect_word("module", "to open the module")
             name = self._new_name("module")
             attributes = self._attributes()
-        except SyntaxFault as wrong:
+        except RapidSyntaxError as wrong:
             self.fault(wrong.start, wrong.code, wrong.message)
             return None
         data: list[Data] = []
@@ -158,7 +158,7 @@ class Parser:
         if token.kind != "name":
             raise self.cursor.fault(f"the {what}'s name")
         if token.word in RESERVED:
-            raise SyntaxFault(
+            raise RapidSyntaxError(
                 token.start, "rapid.name_reserved", f"{shown(token.text)} is a reserved word of RAPID"
             )
         if token.word in FORMS or token.word in FUNCTIONS or token.word in TYPES:
@@ -230,7 +230,7 @@ class Parser:
             return Assign(line, first.start, Name(first.start, first.text), value)
         if not self.cursor.take_symbol(";"):
             raise self.cursor.fault(
-                f'";" or ":=" behind {shown(first.text)}, which is no instruction of the subset that takes arguments'
+                f'";" or ":=" behind {shown(first.text)}, no instruction of the subset that takes arguments'
             )
         return ProcCall(line, first.start, first.text)
 
@@ -285,7 +285,7 @@ class Parser:
 
     # ---- faults ----
 
-    def _note(self, wrong: SyntaxFault) -> None:
+    def _note(self, wrong: RapidSyntaxError) -> None:
         self.fault(wrong.start, wrong.code, wrong.message)
 
     def _guard(self, read: Callable[[], None]) -> None:
@@ -295,7 +295,7 @@ class Parser:
         before = self.cursor.token.start
         try:
             read()
-        except SyntaxFault as wrong:
+        except RapidSyntaxError as wrong:
             self._note(wrong)
             self._resume(wrong.start, before)
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_check import Checker
-from planner.verify.rapid_flow import FlowError, flatten, handlers
+from planner.verify.rapid_evaluate import FlowError
+from planner.verify.rapid_flow import flatten, handlers
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits, Parser
 

@@ -9,6 +9,7 @@ speeddata, zonedata...).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,7 +131,7 @@ OPAQUE = frozenset({"syncident", "clock", "signaldo", "signaldi"})
 TYPES = frozenset(RECORDS) | NUMBERS | OPAQUE | {"bool", "string"}
 
 
-class ValueFault(Exception):
+class RapidValueError(Exception):
     """A value does not fit its type. `code` and `message` for a `Fault`."""
 
     def __init__(self, code: str, message: str) -> None:
@@ -168,7 +169,7 @@ def poses(position: Array, quaternion: Array) -> Array:
 def build(kind: str, items: Any) -> Value:
     """The value of type `kind` from nested lists of numbers, truths and strings in file units.
 
-    Raises `ValueFault` where count, type, norm or range is wrong.
+    Raises `RapidValueError` where count, type, norm or range is wrong.
     """
     if kind == "robtarget":  # the common case, without the general walk
         try:
@@ -188,38 +189,41 @@ def build(kind: str, items: Any) -> Value:
         except (TypeError, ValueError, OverflowError):
             pass  # the walk below finds what is wrong and says so
     conform(kind, items, kind)
-    return _CONVERT[kind](items) if kind in _CONVERT else items
+    convert = _CONVERT.get(kind)
+    return convert(items) if convert else items
 
 
 def conform(kind: str, items: Any, path: str) -> None:
-    """Raise `ValueFault` unless `items` has the components of `kind`."""
+    """Raise `RapidValueError` unless `items` has the components of `kind`."""
     if kind in RECORDS:
         parts = RECORDS[kind]
         if not isinstance(items, list | tuple):
-            raise ValueFault(
+            raise RapidValueError(
                 "rapid.type", f"{path}: got {_kind(items)}; a {kind} has {len(parts)} components"
             )
         if len(items) != len(parts):
-            raise ValueFault("rapid.arity", f"{path}: got {len(items)} components; a {kind} has {len(parts)}")
+            raise RapidValueError(
+                "rapid.arity", f"{path}: got {len(items)} components; a {kind} has {len(parts)}"
+            )
         for number, (part, item) in enumerate(zip(parts, items, strict=True), 1):
             conform(part, item, f"{path}.{number}")
         if kind == "orient":
             _unit(path, items)
         if kind == "confdata" and any(value != int(value) for value in items):
-            raise ValueFault("rapid.type", f"{path}: configuration numbers are whole; got {list(items)}")
+            raise RapidValueError("rapid.type", f"{path}: configuration numbers are whole; got {list(items)}")
         return
     wanted = base_type(kind)
     if _kind(items) != wanted:
-        raise ValueFault("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
+        raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
     if wanted == "num" and not math.isfinite(items):
-        raise ValueFault("rapid.number", f"{path}: {items} is not a finite number")
+        raise RapidValueError("rapid.number", f"{path}: {items} is not a finite number")
 
 
 def _unit(path: str, q: Any) -> None:
     norm = math.sqrt(sum(float(value) ** 2 for value in q))
     if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
         allowed = f"1 within {QUATERNION_TOLERANCE:g}"
-        raise ValueFault(
+        raise RapidValueError(
             "rapid.quaternion", f"{path}: the quaternion's norm is {norm:.6g}; allowed: {allowed}"
         )
 
@@ -265,7 +269,7 @@ def _zone(items: Any) -> Zone:
     return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
 
-_CONVERT = {
+_CONVERT: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
     "orient": lambda items: np.array(items, dtype=float),
@@ -355,7 +359,7 @@ def _predefined() -> dict[str, tuple[str, Value]]:
         "err_filnotfnd",
         "err_ioenable",
     )
-    table |= {name: ("num", None) for name in errors}
+    table |= dict.fromkeys(errors, ("num", None))
     return table
 
 

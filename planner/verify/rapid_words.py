@@ -8,12 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 # every reserved word of the language, also those that are not in the subset: none may name anything
-RESERVED = frozenset(
-    """alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
-    endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin not
-    noview or pers proc raise readonly record retry return step sysmodule task test then to trap true trynext undo
-    var viewonly while with xor""".split()
+_RESERVED = (
+    "alias and backward case connect const default div do else elseif endfor endfunc endif endmodule "
+    "endproc endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod "
+    "module nostepin not noview or pers proc raise readonly record retry return step sysmodule task test "
+    "then to trap true trynext undo var viewonly while with xor "
 )
+RESERVED = frozenset(_RESERVED.split())
 ATTRIBUTES = frozenset({"sysmodule", "noview", "nostepin", "viewonly", "readonly"})
 
 
@@ -21,8 +22,8 @@ ATTRIBUTES = frozenset({"sysmodule", "noview", "nostepin", "viewonly", "readonly
 class Form:
     """An instruction: official `name`, types of the required arguments, options as name -> (slot, type).
 
-    Slot n means: behind the n-th required argument. Type "switch" takes no value. "signal..." types are names that the
-    controller's configuration declares. "variable <type>" must be a VAR or PERS.
+    Slot n means: behind the n-th required argument. Type "switch" takes no value. "signal..." types are
+    names that the controller's configuration declares. "variable <type>" must be a VAR or PERS.
     """
 
     name: str

@@ -59,7 +59,8 @@ def logarithm(q: Array) -> Array:
     sine = np.sqrt((q[1:] * q[1:]).sum(axis=0))
     angle = 2.0 * np.arctan2(sine, q[0])
     ratio = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 1e-12)
-    return ratio * q[1:]
+    found: Array = ratio * q[1:]
+    return found
 
 
 def matrix(q: Array) -> Array:
@@ -216,7 +217,8 @@ def _product(a: Array, b: Array, va: Array, vb: Array, dww: Array, dwv: Array, d
     ua = np.einsum("ji...,j...->i...", a, dwv)
     ub = np.einsum("ji...,j...->i...", b, dwv)
     found: Array = np.einsum("ki...,k...,kj...->ij...", a, dvv, b) + va[:, None] * (dww * vb)[None]
-    return found - va[:, None] * ub[None] - ua[:, None] * vb[None]
+    found -= va[:, None] * ub[None] + ua[:, None] * vb[None]
+    return found
 
 
 def _bracket(w: Array, v: Array, dw: Array, dv: Array) -> Array:

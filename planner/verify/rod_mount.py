@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.optimize import brentq
 
 from planner.verify.rod_energy import Array, Ends, exponential, logarithm, matrix, multiply
 from planner.verify.rod_model import Drive, Rod, RodError, RodShape, apart
@@ -71,13 +72,21 @@ def _bow(turning: float, distance: float, middle: Array, side: float | None) -> 
     """Size a [rad] of theta = turning s + a sin(2 pi s) whose ends are `distance` apart, by bisection to
     one side.
     """
+
+    def excess(size: float) -> float:
+        theta = turning * middle + size * np.sin(2.0 * np.pi * middle)
+        return math.hypot(float(np.cos(theta).mean()), float(np.sin(theta).mean())) - distance
+
     best: list[tuple[float, float]] = []
     for sign in (1.0, -1.0) if side is None else (math.copysign(1.0, side),):
-        sizes = sign * np.linspace(0.0, 3.5, 701)
-        theta = turning * middle[:, None] + sizes * np.sin(2.0 * np.pi * middle)[:, None]
-        chord = np.hypot(np.cos(theta).mean(axis=0), np.sin(theta).mean(axis=0))
-        miss = np.abs(chord - distance)
-        crossing = np.flatnonzero((chord[:-1] - distance) * (chord[1:] - distance) <= 0.0)
-        k = int(crossing[0]) if len(crossing) else int(np.argmin(miss))
-        best.append((abs(float(sizes[k])) if len(crossing) else 10.0 + float(miss[k]), float(sizes[k])))
+        sizes = [sign * 0.05 * k for k in range(71)]
+        misses = [excess(size) for size in sizes]
+        for k in range(70):
+            if misses[k] * misses[k + 1] <= 0.0:
+                root = float(brentq(excess, sizes[k], sizes[k + 1], xtol=1e-14))
+                best.append((abs(root), root))
+                break
+        else:
+            k = int(np.argmin(np.abs(misses)))
+            best.append((10.0 + abs(misses[k]), sizes[k]))
     return min(best)[1]

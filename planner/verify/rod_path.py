@@ -102,7 +102,8 @@ def _measures(state: State, ends: Ends) -> _Measures:
     nodes = np.concatenate([np.zeros_like(steps[:, :1]), np.cumsum(steps, axis=1)], axis=1)
     p = joints(state.q, ends.turn)
     rate = p[1:] * ((8.0 - 2.0 * p[0]) / 3.0) / spacing(n)[:, None]
-    # the outer joints belong to the clamps' half segments; a cubic through the inner ones is as smooth as they are
+    # the outer joints belong to the clamps' half segments; a cubic through the inner ones is as smooth as
+    # they are
     rate[:, 0] = 4.0 * rate[:, 1] - 6.0 * rate[:, 2] + 4.0 * rate[:, 3] - rate[:, 4]
     rate[:, -1] = 4.0 * rate[:, -2] - 6.0 * rate[:, -3] + 4.0 * rate[:, -4] - rate[:, -5]
     tangent = matrix(_at_nodes(state.q, ends))[:, 0]

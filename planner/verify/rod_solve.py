@@ -21,7 +21,7 @@ from planner.verify.rod_energy import (
     derivatives,
     energy,
     exponential,
-    gap,
+    matrix,
     multiply,
 )
 
@@ -58,7 +58,8 @@ class Outcome:
     @property
     def good(self) -> NDArray[np.bool_]:
         """Converged to a stable shape, by instant."""
-        return self.converged & (self.negatives == 0)
+        found: NDArray[np.bool_] = self.converged & (self.negatives == 0)
+        return found
 
 
 def moved(state: State, rotation: Array, force: Array) -> State:
@@ -133,11 +134,11 @@ def weakest(stiffness: Array, state: State, ends: Ends) -> tuple[float, Array]:
     return float(value[0]) * n, (basis @ vector[:, 0]).reshape(n, 3).T
 
 
-def settle(stiffness: Array, state: State, ends: Ends, rounds: int = 300) -> Outcome:
+def settle(stiffness: Array, state: State, ends: Ends, rounds: int = 200) -> Outcome:
     """Go down to a stable shape for one instant, from a state that need not be near one.
 
-    Newton steps on the Hessian raised until it is positive on the conditions, shortened until the energy
-    plus a multiple of the end's error falls. From an unstable equilibrium the first step goes along its
+    Newton steps on the Hessian raised until it is positive on the conditions and the energy falls; after each
+    step the end is brought back to its place. From an unstable equilibrium the first step goes along its
     weakest mode.
     """
     n = state.q.shape[1]
@@ -147,41 +148,45 @@ def settle(stiffness: Array, state: State, ends: Ends, rounds: int = 300) -> Out
     if found.converged[0]:
         mode = weakest(stiffness, found.state, ends)[1]
         state = moved(found.state, (0.05 / np.abs(mode).max() * mode)[..., None], np.zeros((3, 1)))
-    lift = 0.0
+    state = _restored(state, ends)
+    lift, before = 0.0, float(energy(stiffness, state.q, ends)[0])
+    parts = derivatives(stiffness, state.q, state.force, ends)
     for _ in range(rounds):
-        parts = derivatives(stiffness, state.q, state.force, ends)
-        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
-        full = saddle(parts, LIFT)
-        inside = np.arange(3 * n)
-        diagonal = full[inside, inside].copy()
-        while True:
-            full[inside, inside] = diagonal + lift
-            ldu, pivots, negatives = factor(full)
-            if negatives == 3 or lift > 1e9:
-                break
+        ldu, pivots, negatives = factor(saddle(parts, LIFT + lift * n))
+        while negatives != 3 and lift < 1e6:
             lift = max(4.0 * lift, 0.1 / n)
+            ldu, pivots, negatives = factor(saddle(parts, LIFT + lift * n))
+        right = np.concatenate([-parts.gradient[..., 0].T.ravel(), parts.gap[:, 0]])
         step, _ = lapack.dsytrs(ldu, pivots, right, lower=1)
         rotation, force = step[: 3 * n].reshape(n, 3).T[..., None], step[3 * n :, None]
         largest = float(np.abs(rotation).max())
-        if largest < 1e-3 and lift < 1e-9:
+        if (largest < 1e-3 and lift == 0.0) or lift >= 1e6:
             break
-        price = 2.0 * float(np.abs(state.force + force).max()) + 1.0
-        before = _merit(stiffness, state, ends, price)
-        length = min(1.0, 0.3 / max(largest, 1e-300))
-        for _ in range(12):
-            trial = moved(state, length * rotation, length * force)
-            if _merit(stiffness, trial, ends, price) < before:
-                break
-            length *= 0.5
-        state = trial
-        lift *= 0.25
-        if lift < 0.01 / n:
-            lift = 0.0
+        trial = _restored(moved(state, min(1.0, 0.4 / max(largest, 1e-300)) * rotation, force), ends)
+        after = float(energy(stiffness, trial.q, ends)[0])
+        if after < before:
+            state, before = trial, after
+            parts = derivatives(stiffness, state.q, state.force, ends)
+            lift = 0.0 if lift < 0.1 / n else 0.25 * lift
+        else:
+            lift = max(4.0 * lift, 0.1 / n)
     return newton(stiffness, state, ends)
 
 
-def _merit(stiffness: Array, state: State, ends: Ends, price: float) -> float:
-    return float(energy(stiffness, state.q, ends)[0]) + price * float(np.abs(gap(state.q, ends)).sum())
+def _restored(state: State, ends: Ends) -> State:
+    """The state with its end brought to its place by the least rotations."""
+    n = state.q.shape[1]
+    for _ in range(40):
+        turn = matrix(state.q)
+        miss = turn[:, 0].sum(axis=1) / n - ends.place
+        if float(np.abs(miss).max()) < 1e-11:
+            break
+        slope = np.stack([0.0 * turn[:, 0], -turn[:, 2], turn[:, 1]], axis=1) / n
+        square = np.einsum("ijkt,ljkt->il", slope, slope)
+        rotation = -np.einsum("ijkt,i->jkt", slope, np.linalg.lstsq(square, miss[:, 0], rcond=1e-12)[0])
+        rotation *= min(1.0, 0.3 / max(float(np.abs(rotation).max()), 1e-300))
+        state = moved(state, rotation, np.zeros((3, 1)))
+    return state
 
 
 # ---- many instants at once ---------------------------------------------------------------------------------

@@ -1,0 +1,167 @@
+"""Values of names and expressions while a task runs, as far as they are known before it does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from planner.verify.rapid_ast import (
+    Aggregate,
+    Binary,
+    Data,
+    Expr,
+    Function,
+    Literal,
+    Module,
+    Name,
+    Procedure,
+    Unary,
+)
+from planner.verify.rapid_check import placed
+from planner.verify.rapid_lexer import Fault
+from planner.verify.rapid_values import OPAQUE, PREDEFINED, RapidValueError, SyncIdent, Value, build
+
+UNKNOWN = None  # the value of what only the controller knows
+
+
+class FlowError(ValueError):
+    """The programs have no single straight way; `faults` says where and why."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
+        self.faults = tuple(faults)
+
+
+class Evaluator:
+    """Names and values as seen from `module`; `cells` holds what was assigned on the way."""
+
+    def __init__(self, modules: Sequence[Module]) -> None:
+        self.modules = {module.name.lower(): module for module in modules}
+        self.module: Module = modules[0]
+        self.cells: dict[tuple[str, str], Any] = {}
+        self.cache: dict[tuple[str, str], Any] = {}
+
+    def fail(self, start: int, message: str) -> FlowError:
+        """What to raise for a place in the current module."""
+        return FlowError([placed(self.module, start, "rapid.flow", message)])
+
+    def find(self, key: str) -> tuple[Module, Data | Procedure] | None:
+        """What a name means in the current module, and the module that declares it."""
+        own = [self.module, *(module for module in self.modules.values() if module is not self.module)]
+        for module in own:
+            for item in self.items(module).get(key, ()):
+                if module is self.module or not item.local:
+                    return module, item
+        return None
+
+    def items(self, module: Module) -> dict[str, list[Data | Procedure]]:
+        """The declarations of a module by lower-case name."""
+        key = ("", module.name.lower())
+        if key not in self.cache:
+            table: dict[str, list[Data | Procedure]] = {}
+            items: list[Data | Procedure] = [*module.data, *module.procedures]
+            for item in items:
+                table.setdefault(item.name.lower(), []).append(item)
+            self.cache[key] = table
+        found: dict[str, list[Data | Procedure]] = self.cache[key]
+        return found
+
+    def value(self, expr: Expr | None, kind: str) -> Value:
+        """The value of an expression, UNKNOWN where it is known at run time only."""
+        match expr:
+            case None:
+                return UNKNOWN
+            case Literal():
+                return build(kind, expr.value) if expr.kind == "list" else expr.value
+            case Name():
+                return self._name(expr)
+            case Aggregate():
+                items = self._plain(expr)
+                try:
+                    return UNKNOWN if items is None else build(kind, items)
+                except RapidValueError as wrong:
+                    raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
+            case Unary():
+                inner = self.value(expr.operand, "num")
+                return UNKNOWN if inner is None else _UNARY[expr.operator](inner)
+            case Binary():
+                return self._binary(expr)
+            case Function():
+                return UNKNOWN
+
+    def _plain(self, expr: Expr) -> Any:
+        if isinstance(expr, Aggregate):
+            items = [self._plain(item) for item in expr.items]
+            return UNKNOWN if any(item is None for item in items) else items
+        if isinstance(expr, Name):
+            found = self.find(expr.key)
+            if found and isinstance(found[1], Data) and found[1].kind not in ("num", "bool", "string"):
+                raise self.fail(
+                    expr.start, f"{expr.text}: records inside records must be written out in this subset"
+                )
+        return self.value(expr, "num")
+
+    def _name(self, name: Name) -> Value:
+        counter = self.cells.get(("for", name.key))
+        if counter is not None:
+            return counter
+        found = self.find(name.key)
+        if found is None:
+            return PREDEFINED[name.key][1] if name.key in PREDEFINED else UNKNOWN
+        module, data = found
+        if not isinstance(data, Data):
+            return UNKNOWN
+        key = (module.name.lower(), name.key)
+        if key in self.cells:
+            return self.cells[key]
+        if key not in self.cache:
+            self.cache[key] = UNKNOWN  # a constant that refers to itself has no value
+            self.cache[key] = self._initial(module, data)
+        return self.cache[key]
+
+    def _initial(self, module: Module, data: Data) -> Value:
+        if data.kind == "syncident":
+            return SyncIdent(data.name)
+        if data.initial is None or data.kind in OPAQUE:
+            return UNKNOWN
+        here, self.module = self.module, module
+        try:
+            if data.size is None:
+                return self.value(data.initial, data.kind)
+            items = self._plain(data.initial)
+            return UNKNOWN if items is None else tuple(build(data.kind, item) for item in items)
+        finally:
+            self.module = here
+
+    def _binary(self, expr: Binary) -> Value:
+        left, right = self.value(expr.left, "num"), self.value(expr.right, "num")
+        if expr.operator == "and" and (left is False or right is False):
+            return False
+        if expr.operator == "or" and (left is True or right is True):
+            return True
+        if left is None or right is None:
+            return UNKNOWN
+        try:
+            return _BINARY[expr.operator](left, right)
+        except (ZeroDivisionError, OverflowError):
+            raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
+
+
+_UNARY: dict[str, Callable[[Any], Any]] = {"-": lambda x: -x, "+": lambda x: x, "not": lambda x: not x}
+_BINARY: dict[str, Callable[[Any, Any], Any]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "div": lambda a, b: float(int(a / b)),
+    "mod": lambda a, b: a - b * int(a / b),
+    "=": lambda a, b: a == b,
+    "<>": lambda a, b: a != b,
+    "<": lambda a, b: a < b,
+    ">": lambda a, b: a > b,
+    "<=": lambda a, b: a <= b,
+    ">=": lambda a, b: a >= b,
+    "and": lambda a, b: a and b,
+    "or": lambda a, b: a or b,
+    "xor": lambda a, b: a != b,
+}
