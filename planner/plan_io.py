@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim
+from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plan import OperationPlan, Plan
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
@@ -50,22 +51,23 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
-    """Writes ``plan.npz`` and ``plan.json`` into ``folder``, which is made if missing.
+    """Writes ``plan.npz`` and ``plan.json`` into ``folder``, which is made if missing; see :func:`dump`."""
+    for name, content in dump(plan).items():
+        write_whole(Path(folder) / name, content)
 
-    Each file is written under a temporary name and then renamed; ``plan.json`` comes last and carries the
-    hash of ``plan.npz``, so that a pair torn apart by a kill is told from a whole one. The same plan gives the
-    same bytes.
+
+def dump(plan: Plan) -> dict[str, bytes]:
+    """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes.
+
+    ``plan.json`` comes last and carries the hash of ``plan.npz``, so that a pair torn apart by a kill is told from a whole one.
     Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
     """
-    target = Path(folder)
     arrays: Arrays = {}
     tree = _encode(plan, "", arrays)
     packed = _pack(arrays)
     header = {"format": FORMAT, "schema": SCHEMA, "arrays": hashlib.sha256(packed).hexdigest(), "plan": tree}
     text = json.dumps(header, indent=1, ensure_ascii=False, allow_nan=False)
-    target.mkdir(parents=True, exist_ok=True)
-    write_whole(target / ARRAYS, packed)
-    write_whole(target / DATA, text.encode())
+    return {ARRAYS: packed, DATA: text.encode()}
 
 
 def load(folder: str | os.PathLike[str]) -> Plan:
@@ -86,19 +88,6 @@ def load(folder: str | os.PathLike[str]) -> Plan:
     if not isinstance(plan, Plan):
         raise _damaged(source / DATA, f"it holds a {type(plan).__name__}, not a plan")
     return plan
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file under a temporary name and renames it, so that it is there whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _encode(value: Any, key: str, arrays: Arrays) -> Any:

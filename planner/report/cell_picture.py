@@ -1,0 +1,169 @@
+"""The picture of a cell: arms, tools, block and wire at one moment of the job, rendered without a display."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planner.problem import Mesh
+from planner.report import raster, solids
+from planner.report.raster import Camera, Thing
+from planner.report.scene import Scene
+from planner.report.solids import Solid
+
+FloatArray = NDArray[np.float64]
+WIRE: Final = (1.0, 0.30, 0.06)
+PART: Final = (0.16, 0.56, 0.62)
+BLOCK: Final = (0.86, 0.90, 0.84)
+_TRACE: Final = (1.0, 0.62, 0.35)
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """What is shown: joint angles {arm: (6,)}, wire (P, 3) in the world or None, earlier wires (S, P, 3), part meshes."""
+
+    q: Mapping[str, FloatArray]
+    wire: FloatArray | None = None
+    earlier: Sequence[FloatArray] = ()
+    part: Sequence[Mesh] = ()
+    stock_pose: FloatArray | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """``pixels`` (h, w, 3) and ``alpha`` (h, w) in 0..1; ``labels``: name and place as fractions of width and height."""
+
+    pixels: FloatArray
+    alpha: FloatArray
+    labels: tuple[tuple[str, float, float], ...]
+
+
+def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -> Picture:
+    """The cell from the side where the arms stand apart, twice as fine and then averaged; the ground is clear with a shadow."""
+    poses = scene.poses({arm: q[None] for arm, q in moment.q.items()})
+    opaque = [
+        Thing(piece.solid.moved(poses[piece.body][0] @ piece.pose), piece.color[:3], 0.0, piece.closed)
+        for piece in scene.pieces
+        if piece.body != "stock"
+    ]
+    block = [
+        Thing(piece.solid.moved(poses[piece.body][0] @ piece.pose), BLOCK)
+        for piece in scene.pieces
+        if piece.body == "stock"
+    ]
+    if moment.stock_pose is not None:
+        for part in moment.part:
+            solid = solids.mesh(part.vertices, part.faces, smooth=True).moved(moment.stock_pose)
+            opaque.append(Thing(solid, PART, 0.0, closed=False))
+    for wire in moment.earlier:
+        opaque.append(Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85))
+    if moment.wire is not None:
+        opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
+    everything = np.concatenate([thing.solid.vertices for thing in (*opaque, *block)])
+    camera = raster.frame(everything, _direction(scene), 2 * width, 2 * height)
+    image = raster.draw(camera, opaque)
+    color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
+    color, alpha = _veil(camera, block, image.depth, color, alpha)
+    color, alpha = _ground(camera, [*opaque, *block], color, alpha)
+    labels = []
+    for arm in scene.model.arms:
+        base = f"{arm}/base_link"
+        foot = [p.solid.moved(poses[base][0] @ p.pose).vertices for p in scene.pieces if p.body == base]
+        place = foot[0] if foot else scene.model.bases[arm][None, :3, 3]
+        x, y, _ = camera.project(np.concatenate([place, *foot])).T
+        labels.append((arm, float(x.mean() / camera.width), float(y.max() / camera.height + 0.012)))
+    return _cropped(
+        Picture(_halved(color * alpha[..., None]), _halved(alpha[..., None])[..., 0], tuple(labels))
+    )
+
+
+def _cropped(picture: Picture, margin: int = 14) -> Picture:
+    """The picture without empty rows above and below; pixels are premultiplied."""
+    rows = np.flatnonzero((picture.alpha > 0.02).any(axis=1))
+    h = len(picture.alpha)
+    a, b = max(int(rows[0]) - margin, 0), min(int(rows[-1]) + margin + 18, h)
+    labels = tuple((name, x, (y * h - a) / (b - a)) for name, x, y in picture.labels)
+    return Picture(picture.pixels[a:b], picture.alpha[a:b], labels)
+
+
+def _direction(scene: Scene) -> FloatArray:
+    """A view across the line from the first base to the last, or from the front of a single arm, from above."""
+    places = [scene.model.bases[arm][:3, 3] for arm in scene.model.arms]
+    line = places[-1] - places[0] if len(places) > 1 else scene.model.bases[scene.model.arms[0]][:3, 1] * -1.0
+    line = line[:2] / max(float(np.linalg.norm(line[:2])), 1e-9)
+    across = np.array([-line[1], line[0]])
+    flat = across + 0.30 * line
+    return np.array([flat[0], flat[1], -0.42])
+
+
+def _veil(
+    camera: Camera, block: list[Thing], depth: FloatArray, color: FloatArray, alpha: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Lays the block over the picture as a translucent body with its ink lines kept."""
+    if not block:
+        return color, alpha
+    window = camera.window(np.concatenate([thing.solid.vertices for thing in block]))
+    image = raster.draw(window, block)
+    part = np.s_[window.top : window.top + window.height, window.left : window.left + window.width]
+    strength = np.where(image.color.sum(axis=-1) < 1.25, 0.75, 0.42) * (image.depth < depth[part])
+    color[part], alpha[part] = _over(image.color, strength, color[part], alpha[part])
+    return color, alpha
+
+
+def _over(
+    top: FloatArray, strength: FloatArray, color: FloatArray, alpha: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """One picture laid over another (Porter and Duff 1984), colours not premultiplied."""
+    out = strength + alpha * (1.0 - strength)
+    mixed = top * strength[..., None] + color * (alpha * (1.0 - strength))[..., None]
+    return mixed / np.maximum(out, 1e-9)[..., None], out
+
+
+def _ground(
+    camera: Camera, things: list[Thing], color: FloatArray, alpha: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """A soft shadow on the ground: darker the lower what hangs above it, found at a quarter of the resolution."""
+    points = np.concatenate([_scattered(thing.solid) for thing in things])
+    low, high = points.min(axis=0) - 0.35, points.max(axis=0) + 0.35
+    cell = float((high - low)[:2].max()) / 260.0
+    shape = np.ceil((high[:2] - low[:2]) / cell).astype(int) + 1
+    weight = np.exp(-np.maximum(points[:, 2], 0.0) / 0.30)
+    index = ((points[:, :2] - low[:2]) / cell).astype(int)
+    cover = np.zeros(shape)
+    np.maximum.at(cover, (index[:, 0], index[:, 1]), weight)
+    cover = ndimage.grey_closing(cover, size=(5, 5))
+    soft = 0.8 * ndimage.gaussian_filter(cover, 2.0) + 0.5 * ndimage.gaussian_filter(cover, 9.0)
+    step = 4
+    x, y = np.meshgrid(np.arange(0, camera.width, step) + 2.0, np.arange(0, camera.height, step) + 2.0)
+    flat = np.stack([x - 0.5 * camera.full[0], y - 0.5 * camera.full[1], np.full_like(x, camera.focal)], -1)
+    ray = flat @ camera.pose[:3, :3].T
+    reach = (min(0.0, float(points[:, 2].min())) - camera.pose[2, 3]) / np.minimum(ray[..., 2], -1e-9)
+    hit = camera.pose[:2, 3] + reach[..., None] * ray[..., :2]
+    place = np.moveaxis((hit - low[:2]) / cell, -1, 0)
+    coarse = np.clip(ndimage.map_coordinates(soft, place, order=1, cval=0.0), 0.0, 1.0) * 0.45
+    shade = ndimage.zoom(coarse, step, order=1)[: camera.height, : camera.width]
+    tint = np.broadcast_to([0.17, 0.19, 0.24], color.shape)
+    return _over(color, alpha, np.asarray(tint), shade)
+
+
+def _scattered(solid: Solid) -> FloatArray:
+    """The solid's vertices and more points on its larger faces, so that it covers what is under it."""
+    corners = solid.vertices[solid.faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    often = np.minimum((area / 2e-4).astype(int), 2000)
+    rng = np.random.default_rng(0)
+    weights = rng.dirichlet(np.ones(3), int(often.sum()))
+    inner = np.einsum("pk,pkc->pc", weights, np.repeat(corners, often, axis=0))
+    return np.concatenate([solid.vertices, inner])
+
+
+def _halved(image: FloatArray) -> FloatArray:
+    h, w, c = image.shape
+    return np.asarray(image.reshape(h // 2, 2, w // 2, 2, c).mean(axis=(1, 3)))

@@ -1,0 +1,177 @@
+"""Heat maps of deviations over a face, seen along its normal, with a histogram and the figures that matter."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from planner.report import charts, markup
+from planner.report.markup import Raw
+
+FloatArray = NDArray[np.float64]
+_COLD = np.array([0.13, 0.36, 0.70])
+_MILD = np.array([0.93, 0.94, 0.93])
+_WARM = np.array([0.78, 0.18, 0.13])
+_MISSED = np.array([0.35, 0.13, 0.45])
+
+
+def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Horizontal axis, vertical axis and normal (3,) each of the plane that lies best through points (M, 3).
+
+    Vertical is the frame's z as far as the plane allows, or its y for a plane that lies flat.
+    """
+    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    normal = axes[2] * (1.0 if axes[2][np.argmax(np.abs(axes[2]))] > 0 else -1.0)
+    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    up = up - normal * (up @ normal)
+    up /= np.linalg.norm(up)
+    return np.cross(up, normal), up, normal
+
+
+def diverging(value: FloatArray, span: float) -> FloatArray:
+    """Colours (..., 3): blue below zero, pale at zero, red above, full at ``span``."""
+    t = np.clip(value / span, -1.0, 1.0)[..., None]
+    weight = np.abs(t) ** 0.8
+    return np.asarray(np.where(t < 0, _MILD + weight * (_COLD - _MILD), _MILD + weight * (_WARM - _MILD)))
+
+
+def sequential(value: FloatArray) -> FloatArray:
+    """Colours (..., 3) for values in 0..1, dark blue over green to yellow (after the viridis map's key colours)."""
+    keys = np.array(
+        [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.15]]
+    )
+    at = np.linspace(0.0, 1.0, len(keys))
+    return np.stack([np.interp(value, at, keys[:, c]) for c in range(3)], axis=-1)
+
+
+def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, float, float, float]]:
+    """Values on a grid (rows from the top) and its extent u0, u1, v0, v1: in each cell the value of greatest size.
+
+    Cells without a point take the nearest one's where that is near; farther ones are infinite; NaN stays NaN.
+    """
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    size = np.maximum(high - low, 1e-6)
+    cell = max(float(np.sqrt(size[0] * size[1] / max(len(uv), 1))) * 1.5, float(size.max()) / 240.0)
+    shape = np.ceil(size / cell).astype(int) + 1
+    column, row = ((uv - low) / cell).astype(int).T
+    flat = (shape[1] - 1 - row) * shape[0] + column
+    order = np.argsort(np.where(np.isnan(value), np.inf, np.abs(value)), kind="stable")
+    grid = np.full(shape[0] * shape[1], np.inf)
+    grid[flat[order]] = value[order]
+    grid = grid.reshape(shape[1], shape[0])
+    empty = np.isposinf(grid)
+    distance, nearest = ndimage.distance_transform_edt(empty, return_indices=True)
+    filled = np.where(distance <= 3.0, grid[tuple(nearest)], np.inf)
+    return filled, (
+        float(low[0]),
+        float(low[0] + shape[0] * cell),
+        float(low[1]),
+        float(low[1] + shape[1] * cell),
+    )
+
+
+def deviation_map(
+    points: FloatArray, deviation: FloatArray, tolerance: float, title: str, note: str = ""
+) -> Raw:
+    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut."""
+    across, up, normal = view(points)
+    finite = deviation[np.isfinite(deviation)]
+    largest = float(np.percentile(np.abs(finite), 99.5)) if len(finite) else tolerance
+    span = max(1.2 * tolerance, largest)
+    grid, extent = binned(points @ np.stack([across, up], axis=1), deviation)
+    missed = np.isnan(grid)
+    color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
+    color[missed] = _MISSED
+    alpha = np.where(np.isposinf(grid), 0.0, 1.0)
+    axis = "xyz"[int(np.argmax(np.abs(normal)))]
+    side = "+" if normal[np.argmax(np.abs(normal))] > 0 else "−"
+    body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()))
+    return markup.figure(title, body, note or f"seen from {side}{axis} of the stock frame; mm")
+
+
+def histogram(deviation: FloatArray, tolerance: float) -> str:
+    """Share of the face over the deviation [mm], with the tolerance marked."""
+    finite = deviation[np.isfinite(deviation)] * 1e3
+    if not len(finite):
+        return '<p class="empty">no data</p>'
+    span = max(1.2 * tolerance * 1e3, float(np.percentile(np.abs(finite), 99.8)) * 1.05)
+    counts, edges = np.histogram(np.clip(finite, -span, span), bins=60, range=(-span, span))
+    share = 100.0 * counts / max(len(deviation), 1)
+    x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
+    inside = charts.Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
+    return charts.chart(
+        [charts.Line("share", x, y, 0)],
+        x_label="deviation [mm]",
+        y_label="share [%]",
+        bands=[inside],
+        size=(420, 210),
+        y_range=(0.0, float(share.max()) * 1.08),
+    )
+
+
+def _field(image: str, extent: tuple[float, float, float, float]) -> str:
+    """A picture with ruled edges in mm, one scale for both axes."""
+    u0, u1, v0, v1 = (e * 1e3 for e in extent)
+    width = 440.0
+    scale = min((width - 60.0) / (u1 - u0), 420.0 / (v1 - v0))
+    w, h = scale * (u1 - u0), scale * (v1 - v0)
+    left = 46.0 + 0.5 * (width - 60.0 - w)
+    parts = [
+        f'<svg class="plot" viewBox="0 0 {width:g} {h + 34:.1f}">'
+        f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" preserveAspectRatio="none"/>'
+    ]
+    for value in charts.ticks(u0, u1, 6):
+        x = left + (value - u0) * scale
+        parts.append(f'<text class="xtick" x="{x:.1f}" y="{h + 21:.1f}">{markup.number(float(value))}</text>')
+    for value in charts.ticks(v0, v1, 6):
+        y = 6 + (v1 - value) * scale
+        parts.append(
+            f'<text class="ytick" x="{left - 6:.1f}" y="{y + 4:.1f}">{markup.number(float(value))}</text>'
+        )
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
+    values = np.linspace(-span, span, 200)
+    image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
+    left, width = 60.0, 320.0
+    parts = [
+        '<svg class="plot" viewBox="0 0 440 30">',
+        f'<image href="{image}" x="{left:g}" y="2" width="{width:g}" height="9" preserveAspectRatio="none"/>',
+    ]
+    for value in (-span, -tolerance, 0.0, tolerance, span):
+        x = left + (value + span) / (2 * span) * width
+        if abs(abs(value) - span) > 0.1 * span or abs(value) == span:
+            parts.append(f'<text class="mid" x="{x:.1f}" y="24">{markup.number(value * 1e3, 2)}</text>')
+        if abs(value) == tolerance:
+            parts.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="13"/>')
+    parts.append("</svg>")
+    words = [("#215cb2", "too much cut"), ("#c72e21", "left standing")]
+    words += [("#592173", "the wire did not pass")] if missed else []
+    keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
+    return "".join(parts) + f'<div class="legend">{keys}</div>'
+
+
+def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> str:
+    """A heat map of any value (M,) at points (M, 3) [m]: diverging about 0 when ``limit`` is given, else from least to most."""
+    across, up, _ = view(points)
+    grid, extent = binned(points @ np.stack([across, up], axis=1), value)
+    inside = np.isfinite(grid)
+    low, high = float(np.nanmin(value)), float(np.nanmax(value))
+    if limit is not None:
+        span = max(float(limit), abs(low), abs(high))
+        low, high = -span, span
+        color = diverging(np.where(inside, grid, 0.0), span)
+        bar = diverging(np.linspace(-span, span, 200), span)
+    else:
+        color = sequential((np.where(inside, grid, low) - low) / max(high - low, 1e-12))
+        bar = sequential(np.linspace(0.0, 1.0, 200))
+    image = markup.png(np.tile(bar[None], (2, 1, 1)))
+    key = (
+        f'<svg class="plot" viewBox="0 0 440 24"><image href="{image}" x="90" y="6" width="260" height="9" '
+        f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
+        f'<text x="356" y="14">{markup.number(high, 3)} {markup.text(unit)}</text></svg>'
+    )
+    return _field(markup.png(color, inside.astype(np.float64)), extent) + key

@@ -1,0 +1,117 @@
+"""The files of a result folder that people look at: report, replay, simulated part, and the proof as data."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.cell import plant
+from planner.cell.plant import CellModel
+from planner.geometry.rigid import transform
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.report import cell_picture, page, replay3d, scene
+from planner.report.cell_picture import Moment, Picture
+from planner.report.page import Extra
+from planner.targets import segment_kind
+from planner.verify.result import Proof
+
+FloatArray = NDArray[np.float64]
+
+
+def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
+    """``report.html``, ``replay.html``, and with a proof ``proof.json`` and ``simulated_part.obj``, by name.
+
+    Where Meshcat cannot start there is no replay, and the report says so.
+    """
+    model = plant.build(problem.cell, problem.stock, plan.stock_pose, plan.bases)
+    out: dict[str, str] = {}
+    issues: tuple[Issue, ...] = ()
+    try:
+        out["replay.html"] = replay3d.document(model, problem, plan)
+    except TandemError as error:
+        issues = error.issues
+    extra = Extra(picture(model, problem, plan), model.pairs_filtered, issues=issues)
+    out["report.html"] = page.render(problem, plan, proof, extra)
+    if proof is not None:
+        out["proof.json"] = _verdict(proof)
+        if proof.part_obj:
+            out["simulated_part.obj"] = proof.part_obj
+    return out
+
+
+def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
+    """The report alone, for a problem that was refused or has no plan."""
+    shown: Picture | None = None
+    filtered: Sequence[tuple[str, str, str]] = ()
+    if problem is not None:
+        place = problem.stock.place
+        standing = np.eye(4)
+        standing[:3, :3] = problem.stock.attitude
+        try:
+            model = plant.build(problem.cell, problem.stock, standing if place is None else place)
+        except TandemError as error:
+            issues = [*issues, *(i for i in error.issues if i not in issues)]
+        else:
+            shown = picture(model, problem, None)
+            filtered = model.pairs_filtered
+    return page.render(problem, None, None, Extra(shown, filtered, issues=issues))
+
+
+def picture(model: CellModel, problem: Problem, plan: Plan | None) -> Picture:
+    """The cell in the middle of its first cut, with the wire's earlier places; or with all arms at home."""
+    seen = scene.extract(model)
+    meshes = [] if problem.part is None else [problem.part.front]
+    home = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
+    stock_pose = model.stock_pose
+    for operation in plan.operations if plan is not None else ():
+        targets = operation.targets
+        cutting = [i for i, label in enumerate(targets.segment) if segment_kind(label) == "cut"]
+        if not cutting:
+            continue
+        first = [i for i in cutting if targets.segment[i] == targets.segment[cutting[0]]]
+        here = first[int(0.62 * (len(first) - 1))]
+        q = {**home, **{arm: operation.q[arm][here] for arm in operation.q}}
+        wires: list[FloatArray] = []
+        if targets.edge is not None and targets.frame[targets.arms[0]] in ("stock", "world"):
+            frame = stock_pose if targets.frame[targets.arms[0]] == "stock" else np.eye(4)
+            before = [i for i in first if i < here][:: max(1, here // 9)]
+            wires = [transform(frame, targets.edge.points[i]) for i in (*before, here)]
+        wire = wires[-1] if wires else None
+        return cell_picture.picture(seen, Moment(q, wire, wires[:-1], meshes, stock_pose))
+    return cell_picture.picture(seen, Moment(home, None, (), meshes, stock_pose))
+
+
+def _verdict(proof: Proof) -> str:
+    """The proof as JSON: verdict, rules, issues, faces without their points."""
+    faces = [
+        {k: v for k, v in vars(face).items() if k not in ("points", "deviation", "area")}
+        for face in proof.surfaces
+    ]
+    found = aggregate(proof.issues)
+    data = {
+        "ok": proof.ok and not has_errors(found),
+        "problem_digest": proof.problem_digest,
+        "rules": [dataclasses.asdict(rule) for rule in proof.rules],
+        "issues": [issue.to_dict() for issue in found],
+        "surfaces": faces,
+    }
+    return json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: object) -> object:
+    """Plain data for JSON: tuples as lists, NumPy's numbers as Python's, numbers that JSON lacks as None."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value

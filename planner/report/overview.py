@@ -1,0 +1,151 @@
+"""The top of the report: verdict, figures at a glance, picture of the cell; and how the plan was made."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from planner import catalogue
+from planner.claims import CutsSurface, WireJoins
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.report import inputs, markup
+from planner.report.cell_picture import Picture
+from planner.report.markup import Raw
+from planner.units import DEG, MM
+from planner.verify.result import Proof
+
+
+def header(problem: Problem | None, plan: Plan | None, proof: Proof | None, errors: bool) -> str:
+    """Name, verdict and a line that says what this is about."""
+    if plan is None:
+        word, kind = ("No plan", "bad") if errors else ("Nothing planned", "warn")
+    elif proof is None:
+        word, kind = "Planned, not proven", "warn"
+    elif proof.ok and not errors:
+        word, kind = "Planned and proven", "ok"
+    elif proof.ok:
+        word, kind = "Proven, with errors", "bad"
+    else:
+        word, kind = "Proof failed: no programs", "bad"
+    name = problem.name if problem is not None else "The problem was refused"
+    lines = ""
+    if problem is not None:
+        arms = ", ".join(f"{a.name}: {_title(a.robot)}" for a in problem.cell.arms)
+        work = ", ".join(dict.fromkeys(op.process.replace("_", " ") for op in problem.operations))
+        lines = (
+            f'<p class="soft">{html.escape(work)} · {html.escape(arms)} · cell {html.escape(problem.cell.name)} · '
+            f"problem <code>{html.escape(problem.digest[:12])}</code></p>"
+        )
+    return f'<header><h1>{html.escape(name)}</h1><span class="verdict {kind}">{word}</span></header>{lines}'
+
+
+def _title(robot: str) -> str:
+    return catalogue.robot(robot).title if robot in catalogue.robot_names() else robot
+
+
+def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
+    """The figures that matter, each in a tile."""
+    motion = inputs.motion(problem, plan, proof)
+    count = sum(op.targets.count for op in plan.operations)
+    time = sum(float(op.time[-1]) for op in plan.operations if len(op.time))
+    out = [_tile("targets", f"{count}"), _tile("motion time", *_duration(time))]
+    if motion.clearance is not None:
+        least = float(np.nanmin(motion.clearance.distance))
+        out.append(_tile("least clearance", f"{least / MM:.1f}", "mm", least < problem.settings.clearance))
+    if motion.arms:
+        margin = min(float(a.limit_margin.min()) for a in motion.arms.values())
+        wrist = min(float(a.wrist_angle.min()) for a in motion.arms.values())
+        speed = max(float(np.nanmax(np.abs(a.speed) / a.robot.velocity)) for a in motion.arms.values())
+        out.append(
+            _tile("to a joint limit", f"{margin / DEG:.1f}", "°", margin < problem.settings.joint_margin)
+        )
+        out.append(
+            _tile(
+                "axis 5 from singular", f"{wrist / DEG:.1f}", "°", wrist < problem.settings.singularity_margin
+            )
+        )
+        out.append(_tile("highest joint speed", f"{100 * speed:.0f}", "% of limit", speed > 1.0))
+    claims = [c for op in plan.operations for c in op.targets.claims]
+    for wire in [c for c in claims if isinstance(c, WireJoins)][:1]:
+        out.append(_tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
+        out.append(_tile("wire, thickness", f"{wire.thickness / MM:g}", "mm"))
+    for cut in [c for c in claims if isinstance(c, CutsSurface)][:1]:
+        out.append(_tile("kerf", f"{cut.kerf / MM:g}", "mm"))
+        out.append(_tile("tolerance", f"±{cut.tolerance / MM:g}", "mm"))
+    if proof is not None:
+        for face in proof.surfaces:
+            low = face.share < face.wanted_share
+            out.append(_tile(f"{face.segment} within tolerance", f"{100 * face.share:.1f}", "%", low))
+        held = sum(rule.passed for rule in proof.rules)
+        if proof.rules:
+            out.append(_tile("rules held", f"{held}", f"of {len(proof.rules)}", held < len(proof.rules)))
+    return f'<div class="tiles">{"".join(out)}</div>'
+
+
+def _tile(name: str, value: str, unit: str = "", bad: bool = False) -> str:
+    kind = "tile bad" if bad else "tile"
+    shown = html.escape(value.replace("-", "−"))
+    return f'<div class="{kind}"><b>{shown}<small>{html.escape(unit)}</small></b><span>{html.escape(name)}</span></div>'
+
+
+def _duration(seconds: float) -> tuple[str, str]:
+    if seconds < 120:
+        return f"{seconds:.1f}", "s"
+    return f"{int(seconds // 60)}:{int(seconds % 60):02d}", "min"
+
+
+def picture(shown: Picture) -> Raw:
+    """The cell's picture with the names of the arms."""
+    address = markup.png(shown.pixels, shown.alpha, premultiplied=True)
+    labels = "".join(
+        f'<span style="left:{100 * x:.1f}%;top:{100 * y:.1f}%">{html.escape(name)}</span>'
+        for name, x, y in shown.labels
+    )
+    return Raw(f'<div class="picture"><img alt="the cell" src="{address}">{labels}</div>')
+
+
+def made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Raw:
+    """Stage times, figures of the plan, versions and programs."""
+    stages = [
+        *_stages(plan.metrics),
+        *(row for op in plan.operations for row in _stages(op.metrics, op.name)),
+    ]
+    parts = []
+    if stages:
+        parts.append(markup.figure("Planning time", markup.table(("stage", "s"), _once(stages))))
+    figures = [row for op in plan.operations for row in _figures(op.metrics)]
+    if figures:
+        parts.append(markup.figure("Figures of the plan", markup.table(("figure", "value"), _once(figures))))
+    versions = [(name, version) for name, version in plan.versions.items()]
+    parts.append(
+        markup.figure("Versions", markup.facts([*versions, ("problem hash", Raw(_code(plan.digest)))]))
+    )
+    if programs:
+        parts.append(markup.figure("Programs", markup.table(("file", "lines"), programs)))
+    return markup.grid(parts)
+
+
+def _code(text: str) -> str:
+    return f"<code>{html.escape(text)}</code>"
+
+
+def _stages(metrics: Mapping[str, Any], operation: str = "") -> Iterable[tuple[str, Raw]]:
+    stages = metrics.get("stages")
+    if isinstance(stages, Mapping):
+        for name, seconds in stages.items():
+            if isinstance(seconds, int | float):
+                yield f"{name}", Raw(markup.fixed(float(seconds), 3))
+
+
+def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object]]:
+    for name, value in metrics.items():
+        if isinstance(value, int | float | str | bool | np.generic):
+            yield name.replace("_", " "), value
+
+
+def _once(rows: Sequence[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    return list(dict.fromkeys(rows))

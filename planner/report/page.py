@@ -1,0 +1,145 @@
+"""The report: one HTML file that needs nothing else, for screen and paper; also where there is no plan."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.issues import Issue, aggregate, has_errors
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.report import exhibits, inputs, markup, motion_charts, overview, placement, setup_sheet, verdicts
+from planner.report.cell_picture import Picture
+from planner.report.inputs import Motion
+from planner.report.markup import Raw
+from planner.report.style import CSS, SCRIPT
+from planner.verify.result import Proof
+
+
+@dataclasses.dataclass(frozen=True)
+class Extra:
+    """What the report shows besides problem, plan and proof.
+
+    ``picture`` of the cell; ``filtered`` pairs of bodies that are not held apart, with reasons; ``programs``: names and
+    numbers of lines; ``seconds``: wall-clock times per stage by name; ``issues`` that belong to no plan.
+    """
+
+    picture: Picture | None = None
+    filtered: Sequence[tuple[str, str, str]] = ()
+    programs: Sequence[tuple[str, int]] = ()
+    issues: Sequence[Issue] = ()
+
+
+def render(
+    problem: Problem | None, plan: Plan | None, proof: Proof | None, extra: Extra | None = None
+) -> str:
+    """The page as text. Without ``plan`` it shows the problem as far as known, and the issues."""
+    extra = extra or Extra()
+    drawn, left_out = _exhibits(problem, plan)
+    found = aggregate(
+        [
+            *(plan.issues if plan else ()),
+            *(i for op in (plan.operations if plan else ()) for i in op.issues),
+            *(proof.issues if proof else ()),
+            *extra.issues,
+            *left_out,
+        ]
+    )
+    sections: list[Raw] = []
+    if found:
+        sections.append(markup.section("issues", "Issues", verdicts.issues(_unique(found))))
+    if extra.picture is not None:
+        sections.append(markup.section("cell", "Cell", overview.picture(extra.picture)))
+    if proof is not None and proof.surfaces:
+        faces = "".join(verdicts.face(face) for face in proof.surfaces)
+        sections.append(markup.section("part", "Simulated part against the wanted one", faces))
+    sections += drawn
+    if problem is not None and plan is not None and plan.operations:
+        motion = inputs.motion(problem, plan, proof)
+        sections += _motion(problem, motion)
+        sections.append(markup.section("setup", "Setup sheet", setup_sheet.sheet(problem, plan)))
+    if proof is not None and proof.rules:
+        sections.append(markup.section("proof", "Proof from the programs' text", verdicts.rules(proof.rules)))
+    sections += _background(plan, extra)
+    title = problem.name if problem is not None else "Problem"
+    tiles = overview.tiles(problem, plan, proof) if plan is not None and problem is not None else ""
+    head = overview.header(problem, plan, proof, has_errors(found))
+    return _document(title, head, tiles, [s for s in sections if s])
+
+
+def _document(title: str, head: str, tiles: str, sections: Sequence[Raw]) -> str:
+    links = []
+    for part in sections:
+        anchor = part.split('id="', 1)[1].split('"', 1)[0]
+        name = part.split("<h2>", 1)[1].split("</h2>", 1)[0]
+        links.append(f'<a href="#{anchor}">{name}</a>')
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(title)} – Tandem report</title><style>{CSS}</style></head><body><main>"
+        f"{head}<nav>{''.join(links)}</nav>{tiles}{''.join(sections)}"
+        "<footer>Written by Tandem. This file needs no network.</footer></main>"
+        f"<script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def _unique(issues: Sequence[Issue]) -> list[Issue]:
+    """Issues that say the same once: a plan repeats those of its operations."""
+    return list(dict.fromkeys(issues))
+
+
+def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Raw], list[Issue]]:
+    sections, left_out = [], []
+    for index, operation in enumerate(plan.operations if plan else ()):
+        block = problem.stock.size if problem is not None else np.ones(3)
+        figures, issues = exhibits.draw(operation.targets.exhibits, block)
+        left_out += issues
+        title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"
+        wide = [f for f in figures if "wide" in f[:20]]
+        small = [f for f in figures if f not in wide]
+        content = "".join(wide) + markup.grid(small)
+        sections.append(markup.section(f"process{index}", title, content))
+    return sections, left_out
+
+
+def _motion(problem: Problem, motion: Motion) -> list[Raw]:
+    settings = problem.settings
+    figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
+    if motion.clearance is not None:
+        figures.append(motion_charts.clearance(motion.clearance, motion, settings))
+    figures += motion_charts.margins(motion, settings) if motion.arms else []
+    for name, arm in motion.arms.items():
+        figures += motion_charts.speeds(name, arm, motion, settings)
+    pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ""
+    note = Raw(
+        f'<p class="note">Joint motion: {html.escape(motion.source)}. Tinted stretches are segments.</p>'
+    )
+    out = [markup.section("motion", "Motion", markup.grid(figures), pairs, note)]
+    rows = [
+        Raw(f"<h3>{html.escape(name)}: {html.escape(arm.robot.title)}</h3>")
+        + markup.grid(motion_charts.joints(name, arm, motion), "three")
+        for name, arm in motion.arms.items()
+    ]
+    out.append(markup.section("joints", "Joint angles and limits", *rows))
+    return out
+
+
+def _background(plan: Plan | None, extra: Extra) -> list[Raw]:
+    out = []
+    if plan is not None:
+        out.append(markup.section("placement", "Search for a place", placement.figures(plan)))
+        out.append(markup.section("times", "How the plan was made", overview.made(plan, extra.programs)))
+    if extra.filtered:
+        rows = markup.table(("body", "body", "why the two are not held apart"), extra.filtered)
+        out.append(
+            markup.section(
+                "filter",
+                "Collision filter",
+                f"<details><summary>{len(extra.filtered)} pairs of bodies are not held apart; every other pair is"
+                f"</summary>{rows}</details>",
+            )
+        )
+    return out
