@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
 
 import numpy as np
@@ -13,81 +12,166 @@ from planner.cell.plant import CellModel
 from planner.motion.hinges import Rows
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
 
 SOFT: Final = 0.010
 """Distances [m] up to this above the wanted clearance cost something."""
 
 QUERY: Final = 0.080
-"""Distances [m] up to this are asked for, so that it is known how far joints may move before asking again."""
+"""Distances [m] up to this are asked for."""
 
+FAR: Final = 0.25
+"""Bounds are worked out up to this far [m] beyond, so that it is known how far joints may move before they are again."""
 
-@dataclasses.dataclass(frozen=True)
-class _Known:
-    """What is known around one configuration: distances (K,) within reach with gradients (K, J)."""
+STRIDE: Final = 16
+TOUCH: Final = 1e-4
+HAND: Final = 0.1
+"""How far [m] a tool reaches beyond its TCP at most, for how far joints carry it; tools are smaller than this."""
 
-    q: FloatArray
-    distance: FloatArray
-    gradient: FloatArray
-
-    def least(self, q: FloatArray, lever: float) -> float:
-        """A lower bound [m] of the least distance at q: linear, less the most that the curvature can take off."""
-        step = q - self.q
-        moved = float(np.abs(step).sum())
-        beyond = QUERY - lever * moved
-        if not len(self.distance):
-            return beyond
-        linear = self.distance + self.gradient @ step - 0.5 * lever * moved * moved
-        return min(beyond, float(linear.min()))
+WRIST: Final = 0.4
+"""Lever [m] of the wrist's axes for pairs of hand and forearm."""
 
 
 class Avoid:
-    """Hinges on all distances below the wanted clearance and a little more, at joints (N, J) of the arms ``arms``."""
+    """Hinges on all distances below the wanted clearance and a little more, at joints (N, J) of ``arms``.
+
+    Drake is asked for exact distances only at rows where cheap bounds do not show that nothing is near. Pairs that
+    only the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the bounds:
+    they are followed by their gradients.
+    """
 
     def __init__(self, model: CellModel, arms: tuple[str, ...], wanted: float, weight: float) -> None:
-        self._model, self._arms, self._wanted, self.weight = model, arms, wanted, weight
+        self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
         self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
-        self._lever = max(model.robots[arm].reach for arm in arms) + 0.3
-        self._known: list[_Known] = []
+        self._levers = np.concatenate([_levers(model, arm) for arm in arms])
+        self._bounds = model.bounds.among(_local_pairs(arms))
+        self._masks: dict[tuple[str, str], FloatArray] = {}
+        self._bound_at = self._at = np.zeros((0, 0))
+        self._bound = np.zeros(0)
+        self._distance = np.zeros((0, 0))
+        self._gradient = self._mask = np.zeros((0, 0, 0))
         self.queries = 0
 
     def cost(self, q: FloatArray) -> float:
         """Sum of squares of the hinges."""
-        return sum(float(np.sum(self._values(k) ** 2)) for _, k in self._near(q))
+        return float(np.sum(self._values(self._near(q)) ** 2))
 
     def rows(self, q: FloatArray) -> list[Rows]:
         """Hinges at joints q (N, J)."""
-        out = []
-        for i, known in self._near(q):
-            values = self._values(known)
-            used = values > 0.0
-            if used.any():
-                factor = np.sqrt(self.weight) / SOFT
-                index = np.full(int(used.sum()), i, dtype=np.intp)
-                out.append(Rows(index, values[used], -factor * known.gradient[used]))
-        return out
+        index = self._near(q)
+        values = self._values(index)
+        row, which = np.nonzero(values > 0.0)
+        slope = -np.sqrt(self._weight) / SOFT * self._gradient[index[row], which]
+        return [Rows(index[row], values[row, which], slope)]
 
-    def _values(self, known: _Known) -> FloatArray:
-        near = np.maximum(self._wanted + SOFT - known.distance, 0.0)
-        return np.asarray(np.sqrt(self.weight) / SOFT * near)
+    def _values(self, index: IndexArray) -> FloatArray:
+        near = np.maximum(self._wanted + SOFT - self._distance[index], 0.0)
+        return np.asarray(np.sqrt(self._weight) / SOFT * near)
 
-    def _near(self, q: FloatArray) -> list[tuple[int, _Known]]:
-        """Exact knowledge of the rows that may be near something."""
-        if len(self._known) != len(q):
-            self._known = [self._ask(row) for row in q]
-        out = []
-        for i, row in enumerate(q):
-            known = self._known[i]
-            if known.least(row, self._lever) < self._wanted + SOFT:
-                if not np.array_equal(known.q, row):
-                    known = self._known[i] = self._ask(row)
-                out.append((i, known))
-        return out
+    def _near(self, q: FloatArray) -> IndexArray:
+        """Rows that may be near something; what is known of these is then exact."""
+        if self._at.shape != q.shape:
+            self._start(q)
+        limit = self._wanted + SOFT
+        near = self._lower(q) < limit
+        step = q - self._at
+        part = np.einsum("nkj,nj->nk", self._mask, np.abs(step))
+        linear = self._distance + np.einsum("nkj,nj->nk", self._gradient, step) - 0.5 * WRIST * part * part
+        local = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)
+        wrist = np.abs(step).reshape(len(q), -1, 6)[:, :, 4:].sum(axis=-1).max(axis=-1)
+        near |= local.any(axis=1) | (QUERY - WRIST * wrist < limit)
+        index = np.flatnonzero(near)
+        self._ask(q, index[step[index].any(axis=1) | ~self._own[index]])
+        return index
 
-    def _ask(self, row: FloatArray) -> _Known:
-        self.queries += 1
-        full = self._model.home.copy()
-        full[self._columns] = row
-        found = clearance.gradients(self._model, full, QUERY)
-        distance = np.array([d for d, _, _ in found])
-        gradient = np.array([g[self._columns] for _, g, _ in found]).reshape(len(found), len(row))
-        return _Known(row.copy(), distance, gradient)
+    def _lower(self, q: FloatArray) -> FloatArray:
+        """Lower bounds (N,) of the least distance of all but local pairs, worked out anew only where they may matter."""
+        limit = self._wanted + SOFT
+        bound = self._bound - np.abs(q - self._bound_at) @ self._levers
+        index = np.flatnonzero(bound < limit)
+        if len(index):
+            part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
+            rows = self._model.stack(part)
+            every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
+            lower, _ = self._bounds.least(self._model.poses(every), limit + FAR)
+            bound[index] = np.minimum(lower, limit + FAR) - TOUCH
+            self._bound[index], self._bound_at[index] = bound[index], q[index]
+        return bound
+
+    def _start(self, q: FloatArray) -> None:
+        """Asks at a few rows; what is found there of local pairs holds for their neighbours to begin with."""
+        self._at, self._bound_at = q.copy(), q.copy()
+        self._bound = np.full(len(q), -np.inf)
+        self._own = np.zeros(len(q), dtype=bool)
+        index = np.arange(0, len(q), STRIDE)
+        self._ask(q, index)
+        source = index[np.arange(len(q)) // STRIDE]
+        self._at = q[source]
+        self._distance, self._gradient = self._distance[source], self._gradient[source]
+        self._mask = self._mask[source]
+
+    def _ask(self, q: FloatArray, index: IndexArray) -> None:
+        """Asks Drake at the rows ``index`` of q."""
+        if not len(index):
+            return
+        found = []
+        for i in index:
+            full = self._model.home.copy()
+            full[self._columns] = q[i]
+            found.append(clearance.gradients(self._model, full, QUERY))
+        self.queries += len(index)
+        self._widen(len(q), max(len(one) for one in found))
+        self._at[index] = q[index]
+        self._own[index] = True
+        self._distance[index] = np.inf
+        self._gradient[index] = 0.0
+        self._mask[index] = 0.0
+        for i, one in zip(index, found, strict=True):
+            for k, (distance, gradient, pair) in enumerate(one):
+                self._distance[i, k] = distance
+                self._gradient[i, k] = gradient[self._columns]
+                self._mask[i, k] = self._moving(pair)
+
+    def _widen(self, rows: int, count: int) -> None:
+        have = self._distance.shape[1] if len(self._distance) == rows else 0
+        if have >= count and len(self._distance) == rows:
+            return
+        wide = len(self._columns)
+        distance, gradient = np.full((rows, count), np.inf), np.zeros((rows, count, wide))
+        mask = np.zeros((rows, count, wide))
+        if have:
+            distance[:, :have], gradient[:, :have] = self._distance, self._gradient
+            mask[:, :have] = self._mask
+        self._distance, self._gradient, self._mask = distance, gradient, mask
+
+    def _moving(self, pair: tuple[str, str]) -> FloatArray:
+        """(J,) 1 for the joints that move one body of a pair against the other."""
+        if pair not in self._masks:
+            mask = np.zeros(len(self._columns))
+            for k, arm in enumerate(self._arms):
+                ends = [_link(name) for name in pair if name.startswith(f"{arm}/")]
+                low = min(ends) if len(ends) == 2 else 0
+                mask[6 * k + low : 6 * k + max(ends, default=0)] = 1.0
+            self._masks[pair] = mask
+        return self._masks[pair]
+
+
+def _levers(model: CellModel, arm: str) -> FloatArray:
+    """How far (6,) [m/rad] each joint can at most carry a point of its arm."""
+    tool = model.cell.arm(arm).tool
+    hand = model.robots[arm].opw.c4 + float(np.linalg.norm(tool.tcp[:3, 3])) + HAND
+    return np.array([model.robots[arm].reach + hand] * 3 + [hand] * 3)
+
+
+def _local_pairs(arms: tuple[str, ...]) -> frozenset[frozenset[str]]:
+    """Pairs of bodies of one arm that axes 5 and 6 alone move against each other."""
+    ends = ("link_5", "link_6", "tool")
+    return frozenset(frozenset((f"{arm}/link_4", f"{arm}/{end}")) for arm in arms for end in ends)
+
+
+def _link(name: str) -> int:
+    """Number of joints between the base and a body "<arm>/link_4", "<arm>/tool", "<arm>/base_link"."""
+    last = name.rsplit("/", 1)[-1]
+    if last == "base_link":
+        return 0
+    return int(last.removeprefix("link_")) if last.startswith("link_") else 6

@@ -75,40 +75,47 @@ class Chain:
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
         """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where NaN."""
-        many = np.flatnonzero(self.many_turns)
-        base = q.copy()
-        base[..., many] = self.middle[many]
-        fixed = self.limit_margin(base)
-        fixed = np.where(np.isnan(q[..., 0]), -np.inf, fixed)
+        low, high = self.robot.lower, self.robot.upper
+        fixed: FloatArray | None = None
+        for j in np.flatnonzero(~self.many_turns):
+            part = np.minimum(q[..., j] - low[j], high[j] - q[..., j])
+            fixed = part if fixed is None else np.minimum(fixed, part)
+        if self.robot.coupling is not None:
+            axis3 = q[..., 1] + q[..., 2]
+            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
+            fixed = rod if fixed is None else np.minimum(fixed, rod)
         parts: dict[tuple[int, float], FloatArray] = {}
         out = []
         for turn in turns:
             margin = fixed
-            for j in many:
+            for j in np.flatnonzero(self.many_turns):
                 key = (int(j), float(turn[j]))
                 if key not in parts:
                     angle = q[..., j] + turn[j]
-                    part = np.minimum(angle - self.robot.lower[j], self.robot.upper[j] - angle)
-                    parts[key] = np.nan_to_num(part, nan=-np.inf)
-                margin = np.minimum(margin, parts[key])
-            out.append(margin)
+                    parts[key] = np.minimum(angle - low[j], high[j] - angle)
+                margin = parts[key] if margin is None else np.minimum(margin, parts[key])
+            out.append(np.nan_to_num(margin, nan=-np.inf))
         return out
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
         """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
-        return np.nan_to_num(self.singularities(q).min(axis=-1), nan=-np.inf)
+        wrist, elbow, shoulder = self._singularities(q)
+        return np.nan_to_num(np.minimum(np.minimum(wrist, elbow), shoulder), nan=-np.inf)
 
     def singularities(self, q: FloatArray) -> FloatArray:
         """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and the
         angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
+        return np.stack(self._singularities(q), axis=-1)
+
+    def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         p = self.robot.opw
-        theta = p.signs * q - p.offsets
-        wrist = np.abs(wrap(2.0 * theta[..., 4], np.zeros(()))) / 2.0
-        elbow = np.abs(wrap(2.0 * (theta[..., 2] + np.arctan2(p.a2, p.c3)), np.zeros(()))) / 2.0
-        tilt = theta[..., 1] + theta[..., 2]
-        out = p.a1 + p.c2 * np.sin(theta[..., 1]) + p.c3 * np.sin(tilt) + p.a2 * np.cos(tilt)
+        theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
+        wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0
+        elbow = np.abs(wrap(2.0 * (theta3 + np.arctan2(p.a2, p.c3)), np.zeros(()))) / 2.0
+        tilt = theta2 + theta3
+        out = p.a1 + p.c2 * np.sin(theta2) + p.c3 * np.sin(tilt) + p.a2 * np.cos(tilt)
         shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (p.c2 + np.hypot(p.a2, p.c3))))
-        return np.stack([wrist, elbow, shoulder], axis=-1)
+        return wrist, elbow, shoulder
 
     def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
         """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q (..., 6)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import Final
 
@@ -97,7 +98,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     at_target = np.flatnonzero(samples.share == 1.0)
     stops = sorted({0, targets.count - 1, *np.flatnonzero(targets.stop).tolist()})
     pieces, worst = [], 0.0
-    for first, last in zip(stops[:-1], stops[1:], strict=True):
+    for first, last in itertools.pairwise(stops):
         rows = np.arange(at_target[first], at_target[last] + 1)
         spline = CubicSpline(way[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
         pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))

@@ -49,15 +49,24 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
 
     Rungs without turns (:meth:`Rungs.modulo`) get steps that ignore turns.
     """
-    q = rungs.q
     before = np.maximum(grid.before, 0)
-    change = q[None, 1:] - np.moveaxis(q[:-1][:, before], 1, 0)
-    whole = np.where(chain.many_turns, np.round(change / TWO_PI), 0.0)
-    change = change - TWO_PI * whole
-    with np.errstate(invalid="ignore"):
-        parts = np.abs(change) / speed
-        time = parts.max(axis=-1) + TIE_SHARE * parts.sum(axis=-1)
-        bad = ~(np.abs(change).max(axis=-1) <= LARGEST_STEP) | (grid.before < 0)[:, None, :]
+    shape = (len(before), max(len(rungs.q) - 1, 0), grid.samples)
+    slowest, total = np.zeros(shape), np.zeros(shape)
+    bad = np.broadcast_to((grid.before < 0)[:, None, :], shape).copy()
+    whole = np.zeros((*shape, 6))
+    for j in range(6):
+        angle = rungs.q[..., j]
+        change = angle[None, 1:] - np.moveaxis(angle[:-1][:, before], 1, 0)
+        if chain.many_turns[j]:
+            whole[..., j] = np.round(change / TWO_PI)
+            change -= TWO_PI * whole[..., j]
+        np.abs(change, out=change)
+        with np.errstate(invalid="ignore"):
+            bad |= ~(change <= LARGEST_STEP)
+        change /= speed[j]
+        np.maximum(slowest, change, out=slowest)
+        total += change
+    time = slowest + TIE_SHARE * total
     if rungs.turns_matter:
         turn = _previous_turn(rungs.turns, whole)
     else:

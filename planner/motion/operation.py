@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
+from planner.cell.edge import edge as edge_clearance
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.cell.edge import edge as edge_clearance
 from planner.motion import diagnose, entry, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path
@@ -52,7 +52,8 @@ def plan_operation(
     targets, found = _path(scene, targets, watch)
     better, kept = _improve(scene, targets, found, watch)
     samples = dense(scene, targets, found.path.branch, better.q)
-    diagnose.require_moves(scene, targets, found.path.branch, samples)
+    if not kept:
+        diagnose.require_moves(scene, targets, found.path.branch, samples)
     ticks, deviation, issues = _clock(scene, targets, better.q, samples)
     watch.lap("timing")
     ways = entry.entry(scene, targets, better.q)

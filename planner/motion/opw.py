@@ -35,15 +35,15 @@ def inverse(opw: OpwParameters, flange: FloatArray, branches: Sequence[int] = ra
     turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
     arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
     wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
-    out = np.empty((*flange.shape[:-2], len(branches), 6))
+    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
     for slot, branch in enumerate(branches):
         pair = _pair(branch)
         theta4, theta5, theta6 = wrists[pair]
         flip = branch >= 4
         columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
         for j, column in enumerate(columns):
-            out[..., slot, j] = column
-    return np.asarray((out + opw.offsets) * opw.signs)
+            np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
+    return np.moveaxis(out, (0, 1), (-2, -1))
 
 
 def _pair(branch: int) -> tuple[int, int]:

@@ -268,7 +268,7 @@ def margins_at(
     for arm in targets.arms:
         chain = scene.chains[arm]
         pose = np.broadcast_to(
-            poses[arm], (*np.broadcast_shapes(poses[arm].shape, stock.shape[:-2] + (1, 1)),)
+            poses[arm], (*np.broadcast_shapes(poses[arm].shape, (*stock.shape[:-2], 1, 1)),)
         )
         q = chain.inverse(pose)
         limit = np.max(chain.limit_margins(q, chain.turns), axis=0) - settings.joint_margin

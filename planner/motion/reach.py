@@ -135,7 +135,7 @@ def _values(freedom: Freedom, picks: IntArray, count: int, ring: bool) -> FloatA
 
 def _steps(picks: IntArray, counts: list[int], rings: list[bool]) -> IntArray:
     """Predecessors (M, S): stay, and each freedom one sample up or down (two freedoms: diagonals as well)."""
-    offsets = [o for o in itertools.product((0, -1, 1), repeat=len(counts))]
+    offsets = list(itertools.product((0, -1, 1), repeat=len(counts)))
     if len(counts) > 2:
         offsets = [o for o in offsets if sum(map(abs, o)) <= 1]
     offsets = [o for o in offsets if all(c > 1 or s == 0 for c, s in zip(counts, o, strict=True))]
@@ -167,7 +167,7 @@ def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int])
     exists = np.zeros((BRANCHES, shape[0]), dtype=bool)
     solved = np.zeros((BRANCHES, shape[0]), dtype=bool)
     for branch in range(BRANCHES):
-        q = np.ascontiguousarray(angles[:, :, branch])
+        q = angles[:, :, branch]
         solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
         rungs = rungs_of(scene, chain, branch, q)
         exists[branch] = rungs.ok.any(axis=(1, 2))

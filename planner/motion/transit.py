@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from typing import Final
 
@@ -92,7 +93,7 @@ class _Transit:
     def _fine(self, corners: list[FloatArray]) -> list[FloatArray]:
         """The corners with turns cut into small ones."""
         out = [corners[0]]
-        for a, b in zip(corners[:-1], corners[1:], strict=True):
+        for a, b in itertools.pairwise(corners):
             angle = float(np.linalg.norm(log_rotation(a[:3, :3].T @ b[:3, :3])))
             count = max(1, int(np.ceil(angle / TURN)))
             out.extend(self._between(a, b, np.arange(1, count) / count) if count > 1 else [])
@@ -102,7 +103,7 @@ class _Transit:
     def _free(self, corners: list[FloatArray]) -> bool:
         """Whether the moves between corners are free, the freedoms going linearly from one end to the other."""
         points = []
-        for a, b in zip(corners[:-1], corners[1:], strict=True):
+        for a, b in itertools.pairwise(corners):
             shift = float(
                 np.linalg.norm((b @ np.append(self.centre, 1.0) - a @ np.append(self.centre, 1.0))[:3])
             )
