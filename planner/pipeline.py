@@ -14,7 +14,7 @@ from planner.plan import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output
-from planner.verify import prove
+from planner.verify import margins, prove
 from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -76,7 +76,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     tell("proof", 0.0)
     proof = verify(problem, programs)
     tell("proof", 1.0)
-    return Outcome(problem, made, proof, programs if proof.ok else {})
+    return Outcome(problem, made, proof, _with_margins(made, problem, programs, proof) if proof.ok else {})
 
 
 def check(problem: Problem) -> tuple[Issue, ...]:
@@ -113,6 +113,18 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
 def exit_code(outcome: Outcome) -> int:
     """0 for done and verified, 4 for planned but not proven."""
     return 4 if not outcome.verified or has_errors(outcome.issues) else 0
+
+
+def _with_margins(
+    made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
+) -> Mapping[str, str]:
+    """The proven programs with the proof's margins in their headers, which must change comments alone."""
+    final = write.programs(made, problem, margins.text(proof))
+    if not margins.same_program(programs, final):
+        raise TandemError(
+            Issue("internal.error", "the header changed more than comments of the proven programs; report this")
+        )
+    return final
 
 
 def _silent(stage: str, fraction: float) -> None:

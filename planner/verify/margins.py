@@ -1,0 +1,42 @@
+"""The margins of a proof as short text for a program's header, and the check that a header changed nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from planner.verify.rapid_lexer import Cursor
+from planner.verify.result import Proof
+
+SHOWN: dict[str, str] = {
+    "verify.clearance": "clearance",
+    "verify.joint_limits": "joint limits",
+    "verify.joint_speed": "joint speed",
+    "verify.singularity": "singularity",
+    "verify.surface": "cut surface",
+}
+
+
+def text(proof: Proof) -> dict[str, str]:
+    """Results of the rules that a person at the robot asks for: {name: "worst (limit)"}."""
+    out = {}
+    for code, name in SHOWN.items():
+        rule = next((r for r in proof.rules if r.code == code), None)
+        if rule is not None and rule.worst is not None:
+            limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"
+            out[name] = f"{rule.worst:.4g} {rule.unit}{limit}"
+    return out
+
+
+def same_program(first: Mapping[str, str], second: Mapping[str, str]) -> bool:
+    """Whether two sets of programs differ in comments and white space at most, file by file."""
+    return first.keys() == second.keys() and all(
+        first[name] == second[name] or _words(first[name]) == _words(second[name]) for name in first
+    )
+
+
+def _words(content: str) -> list[str]:
+    cursor, out = Cursor(content), []
+    while cursor.token.kind not in ("end", "bad"):
+        out.append(cursor.token.word or cursor.token.text)
+        cursor.take()
+    return [*out, cursor.token.kind]
