@@ -219,9 +219,9 @@ class Checker:
             except RapidValueError as wrong:
                 self.fault(value.start, wrong.code, wrong.message)
             return
-        got = self.infer(value)
-        if got is not None and got != wanted:
-            self.fault(value.start, "rapid.type", f"got {got}; expected {wanted}")
+        inferred = self.infer(value)
+        if inferred is not None and inferred != wanted:
+            self.fault(value.start, "rapid.type", f"got {inferred}; expected {wanted}")
         elif variable and isinstance(value, Name):
             found = self.find(value.key)
             if not isinstance(found, Data) or found.storage == "CONST":

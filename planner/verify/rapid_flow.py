@@ -49,6 +49,7 @@ from planner.verify.rapid_words import FORMS
 
 MAX_CALLS = 50
 MAX_STEPS = 2_000_000
+MAX_ROUNDS = 100_000
 _ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
 _MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
 
@@ -283,15 +284,15 @@ class _Runner(Evaluator):
         while (truth := self.value(statement.condition, "bool")) is True:
             self.block(statement.body)
             rounds += 1
-            if rounds > MAX_STEPS:
-                raise self.fail(statement.start, f"the loop ran {MAX_STEPS} times; it has no end")
+            if rounds > MAX_ROUNDS:
+                raise self.fail(statement.start, f"the loop ran {MAX_ROUNDS} times; it has no end")
         if truth is None:
             self._choice(statement, statement.source, lambda: self.block(statement.body))
 
     def _for(self, statement: For) -> None:
         first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
         step = self._needed(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
-        if step == 0 or abs(last - first) / abs(step) > MAX_STEPS:
+        if step == 0 or abs(last - first) / abs(step) > MAX_ROUNDS:
             raise self.fail(statement.start, f"FOR from {first:g} to {last:g} by {step:g} has no end")
         key = ("for", statement.name.lower())
         outer = self.cells.get(key)

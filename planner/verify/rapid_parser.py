@@ -300,7 +300,9 @@ class Parser:
             self._resume(wrong.start, before)
 
     def _resume(self, start: int, before: int) -> None:
-        line = self.cursor.line(start)
+        line, column = self.cursor.place(start)
+        if not self.text[start - column + 1 : start].strip():
+            line -= 1  # the statement before ended without its ";"; this line may be sound
         if self.cursor.token.start == before and self.cursor.token.kind != "end":
             self.cursor.take()  # always move on
         while self.cursor.token.kind != "end":
