@@ -16,10 +16,11 @@ from planner.issues import Issue
 from planner.problem import Problem
 from planner.verify import job as job_text
 from planner.verify.job import JobText, Stage, TaskText
+from planner.verify.motion import Motion
 from planner.verify.rapid_ast import Data, Literal
 from planner.verify.rapid_steps import MessageStep, MoveStep, Step
 from planner.verify.rapid_values import WorkObject, build
-from planner.verify.replay import Motion, replay
+from planner.verify.replay import replay
 
 FloatArray = NDArray[np.float64]
 
@@ -241,10 +242,3 @@ Rule = Callable[[Context], Outcome]
 def mm(value: float) -> float:
     """Metres as millimetres for messages."""
     return round(value * 1e3, 6)
-
-
-def place(task: str, step: Step | None) -> dict[str, object]:
-    """Fields of an issue that say where in the text."""
-    if step is None:
-        return {"file": task}
-    return {"file": f"{task}/{step.module}", "line": step.line}

@@ -83,7 +83,9 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     controller = problem.cell.controller
     files, strays = task_files(problem, programs)
     limits = Limits(bytes=controller.max_bytes)
-    tasks, faults, flow = [], [], []
+    tasks: list[TaskText] = []
+    faults: list[Fault] = []
+    flow: list[Fault] = []
     for number, arm in enumerate(problem.cell.arms):
         if number >= len(controller.tasks) or not files[controller.tasks[number]]:
             continue

@@ -135,19 +135,23 @@ class Prover:
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
         for code, rule in TEXT:
-            yield run.add(code, rule(context))
+            run.add(code, rule(context))
+            yield
         if not context.readable:
             return
         for code, rule in TASKS:
-            yield run.add(code, rule(context))
+            run.add(code, rule(context))
+            yield
         if not context.playable:
             return
         for code, rule in STAGES:
-            yield run.add(code, rule(context))
+            run.add(code, rule(context))
+            yield
         if run.broken_any("verify.move_count", "verify.sync_order", "verify.arms_alone"):
             return
         for code, rule in MOTION:
-            yield run.add(code, rule(context))
+            run.add(code, rule(context))
+            yield
         if run.broken_any("verify.reach"):
             return
         yield from self._physics(context, run)
@@ -156,18 +160,24 @@ class Prover:
         wires = tuple(follow_wire(context, phase) for phase in context.phases)
         run.wires = wires
         for code, rule in WIRE:
-            yield run.add(code, rule(context, wires))
+            run.add(code, rule(context, wires))
+            yield
         sweeps = rules_surface.sweeps(context, wires)
         outcome, run.faces, run.part = rules_surface.surface(context, sweeps)
-        yield run.add("verify.surface", outcome)
-        yield run.add("verify.ridge", rules_surface.ridges(run.faces))
+        run.add("verify.surface", outcome)
+        yield
+        run.add("verify.ridge", rules_surface.ridges(run.faces))
+        yield
         model = self.model(context)
-        yield run.add("verify.kinematics", rules_cell.kinematics(context, model))
+        run.add("verify.kinematics", rules_cell.kinematics(context, model))
+        yield
         run.looks = rules_cell.looks(context)
         outcome, run.clearance = rules_cell.bodies(context, model, run.looks)
-        yield run.add("verify.clearance", outcome)
+        run.add("verify.clearance", outcome)
+        yield
         outcome, run.wire_clearance = rules_cell.wire_bodies(context, model, wires)
-        yield run.add("verify.wire_clearance", outcome)
+        run.add("verify.wire_clearance", outcome)
+        yield
 
 
 class _Run:

@@ -7,97 +7,27 @@ that cfx names. See :mod:`planner.verify.time_law` for the time within and betwe
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import RobotData, robot
+from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import exp_rotation, from_parts, inverse, log_rotation
 from planner.problem import Arm
 from planner.verify import arm_ik, confdata, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
-from planner.verify.rapid_steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
-from planner.verify.rapid_values import JointTarget, RobTarget, poses
+from planner.verify.motion import Fault, Motion, differences
+from planner.verify.moves import Row, between, holds, make_law, make_row, waits
+from planner.verify.rapid_steps import Step, WaitStep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STEP = 0.004
 """Time between samples [s]."""
-_ARM_LENGTH = 0.3
-"""Weight [m/rad] of turning against moving where speeds at ramps are matched."""
-_REACH_HALF = 0.5
-ACCURACY = 1e-5
-"""Path accuracy [m] that a corner is rounded within even without a zone; a tenth of what ABB states for path
-repeatability."""
-ACCURACY_TURN = 1e-4
-"""The same for turning [rad]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Fault:
-    """Something that keeps the motion from being what the text says. ``kind`` names the rule that reports
-    it."""
-
-    kind: str
-    message: str
-    task: str
-    line: int
-    index: int
-    value: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """Move number ``index`` of a stage for one arm, with everything of it in arrays of the stage."""
-
-    task: TaskText
-    moves: tuple[MoveStep, ...]
-    robot: RobotData
-    base: FloatArray
-    tool: FloatArray
-    joint: NDArray[np.bool_]
-    pose: FloatArray
-    q: FloatArray
-    conf: IntArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Motion:
-    """S samples and K nodes (targets) of the whole job.
-
-    Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
-    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: (S, 4, 4)} in the world, ``speed`` and ``acceleration``
-    {arm: (S, 6)} by finite differences. Nodes: ``node_sample`` (K,) the sample at which the move ends,
-    ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line`` {arm: (K,)}, ``node_conf_q``
-    {arm: (K, 6)} what confdata alone select (NaN where the arm has no such target).
-    """
-
-    time: FloatArray
-    stage: IntArray
-    node: IntArray
-    q: Mapping[str, FloatArray]
-    tcp: Mapping[str, FloatArray]
-    speed: Mapping[str, FloatArray]
-    acceleration: Mapping[str, FloatArray]
-    node_sample: IntArray
-    node_label: tuple[str, ...]
-    node_stop: NDArray[np.bool_]
-    node_stage: IntArray
-    node_ids: IntArray
-    node_duration: FloatArray
-    node_line: Mapping[str, IntArray]
-    node_conf_q: Mapping[str, FloatArray]
-    node_conf_ok: Mapping[str, NDArray[np.bool_]]
-    step_time: tuple[tuple[float, int, str, Step], ...]
-    faults: tuple[Fault, ...]
-
-    def labels(self) -> NDArray[np.str_]:
-        """Label (S,) of the move under way at each sample."""
-        return np.asarray(self.node_label)[self.node]
 
 
 def replay(job: JobText, bases: Mapping[str, FloatArray]) -> Motion:
@@ -132,7 +62,7 @@ class _Player:
         q = {name: p[f"q/{name}"] for name in names}
         speed, acceleration = {}, {}
         for name in names:
-            speed[name], acceleration[name] = _differences(p["time"], q[name])
+            speed[name], acceleration[name] = differences(p["time"], q[name])
         return Motion(
             time=p["time"],
             stage=p["stage"],
@@ -213,10 +143,20 @@ class _Player:
         return spent
 
     def _moves(self, number: int, stage: Stage, movers: list[TaskText], count: int) -> None:
-        rows = [self._row(task, stage.moves(task.name)[:count]) for task in movers]
-        between = {task.name: _between(stage.steps[task.name], count) for task in movers}
-        waits = np.array([max(_waits(between[task.name][i]) for task in movers) for i in range(count + 1)])
-        logic = np.array([any(_holds(between[task.name][i]) for task in movers) for i in range(count + 1)])
+        rows = [
+            make_row(
+                task,
+                stage.moves(task.name)[:count],
+                self.robots[task.arm.name],
+                self.bases[task.arm.name],
+            )
+            for task in movers
+        ]
+        logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
+        pauses = np.array(
+            [max(waits(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+        )
+        logic = np.array([any(holds(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)])
         fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
         stop = np.concatenate([[True], fine | logic[1:]])
         stop[-1] = True
@@ -225,7 +165,7 @@ class _Player:
             for i in change[~stop[change]]:
                 self._fault("corner", "a corner between MoveAbsJ and MoveL inside a zone", row, int(i) - 1)
             stop[change] = True
-        law = self._law(rows, stop)
+        law = make_law(rows, [self.q[row.task.arm.name] for row in rows], stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
         samples = max(int(np.ceil(total / STEP)), 2)
@@ -234,8 +174,8 @@ class _Player:
         move = np.clip(np.searchsorted(law.times, at, side="left") - 1, 0, count - 1)
         # the clock: waits at nodes shift everything behind them
         start = self.clock
-        shift = np.cumsum(waits)
-        self._events(number, movers, between, start + law.times + np.concatenate([[0.0], shift[:-1]]))
+        shift = np.cumsum(pauses)
+        self._events(number, movers, logic_steps, start + law.times + np.concatenate([[0.0], shift[:-1]]))
         clock = start + at + shift[move]
         first = sum(len(part) for part in self.parts.get("time", []))
         self._add("time", clock)
@@ -247,102 +187,24 @@ class _Player:
         self._add("node_ids", np.array([move.id or 0 for move in rows[0].moves], dtype=np.int64))
         self._add("node_duration", duration)
         self.labels += [label(move.procedure) for move in rows[0].moves]
+        by_arm = {row.task.arm.name: row for row in rows}
         for arm in self.arms:
-            row = next((row for row in rows if row.task.arm is arm), None)
-            if row is None:
-                self._hold(arm, len(at), count)
+            if arm.name in by_arm:
+                self._play(by_arm[arm.name], law, at)
             else:
-                self._play(row, law, at)
+                self._hold(arm, len(at), count)
         self.nodes += count
         self.clock = start + total + float(shift[-1]) + STEP
 
     def _events(
-        self, number: int, movers: list[TaskText], between: Mapping[str, list[list[Step]]], at: FloatArray
+        self, number: int, movers: list[TaskText], logic_steps: Mapping[str, list[list[Step]]], at: FloatArray
     ) -> None:
         for task in movers:
-            for i, steps in enumerate(between[task.name]):
+            for i, steps in enumerate(logic_steps[task.name]):
                 own = 0.0
                 for step in steps:
                     self.events.append((float(at[i]) + own, number, task.name, step))
-                    own += _waits([step])
-
-    def _row(self, task: TaskText, moves: tuple[MoveStep, ...]) -> Row:
-        """Targets of one arm's moves in the world."""
-        arm, count = task.arm, len(moves)
-        machine, base = self.robots[arm.name], self.bases[arm.name]
-        joint = np.array([isinstance(move.target, JointTarget) for move in moves])
-        position, quaternion = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-        conf = np.zeros((count, 4), dtype=np.int64)
-        q = np.full((count, 6), np.nan)
-        work: dict[int, FloatArray] = {}
-        frame = np.zeros((count, 4, 4))
-        tool = np.zeros((count, 4, 4))
-        for i, move in enumerate(moves):
-            tool[i] = move.tool.pose
-            if isinstance(move.target, RobTarget):
-                position[i], quaternion[i], conf[i] = (
-                    move.target.position,
-                    move.target.quaternion,
-                    move.target.conf,
-                )
-            else:
-                q[i] = machine.from_controller(move.target.joints)
-            key = id(move.wobj)
-            if key not in work:
-                work[key] = move.wobj.user @ move.wobj.object
-            frame[i] = work[key]
-        pose = frame @ poses(position, quaternion)
-        pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
-        self.tools[arm.name] = tool[0]
-        return Row(task, moves, machine, base, tool, joint, pose, q, conf)
-
-    def _law(self, rows: list[Row], stop: NDArray[np.bool_]) -> time_law.TimeLaw:
-        """The time law of the moves: the slowest of the arms sets each move's time, the smallest zone the
-        rounding."""
-        count = len(rows[0].moves)
-        duration, length = np.zeros(count), np.zeros(count)
-        reach = np.full((count + 1, 2), _REACH_HALF)
-        deltas = []
-        for row in rows:
-            before = np.concatenate([self._tcp(row.task.arm, self.q[row.task.arm.name])[None], row.pose[:-1]])
-            shift = row.pose[:, :3, 3] - before[:, :3, 3]
-            turning = log_rotation(np.swapaxes(before[:, :3, :3], 1, 2) @ row.pose[:, :3, :3])
-            step, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(turning, axis=1)
-            deltas += [(shift, ACCURACY), (turning, ACCURACY_TURN)]
-            length = np.hypot(length, np.hypot(step, _ARM_LENGTH * turn))
-            duration = np.maximum(duration, self._durations(row, step, turn))
-            zone = np.array([0.0 if move.zone.fine else move.zone.tcp for move in row.moves])
-            angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
-            reach[1:, 0] = np.minimum(reach[1:, 0], _share(zone, angle, step, turn))
-            reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(zone[:-1], angle[:-1], step[1:], turn[1:]))
-        duration = np.maximum(duration, 1e-4)
-        room = np.full(count + 1, np.inf)
-        for (
-            delta,
-            accuracy,
-        ) in deltas:  # a rounding of half width h strays from the corner by h |change of speed| / 4
-            change = _sideways(delta / duration[:, None])
-            room[1:-1] = np.minimum(room[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
-        return time_law.make(duration, length, stop, np.clip(reach, 0.0, _REACH_HALF), room)
-
-    def _durations(self, row: Row, step: FloatArray, turn: FloatArray) -> FloatArray:
-        """Time of each move: \\T where given, else by the speed and by what the joints can do from stop to
-        stop."""
-        out = np.zeros(len(row.moves))
-        start = self.q[row.task.arm.name]
-        for i, move in enumerate(row.moves):
-            if move.time is not None:
-                out[i] = move.time
-                continue
-            tcp = move.velocity if move.velocity is not None else move.speed.tcp
-            out[i] = max(step[i] / max(tcp, 1e-6), turn[i] / max(move.speed.turn, 1e-6))
-            if row.joint[i]:
-                past = row.q[i - 1] if i and row.joint[i - 1] else start
-                change = np.abs(row.q[i] - past)
-                ramps = np.sqrt(6.0 * change / row.robot.acceleration)
-                out[i] = max(out[i], float(np.max(1.5 * change / row.robot.velocity)), float(ramps.max()))
-                out[i] *= 1.02  # the controller's own ramps stay inside the limits
-        return out
+                    own += waits([step])
 
     def _play(self, row: Row, law: time_law.TimeLaw, at: FloatArray) -> None:
         name = row.task.arm.name
@@ -352,7 +214,7 @@ class _Player:
         here = self.q[name]
         tcp = np.empty((len(at), 4, 4))
         conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in itertools.pairwise(edges):
             inside = (
                 (at >= law.times[a]) & (at <= law.times[b])
                 if a == 0
@@ -434,64 +296,7 @@ class _Player:
         self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))
 
 
-def _sideways(speed: FloatArray) -> FloatArray:
-    """Change (N - 1,) of speeds (N, 3) across the path; a change along it does not leave the path, unless it
-    turns back."""
-    before, after = speed[:-1], speed[1:]
-    size = np.maximum(np.linalg.norm(speed, axis=1), 1e-12)
-    along = np.einsum("ij,ij->i", before, after)
-    whole = np.linalg.norm(after - before, axis=1)
-    cross = np.linalg.norm(np.cross(before, after), axis=1)
-    across = cross / np.minimum(size[:-1], size[1:])
-    still = np.minimum(size[:-1], size[1:]) < 1e-9
-    return np.asarray(np.where((along < 0.0) | still, whole, np.minimum(across, whole)))
-
-
-def _share(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
-    """Fraction of moves that zones cover: by the way of the TCP, or by the turning of a TCP that stands."""
-    by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _REACH_HALF)
-    return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_turn)
-
-
 def _ends_closed(window: FloatArray) -> FloatArray:
     out = window.copy()
     out[0] = out[-1] = 0.0
     return out
-
-
-def _between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
-    """Steps that are no moves: before the first move, behind each of ``count`` moves (the last takes what
-    remains)."""
-    out: list[list[Step]] = [[] for _ in range(count + 1)]
-    seen = 0
-    for step in steps:
-        if isinstance(step, MoveStep):
-            seen += 1
-        else:
-            out[min(seen, count)].append(step)
-    return out
-
-
-def _waits(steps: list[Step]) -> float:
-    return sum(
-        (step.seconds or 0.0) for step in steps if isinstance(step, WaitStep) and step.kind == "WaitTime"
-    )
-
-
-def _holds(steps: list[Step]) -> bool:
-    """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
-    return any(
-        isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
-    ) or any(isinstance(step, SettingStep) and step.kind == "Stop" for step in steps)
-
-
-def _differences(time: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed and acceleration (S, 6) by central differences on a grid that is nearly even; 0 at the ends."""
-    speed, acceleration = np.zeros_like(q), np.zeros_like(q)
-    if len(time) < 3:
-        return speed, acceleration
-    step = np.maximum(np.diff(time), 1e-6)[:, None]
-    slope = np.diff(q, axis=0) / step
-    speed[1:-1] = np.where(np.abs(slope[1:]) > np.abs(slope[:-1]), slope[1:], slope[:-1])
-    acceleration[1:-1] = (slope[1:] - slope[:-1]) / (0.5 * (step[1:] + step[:-1]))
-    return speed, acceleration

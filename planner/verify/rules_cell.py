@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +12,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
-from planner.verify.rules_motion import _at
+from planner.verify.findings import at_sample
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
@@ -75,7 +73,14 @@ def kinematics(context: Context, model: CellModel) -> Outcome:
             if off > KINEMATICS:
                 message = f"the tool of {arm} is {mm(off):.5f} mm off where the joints put it"
                 issues.append(
-                    _at(context, "verify.kinematics", message, arm, int(k), mm(off), mm(KINEMATICS), "mm", "")
+                    at_sample(
+                        "verify.kinematics",
+                        message,
+                        context.motion,
+                        arm,
+                        int(k),
+                        (mm(off), mm(KINEMATICS), "mm"),
+                    )
                 )
     return Outcome(tuple(issues), mm(worst), mm(KINEMATICS), "mm")
 
@@ -90,19 +95,19 @@ def bodies(context: Context, model: CellModel, rows: IntArray) -> tuple[Outcome,
     limit = wanted - BETWEEN
     for i in np.flatnonzero(found.distance < limit):
         pair = found.pair[int(i)]
-        message = f"{pair[0]} and {pair[1]} come within {mm(found.distance[i]):.2f} mm; allowed: {mm(wanted):.2f} mm"
-        issue = _at(
-            context,
+        message = (
+            f"{pair[0]} and {pair[1]} come within {mm(found.distance[i]):.2f} mm; allowed: "
+            f"{mm(wanted):.2f} mm"
+        )
+        issue = at_sample(
             "verify.clearance",
             message,
+            context.motion,
             context.job.tasks[0].arm.name,
             int(rows[i]),
-            mm(found.distance[i]),
-            mm(wanted),
-            "mm",
-            "",
+            (mm(found.distance[i]), mm(wanted), "mm"),
         )
-        issues.append(_paired(issue, pair))
+        issues.append(issue)
     k = found.worst()
     where = " and ".join(found.pair[k]) if found.pair[k][0] else "nothing near"
     return Outcome(tuple(issues), mm(found.distance[k]), mm(limit), "mm", where), found
@@ -141,26 +146,22 @@ def wire_bodies(
             distance[chosen] = found.distance
             for i in np.flatnonzero(found.distance < limit - BETWEEN):
                 pair = found.pair[int(i)]
-                message = f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; allowed: {mm(limit):.2f} mm"
-                issue = _at(
-                    context,
+                message = (
+                    f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "
+                    f"allowed: {mm(limit):.2f} mm"
+                )
+                issue = at_sample(
                     "verify.wire_clearance",
                     message,
+                    context.motion,
                     wire.phase.claim.arms[0],
                     int(rows[i]),
-                    mm(found.distance[i]),
-                    mm(limit),
-                    "mm",
-                    "",
+                    (mm(found.distance[i]), mm(limit), "mm"),
                 )
-                issues.append(_paired(issue, pair))
+                issues.append(issue)
             k = found.worst()
             if found.distance[k] < least:
                 least, where = float(found.distance[k]), " and ".join(found.pair[k])
     if not np.isfinite(least):
         return Outcome(tuple(issues), where="no wire"), series
     return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series
-
-
-def _paired(issue: Issue, pair: tuple[str, str]) -> Issue:
-    return dataclasses.replace(issue, bodies=tuple(pair))

@@ -3,6 +3,8 @@ handlers."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from planner.catalogue import robot
 from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_step
 from planner.verify.rapid_steps import (
     LoadStep,
     MessageStep,
@@ -19,7 +22,6 @@ from planner.verify.rapid_steps import (
     Step,
 )
 from planner.verify.rapid_values import JointTarget, RobTarget
-from planner.verify.rules_sync import _move_issue
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +55,7 @@ def tool_data(context: Context) -> Outcome:
             if np.abs(step.tool.load.centre - wanted.cog).max() > 1e-5:
                 faults.append("its centre of gravity is not the tool's")
             issues += [
-                _move_issue("verify.tool_data", f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
+                at_step("verify.tool_data", f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
                 for fault in faults
             ]
     return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
@@ -68,13 +70,13 @@ def work_object(context: Context) -> Outcome:
     for task, move, wobj in context.work_objects:
         frame = wobj.user @ wobj.object
         if wobj.held or not wobj.fixed:
-            issues.append(_move_issue("verify.work_object", f"{move.wobj_name} is held or moves", task, move))
+            issues.append(at_step("verify.work_object", f"{move.wobj_name} is held or moves", task, move))
         shift, turn = _apart(frame, stands)
         if move.wobj_name.lower() != "wobj0":
             worst = max(worst, mm(shift))
             if shift > FRAME_POSITION or turn > FRAME_ANGLE:
                 message = f"{move.wobj_name} is {mm(shift):.4f} mm off the stock's frame of the other task"
-                issues.append(_move_issue("verify.work_object", message, task, move))
+                issues.append(at_step("verify.work_object", message, task, move))
     if stock.place is not None:
         shift, turn = _apart(stands, stock.place)
         if context.work_objects and (shift > FRAME_POSITION or turn > FRAME_ANGLE):
@@ -106,7 +108,10 @@ def base_frames(context: Context) -> Outcome:
             continue
         worst = max(worst, mm(shift))
         if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-            message = f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the problem's"
+            message = (
+                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off "
+                "the problem's"
+            )
             issues.append(Issue("verify.base_frames", message, arm=task.arm.name, file=task.name))
     return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
 
@@ -126,19 +131,20 @@ def move_kinds(context: Context) -> Outcome:
                 continue
             if step.kind == "MoveJ":
                 issues.append(
-                    _move_issue("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
+                    at_step("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
                 )
             if "conc" in step.switches:
                 issues.append(
-                    _move_issue("verify.move_kinds", "\\Conc lets logic run ahead of the motion", task, step)
+                    at_step("verify.move_kinds", "\\Conc lets logic run ahead of the motion", task, step)
                 )
             if isinstance(step.target, RobTarget | JointTarget) and (step.target.external < 8.9e9).any():
-                issues.append(
-                    _move_issue("verify.move_kinds", "the target moves an external axis", task, step)
-                )
+                issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
             if step.kind == "MoveL" and (state != wanted or not stated):
-                message = f"ConfL is {state if stated else 'not stated'}; this arm needs ConfL\\{wanted.capitalize()}"
-                issues.append(_move_issue("verify.move_kinds", message, task, step))
+                message = (
+                    f"ConfL is {state if stated else 'not stated'}; this arm needs "
+                    f"ConfL\\{wanted.capitalize()}"
+                )
+                issues.append(at_step("verify.move_kinds", message, task, step))
                 break
     return Outcome(tuple(issues))
 
@@ -147,7 +153,7 @@ def zone_size(context: Context) -> Outcome:
     """A zone takes at most half of the shorter one of the moves that meet in it."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
-        ways = [_way(a, b) for a, b in zip(moves[:-1], moves[1:], strict=True)]
+        ways = [_way(a, b) for a, b in itertools.pairwise(moves)]
         for i, move in enumerate(moves):
             if move.zone.fine:
                 continue
@@ -159,7 +165,7 @@ def zone_size(context: Context) -> Outcome:
                 message = (
                     f"zone {move.zone_name} is {mm(size):g} mm; half of the shorter move is {mm(half):.4f} mm"
                 )
-                issues.append(_move_issue("verify.zone_size", message, task, move))
+                issues.append(at_step("verify.zone_size", message, task, move))
     return Outcome(tuple(issues), worst, 0.0, "mm over")
 
 
@@ -172,49 +178,48 @@ def zero_length(context: Context) -> Outcome:
             for i in range(1, min((len(moves) for _, moves in group), default=0)):
                 if all(_still(moves[i - 1], moves[i]) for _, moves in group):
                     task, moves = group[0]
-                    issues.append(_move_issue("verify.zero_length", "the move goes nowhere", task, moves[i]))
+                    issues.append(at_step("verify.zero_length", "the move goes nowhere", task, moves[i]))
     return Outcome(tuple(issues))
 
 
 def error_handler(context: Context) -> Outcome:
-    """Every procedure that moves or waits has an error handler that switches the power off first, stops, and
-    does not go on."""
+    """Every procedure has an error handler that switches the power off first, stops, and does not go on."""
     issues = []
-    controller = context.problem.cell.controller
+    signals = sorted({claim.signal for claim in context.contacts})
     for task in context.job.tasks:
-        steps = {
-            (module.name, procedure.name): procedure
-            for module in task.modules
-            for procedure in module.procedures
-        }
-        for (module, name), procedure in steps.items():
-            handler = task.handlers.get((module, name))
-            where = {
-                "arm": task.arm.name,
-                "file": f"{task.name}/{module}",
-                "line": procedure.line,
-                "field": name,
-            }
-            if handler is None:
-                issues.append(Issue("verify.error_handler", f"{name} has no error handler", **where))  # type: ignore[arg-type]
-                continue
-            for fault in _handler_faults(handler, controller.wire_signal if context.wires else ""):
-                issues.append(Issue("verify.error_handler", f"error handler of {name}: {fault}", **where))  # type: ignore[arg-type]
+        for module in task.modules:
+            for procedure in module.procedures:
+                handler = task.handlers.get((module.name, procedure.name))
+                faults = ["it has none"] if handler is None else _handler_faults(handler, signals)
+                issues += [
+                    Issue(
+                        "verify.error_handler",
+                        f"error handler of {procedure.name}: {fault}",
+                        arm=task.arm.name,
+                        file=f"{task.name}/{module.name}",
+                        line=procedure.line,
+                        field=procedure.name,
+                    )
+                    for fault in faults
+                ]
     return Outcome(tuple(issues))
 
 
-def _handler_faults(steps: tuple[Step, ...], signal: str) -> list[str]:
+def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
     faults = []
-    if signal:
-        first = next((s for s in steps if not isinstance(s, MessageStep) or s.confirm), None)
-        off = isinstance(first, SignalStep) and first.signal.lower() == signal.lower() and first.value == 0.0
-        if not off or (isinstance(first, SignalStep) and (first.condition or first.delay)):
-            faults.append(f"it does not switch {signal} off before anything else")
-    if any(
-        isinstance(step, SignalStep) and step.signal.lower() == signal.lower() and step.value
-        for step in steps
-    ):
-        faults.append(f"it switches {signal} on")
+    head = [s for s in steps if not isinstance(s, MessageStep) or s.confirm][: len(signals)]
+    off = {
+        s.signal.lower()
+        for s in head
+        if isinstance(s, SignalStep) and not (s.value or s.condition or s.delay)
+    }
+    faults += [
+        f"it does not switch {signal} off before anything else"
+        for signal in signals
+        if signal.lower() not in off
+    ]
+    if any(isinstance(step, SignalStep) and step.value for step in steps):
+        faults.append("it switches something on")
     if any(isinstance(step, MoveStep | LoadStep) for step in steps):
         faults.append("it moves an arm")
     kinds = {step.kind for step in steps if isinstance(step, SettingStep)}

@@ -10,6 +10,7 @@ from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_node, at_sample
 
 FloatArray = NDArray[np.float64]
 
@@ -62,16 +63,14 @@ def continuity(context: Context) -> Outcome:
             joint = int(np.argmax(step[i]))
             message = f"axis {joint + 1} jumps by {np.rad2deg(step[i, joint]):.2f} deg between two samples"
             issues.append(
-                _at(
-                    context,
+                at_sample(
                     "verify.continuity",
                     message,
+                    context.motion,
                     arm,
                     int(i) + 1,
-                    float(np.rad2deg(step[i, joint])),
-                    float(np.rad2deg(JUMP)),
-                    "deg",
-                    f"axis {joint + 1}",
+                    (float(np.rad2deg(step[i, joint])), float(np.rad2deg(JUMP)), "deg"),
+                    (f"axis {joint + 1}",),
                 )
             )
     return Outcome(tuple(issues), worst, float(np.rad2deg(JUMP)), "deg")
@@ -95,7 +94,7 @@ def confdata(context: Context) -> Outcome:
             what = (
                 "select no joint solution" if none[i] else "select another joint solution than the motion has"
             )
-            issues.append(_node(context, "verify.confdata", f"the confdata {what}", arm, int(i)))
+            issues.append(at_node("verify.confdata", f"the confdata {what}", context.motion, arm, int(i)))
     return Outcome(tuple(issues), worst, float(np.rad2deg(JUMP)), "deg")
 
 
@@ -114,18 +113,19 @@ def joint_limits(context: Context) -> Outcome:
                 np.rad2deg(q[i, joint]),
                 np.rad2deg((machine.lower if q[i, joint] < 0 else machine.upper)[joint]),
             )
-            message = f"axis {joint + 1} of {arm} is at {value:.2f} deg; allowed: {np.rad2deg(machine.lower[joint]):g} to {np.rad2deg(machine.upper[joint]):g}"
+            message = (
+                f"axis {joint + 1} of {arm} is at {value:.2f} deg; allowed: "
+                f"{np.rad2deg(machine.lower[joint]):g} to {np.rad2deg(machine.upper[joint]):g}"
+            )
             issues.append(
-                _at(
-                    context,
+                at_sample(
                     "verify.joint_limits",
                     message,
+                    context.motion,
                     arm,
                     int(i),
-                    float(value),
-                    float(limit),
-                    "deg",
-                    f"axis {joint + 1}",
+                    (float(value), float(limit), "deg"),
+                    (f"axis {joint + 1}",),
                 )
             )
     return Outcome(tuple(issues), float(np.rad2deg(least)), 0.0, "deg margin", where)
@@ -144,18 +144,19 @@ def rod_limits(context: Context) -> Outcome:
         least = min(least, float(margin[i]))
         if margin[i] < 0.0:
             low, high = np.rad2deg([machine.coupling.axis3_lower, machine.coupling.axis3_upper])
-            message = f"axis 3 of {arm}, as the controller counts it, is at {np.rad2deg(axis3[i]):.2f} deg; allowed: {low:g} to {high:g}"
+            message = (
+                f"axis 3 of {arm}, as the controller counts it, is at {np.rad2deg(axis3[i]):.2f} deg; "
+                f"allowed: {low:g} to {high:g}"
+            )
             issues.append(
-                _at(
-                    context,
+                at_sample(
                     "verify.rod_limits",
                     message,
+                    context.motion,
                     arm,
                     i,
-                    float(np.rad2deg(axis3[i])),
-                    float(high),
-                    "deg",
-                    "axis 3",
+                    (float(np.rad2deg(axis3[i])), float(high), "deg"),
+                    ("axis 3",),
                 )
             )
     if not np.isfinite(least):
@@ -189,12 +190,14 @@ def _rates(context: Context, code: str, word: str, rates: object, unit: str) -> 
         for node in nodes[:200]:
             rows = np.flatnonzero(context.motion.node == node)
             k = int(rows[np.argmax(share[rows].max(axis=1))])
-            joint = int(np.argmax(share[k]))
-            value, most = float(np.rad2deg(rate[k, joint])), float(np.rad2deg(limit[joint]))
+            axis = int(np.argmax(share[k]))
+            value, most = float(np.rad2deg(rate[k, axis])), float(np.rad2deg(limit[axis]))
             message = (
-                f"axis {joint + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
+                f"axis {axis + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
             )
-            issues.append(_at(context, code, message, arm, k, value, most, unit, f"axis {joint + 1}"))
+            issues.append(
+                at_sample(code, message, context.motion, arm, k, (value, most, unit), (f"axis {axis + 1}",))
+            )
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the limit", where)
 
 
@@ -217,16 +220,13 @@ def singularity(context: Context) -> Outcome:
                 f"{arm} comes within {value:.2f} deg of a singular posture; allowed: {np.rad2deg(limit):.2f}"
             )
             issues.append(
-                _at(
-                    context,
+                at_sample(
                     "verify.singularity",
                     message,
+                    context.motion,
                     arm,
                     int(rows[k]),
-                    value,
-                    float(np.rad2deg(limit)),
-                    "deg",
-                    "",
+                    (value, float(np.rad2deg(limit)), "deg"),
                 )
             )
     return Outcome(tuple(issues), float(np.rad2deg(least)), float(np.rad2deg(limit)), "deg", where)
@@ -251,7 +251,9 @@ def tcp_speed(context: Context) -> Outcome:
         if speed[k] > TCP_SLACK * limit:
             message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
             issues.append(
-                _at(context, "verify.tcp_speed", message, arm, k + 1, mm(speed[k]), mm(limit), "mm/s", "")
+                at_sample(
+                    "verify.tcp_speed", message, context.motion, arm, k + 1, (mm(speed[k]), mm(limit), "mm/s")
+                )
             )
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
 
@@ -281,7 +283,10 @@ def follows(context: Context) -> Outcome:
             best += int(np.argmin(score[best : best + 50]))
             worst = max(worst, mm(float(off[best, 0])))
             if score[best] > 1.0:
-                message = f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm and {np.rad2deg(off[best, 1]):.4f} deg"
+                message = (
+                    f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm and "
+                    f"{np.rad2deg(off[best, 1]):.4f} deg"
+                )
                 issues.append(
                     Issue(
                         "verify.follows",
@@ -328,46 +333,3 @@ def _straight(context: Context, arm: str) -> NDArray[np.bool_]:
         context.__dict__[key] = flags
     found: NDArray[np.bool_] = context.__dict__[key]
     return found
-
-
-def _node(context: Context, code: str, message: str, arm: str, node: int) -> Issue:
-    motion = context.motion
-    return Issue(
-        code,
-        message,
-        arm=arm,
-        index=node,
-        target=f"ID {motion.node_ids[node]}" if motion.node_ids[node] else None,
-        line=int(motion.node_line[arm][node]) or None,
-        field=motion.node_label[node],
-        time=float(motion.time[motion.node_sample[node]]),
-    )
-
-
-def _at(
-    context: Context,
-    code: str,
-    message: str,
-    arm: str,
-    sample: int,
-    value: float,
-    limit: float,
-    unit: str,
-    body: str,
-) -> Issue:
-    motion = context.motion
-    node = int(motion.node[sample])
-    return Issue(
-        code,
-        message,
-        arm=arm,
-        index=node,
-        target=f"ID {motion.node_ids[node]}" if motion.node_ids[node] else None,
-        line=int(motion.node_line[arm][node]) or None,
-        field=motion.node_label[node],
-        time=float(motion.time[sample]),
-        bodies=(body,) if body else (),
-        value=value,
-        limit=limit,
-        unit=unit,
-    )

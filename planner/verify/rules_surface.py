@@ -41,8 +41,9 @@ def surface(context: Context, rows: tuple[FloatArray, ...]) -> tuple[Outcome, tu
     for face in faces:
         if face.share < face.wanted_share:
             message = (
-                f"{100 * face.share:.2f} % of {face.segment} are within {mm(face.tolerance):g} mm of the wanted surface; "
-                f"wanted: {100 * face.wanted_share:g} % (rms {mm(face.rms):.3f} mm, largest {mm(face.largest):.3f} mm)"
+                f"{100 * face.share:.2f} % of {face.segment} are within {mm(face.tolerance):g} mm of the "
+                f"wanted surface; wanted: {100 * face.wanted_share:g} % "
+                f"(rms {mm(face.rms):.3f} mm, largest {mm(face.largest):.3f} mm)"
             )
             issues.append(
                 Issue(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from planner.issues import Issue
-from planner.verify.context import Context, Outcome, place
+from planner.verify.context import Context, Outcome
+from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.rapid_steps import MoveStep, SettingStep, Step
 
@@ -21,7 +22,7 @@ def task_list(context: Context) -> Outcome:
                 message = (
                     f"{step.kind} {step.ident} names {list(step.tasks)}; the job's tasks are {list(wanted)}"
                 )
-                issues.append(Issue("verify.task_list", message, arm=task.arm.name, **place(task.name, step)))  # type: ignore[arg-type]
+                issues.append(at_step("verify.task_list", message, task, step))
     return Outcome(tuple(issues))
 
 
@@ -41,23 +42,19 @@ def sync_order(context: Context) -> Outcome:
             )
             step = row[i] if i < len(row) else None
             message = f"synchronisation point {i + 1} of {task.name} is not that of the other task"
-            issues.append(Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step)))  # type: ignore[arg-type]
+            issues.append(at_step("verify.sync_order", message, task, step))
         seen: set[str] = set()
         inside = False
         for step in row:
             if step.ident.lower() in seen:
                 message = f"syncident {step.ident} is used again; each one may be used once"
-                issues.append(
-                    Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step))
-                )  # type: ignore[arg-type]
+                issues.append(at_step("verify.sync_order", message, task, step))
             seen.add(step.ident.lower())
             if (step.kind == "SyncMoveOn") == inside or (step.kind == "SyncMoveUndo"):
                 if step.kind == "WaitSyncTask" and not inside:
                     continue
                 message = f"{step.kind} {step.ident} does not stand where a block may open, close or wait"
-                issues.append(
-                    Issue("verify.sync_order", message, arm=task.arm.name, **place(task.name, step))
-                )  # type: ignore[arg-type]
+                issues.append(at_step("verify.sync_order", message, task, step))
             inside = step.kind == "SyncMoveOn" or (inside and step.kind != "SyncMoveOff")
         if inside:
             issues.append(
@@ -109,27 +106,25 @@ def move_ids(context: Context) -> Outcome:
         for move in moves:
             if not stage.synchronised:
                 if move.id is not None:
-                    issues.append(
-                        _move_issue("verify.move_ids", f"\\ID:={move.id} outside a block", task, move)
-                    )
+                    issues.append(at_step("verify.move_ids", f"\\ID:={move.id} outside a block", task, move))
                 continue
             if move.id is None:
-                issues.append(_move_issue("verify.move_ids", "a move in a block has no \\ID", task, move))
+                issues.append(at_step("verify.move_ids", "a move in a block has no \\ID", task, move))
             elif move.id <= last:
                 message = f"\\ID:={move.id} follows {last}; IDs must ascend"
-                issues.append(_move_issue("verify.move_ids", message, task, move))
+                issues.append(at_step("verify.move_ids", message, task, move))
             last = move.id if move.id is not None else last
     for a_task, a, b_task, b in _pairs(context):
         if a.id != b.id:
             message = f"\\ID:={b.id} runs with \\ID:={a.id} of {a_task.name} (line {a.line})"
-            issues.append(_move_issue("verify.move_ids", message, b_task, b))
+            issues.append(at_step("verify.move_ids", message, b_task, b))
     return Outcome(tuple(issues))
 
 
 def zone_kind(context: Context) -> Outcome:
     """Both moves of a pair stop, or both pass through a zone."""
     issues = [
-        _move_issue("verify.zone_kind", f"{b.zone_name} runs with {a.zone_name} of {a_task.name}", b_task, b)
+        at_step("verify.zone_kind", f"{b.zone_name} runs with {a.zone_name} of {a_task.name}", b_task, b)
         for a_task, a, b_task, b in _pairs(context)
         if a.zone.fine != b.zone.fine
     ]
@@ -138,22 +133,20 @@ def zone_kind(context: Context) -> Outcome:
 
 def move_time(context: Context) -> Outcome:
     """Every move of a block states its time, and both moves of a pair the same."""
-    issues = []
     worst = 0.0
-    for stage, moves in _blocks(context):
-        del stage
-        for task in context.job.tasks:
-            for move in moves[task.name]:
-                if move.time is None or move.time <= 0.0:
-                    issues.append(
-                        _move_issue("verify.move_time", "a move in a block has no \\T above 0", task, move)
-                    )
+    issues = [
+        at_step("verify.move_time", "a move in a block has no \\T above 0", task, move)
+        for _, moves in _blocks(context)
+        for task in context.job.tasks
+        for move in moves[task.name]
+        if move.time is None or move.time <= 0.0
+    ]
     for a_task, a, b_task, b in _pairs(context):
         if a.time is not None and b.time is not None:
             worst = max(worst, abs(a.time - b.time))
             if abs(a.time - b.time) > _TIME_TOLERANCE:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
-                issues.append(_move_issue("verify.move_time", message, b_task, b))
+                issues.append(at_step("verify.move_time", message, b_task, b))
     return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
 
 
@@ -164,8 +157,11 @@ def arms_alone(context: Context) -> Outcome:
         moving = [task for task in context.job.tasks if stage.moves(task.name)]
         if not stage.synchronised and len(moving) > 1:
             first = stage.moves(moving[1].name)[0]
-            message = f"stage {number + 1}: {' and '.join(task.name for task in moving)} move at once, unsynchronised"
-            issues.append(_move_issue("verify.arms_alone", message, moving[1], first))
+            message = (
+                f"stage {number + 1}: {' and '.join(task.name for task in moving)} move at once, "
+                "unsynchronised"
+            )
+            issues.append(at_step("verify.arms_alone", message, moving[1], first))
     return Outcome(tuple(issues))
 
 
@@ -181,7 +177,7 @@ def wire_alone(context: Context) -> Outcome:
     ]
     message = f"{wires} wires are mounted, and there are {runs} runs of synchronised moves between lone ones"
     if lone:
-        return Outcome((_move_issue("verify.wire_alone", message, *lone[0]),))
+        return Outcome((at_step("verify.wire_alone", message, *lone[0]),))
     return Outcome(
         (Issue("verify.wire_alone", message, hint="move both arms together while a wire is mounted"),)
     )
@@ -196,26 +192,16 @@ def stop_before_logic(context: Context) -> Outcome:
             if isinstance(step, MoveStep):
                 last = step
             elif last is not None and not _harmless(step) and not last.zone.fine:
-                message = f"{last.zone_name} stands before {type(step).__name__.removesuffix('Step').lower()} logic in line {step.line}"
-                issues.append(_move_issue("verify.stop_before_logic", message, task, last))
+                message = (
+                    f"{last.zone_name} stands before {type(step).__name__.removesuffix('Step').lower()} "
+                    f"logic in line {step.line}"
+                )
+                issues.append(at_step("verify.stop_before_logic", message, task, last))
         if last is not None and not last.zone.fine:
             message = f"{last.zone_name} stands before a synchronisation point or the end"
-            issues.append(_move_issue("verify.stop_before_logic", message, task, last))
+            issues.append(at_step("verify.stop_before_logic", message, task, last))
     return Outcome(tuple(issues))
 
 
 def _harmless(step: Step) -> bool:
     return isinstance(step, SettingStep) and step.kind in ("ConfL", "ConfJ", "SingArea", "AccSet", "VelSet")
-
-
-def _move_issue(code: str, message: str, task: TaskText, move: MoveStep) -> Issue:
-    name = f"ID {move.id}" if move.id is not None else move.target_name or None
-    return Issue(
-        code,
-        message,
-        arm=task.arm.name,
-        file=f"{task.name}/{move.module}",
-        line=move.line,
-        target=name,
-        field=move.procedure,
-    )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
+from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
 from planner.verify.context import DIGEST, Context, Outcome
@@ -122,7 +122,10 @@ def _coarse(file: str, text: str) -> list[Issue]:
         if not _few(found.group(1), POSITION_DECIMALS) and not _few(found.group(2), QUATERNION_DECIMALS):
             continue
         line = text.count("\n", 0, found.start()) + 1
-        message = f"a target has fewer than {POSITION_DECIMALS} decimals in mm or {QUATERNION_DECIMALS} in its quaternion"
+        message = (
+            f"a target has fewer than {POSITION_DECIMALS} decimals in mm or {QUATERNION_DECIMALS} "
+            "in its quaternion"
+        )
         issues.append(Issue("verify.decimals", message, file=file, line=line, hint="write all decimals"))
     return issues
 
@@ -144,8 +147,9 @@ def files(context: Context) -> Outcome:
         if arm.name in used and name not in read:
             message = f"arm {arm.name} has no module for task {name}"
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
-    for path in job.strays:
-        issues.append(Issue("verify.files", f"{path} belongs to none of the tasks", file=path))
+    issues += [
+        Issue("verify.files", f"{path} belongs to none of the tasks", file=path) for path in job.strays
+    ]
     for path, text in job.lists.items():
         issues += _list(context, path, text)
     return Outcome(tuple(issues))
@@ -153,8 +157,8 @@ def files(context: Context) -> Outcome:
 
 def _list(context: Context, path: str, text: str) -> list[Issue]:
     try:
-        root = ElementTree.fromstring(text.encode("latin-1", "replace"))
-    except ElementTree.ParseError as wrong:
+        root = ET.fromstring(text.encode("latin-1", "replace"))
+    except ET.ParseError as wrong:
         return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
     listed = sorted((item.text or "").lower().removesuffix(".mod") for item in root.iter("Module"))
     folder = path.rpartition("/")[0]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, Phase, mm
+from planner.verify.findings import at_sample
 from planner.verify.rapid_steps import MessageStep, SignalStep, WaitStep
-from planner.verify.rules_motion import _at
 from planner.verify.wire import Wire, held_lengths
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +31,10 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         share = held_lengths(context, wire.phase) / claim.length
         worst = max(worst, float(share.max()))
         if share.max() >= TAUT:
-            message = f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is {mm(claim.length):.3f} mm long"
+            message = (
+                f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is "
+                f"{mm(claim.length):.3f} mm long"
+            )
             k = int(np.argmax(share))
             issues.append(
                 Issue(
@@ -81,16 +82,11 @@ def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     "mm",
                 )
             )
-        for k in np.flatnonzero(~wire.path.stable)[:50]:
-            issues.append(
-                _wire_issue(
-                    context,
-                    wire,
-                    "verify.wire_stability",
-                    "the wire has no stable shape near the one it had",
-                    int(k),
-                )
-            )
+        lost = "the wire has no stable shape near the one it had"
+        issues += [
+            _wire_issue(context, wire, "verify.wire_stability", lost, int(k))
+            for k in np.flatnonzero(~wire.path.stable)[:50]
+        ]
     return Outcome(
         tuple(issues),
         None if not np.isfinite(least) else least,
@@ -111,7 +107,10 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         limit = min(limit, claim.max_curvature)
         worst = max(worst, float(bend.max()))
         for k in np.flatnonzero(bend > claim.max_curvature)[:200]:
-            message = f"the wire is bent to a radius of {mm(1 / bend[k]):.1f} mm; allowed: {mm(1 / claim.max_curvature):.1f} mm"
+            message = (
+                f"the wire is bent to a radius of {mm(1 / bend[k]):.1f} mm; allowed: "
+                f"{mm(1 / claim.max_curvature):.1f} mm"
+            )
             issues.append(
                 _wire_issue(
                     context,
@@ -178,7 +177,10 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             if share.max() > worst:
                 worst, limit, where = float(share.max()), FEED_SLACK, claim.segment
             for k in rows[share > FEED_SLACK][:200]:
-                message = f"the wire cuts at {mm(speed[k]):.2f} mm/s; allowed: {mm(claim.lower):g} to {mm(claim.upper):g} mm/s"
+                message = (
+                    f"the wire cuts at {mm(speed[k]):.2f} mm/s; allowed: {mm(claim.lower):g} to "
+                    f"{mm(claim.upper):g} mm/s"
+                )
                 issues.append(
                     _wire_issue(
                         context,
@@ -277,7 +279,10 @@ def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float)
         if v > 0.0 and all(w > 0.0 for _, w in switching[i : on[-1] + 1])
     )
     if times[0] - start < heat_up - 1e-6:
-        message = f"the wire touches the block {times[0] - start:.1f} s after {signal} is on; it needs {heat_up:g} s"
+        message = (
+            f"the wire touches the block {times[0] - start:.1f} s after {signal} is on; it needs "
+            f"{heat_up:g} s"
+        )
         issues.append(
             _wire_issue(
                 context, wire, "verify.wire_power", message, int(touching[0]), times[0] - start, heat_up, "s"
@@ -343,8 +348,8 @@ def _wire_issue(
     message: str,
     k: int,
     value: float | None = None,
-    limit: float | None = None,
-    unit: str | None = None,
+    limit: float = 0.0,
+    unit: str = "",
 ) -> Issue:
-    issue = _at(context, code, message, wire.phase.claim.arms[0], int(wire.sample[k]), 0.0, 0.0, "", "")
-    return dataclasses.replace(issue, value=value, limit=limit, unit=unit)
+    measure = None if value is None else (value, limit, unit)
+    return at_sample(code, message, context.motion, wire.phase.claim.arms[0], int(wire.sample[k]), measure)

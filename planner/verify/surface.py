@@ -104,13 +104,13 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, grid: FloatArray)
                 best = np.where(better, distance, best)
                 foot[better] = place[better]
                 first, second = edges
-                # triangle (0, 1, 2) has the rows' first edge 0-1 and the right edge 1-2; (0, 2, 3) the last edge 2-3 and the left 3-0
+                # edges on the sweep's border: 0-1 and 1-2 of the one triangle, 2-3 and 3-0 of the other
                 on_first = weights[:, 2] < _EDGE if triangle == (0, 1, 2) else weights[:, 0] < _EDGE
                 on_second = weights[:, 0] < _EDGE if triangle == (0, 1, 2) else weights[:, 1] < _EDGE
                 border = np.where(better, (first & on_first) | (second & on_second), border)
     along = np.einsum("ij,ij->i", foot - points, normals)
     signed = np.where(along < 0.0, -best, best)
-    # at the border the foot may still be straight under the point: only a slanted one means that the wire passed by
+    # a foot on the border may still be straight under the point; a slanted one means that the wire passed by
     slanted = np.abs(along) < 0.9 * best - 1e-6
     return np.asarray(np.where(border & slanted, np.nan, signed))
 

@@ -62,7 +62,8 @@ def stations(context: Context, rows: IntArray, arms: tuple[str, str], spacing: f
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     nodes = np.searchsorted(rows, motion.node_sample[np.isin(motion.node_sample, rows)])
     ends = [0, len(rows) - 1]
-    return rows[np.unique(np.clip(np.concatenate([marks, nodes, ends]), 0, len(rows) - 1))]
+    chosen = np.unique(np.clip(np.concatenate([marks, nodes, ends]), 0, len(rows) - 1))
+    return np.asarray(rows[chosen], dtype=np.int64)
 
 
 def follow_wire(context: Context, phase: Phase) -> Wire:

@@ -1,0 +1,74 @@
+"""A replayed motion as arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.verify.rapid_steps import Step
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """Something that keeps the motion from being what the text says. ``kind`` names the rule that reports
+    it."""
+
+    kind: str
+    message: str
+    task: str
+    line: int
+    index: int
+    value: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """S samples and K nodes (targets) of the whole job.
+
+    Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
+    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: (S, 4, 4)} in the world, ``speed`` and ``acceleration``
+    {arm: (S, 6)} by finite differences. Nodes: ``node_sample`` (K,) the sample at which the move ends,
+    ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line`` {arm: (K,)}, ``node_conf_q``
+    {arm: (K, 6)} what confdata alone select (NaN where the arm has no such target).
+    """
+
+    time: FloatArray
+    stage: IntArray
+    node: IntArray
+    q: Mapping[str, FloatArray]
+    tcp: Mapping[str, FloatArray]
+    speed: Mapping[str, FloatArray]
+    acceleration: Mapping[str, FloatArray]
+    node_sample: IntArray
+    node_label: tuple[str, ...]
+    node_stop: NDArray[np.bool_]
+    node_stage: IntArray
+    node_ids: IntArray
+    node_duration: FloatArray
+    node_line: Mapping[str, IntArray]
+    node_conf_q: Mapping[str, FloatArray]
+    node_conf_ok: Mapping[str, NDArray[np.bool_]]
+    step_time: tuple[tuple[float, int, str, Step], ...]
+    faults: tuple[Fault, ...]
+
+    def labels(self) -> NDArray[np.str_]:
+        """Label (S,) of the move under way at each sample."""
+        return np.asarray(self.node_label)[self.node]
+
+
+def differences(time: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Speed and acceleration (S, 6) by central differences on a grid that is nearly even; 0 at the ends."""
+    speed, acceleration = np.zeros_like(q), np.zeros_like(q)
+    if len(time) < 3:
+        return speed, acceleration
+    step = np.maximum(np.diff(time), 1e-6)[:, None]
+    slope = np.diff(q, axis=0) / step
+    speed[1:-1] = np.where(np.abs(slope[1:]) > np.abs(slope[:-1]), slope[1:], slope[:-1])
+    acceleration[1:-1] = (slope[1:] - slope[:-1]) / (0.5 * (step[1:] + step[:-1]))
+    return speed, acceleration

@@ -1,0 +1,172 @@
+"""Moves of one arm in one stage as arrays, and the time law that the moves of all arms give."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.catalogue import RobotData
+from planner.cell.robots import forward
+from planner.geometry.rigid import log_rotation
+from planner.verify import time_law
+from planner.verify.job import TaskText
+from planner.verify.rapid_steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
+from planner.verify.rapid_values import JointTarget, RobTarget, poses
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_ARM_LENGTH = 0.3
+"""Weight [m/rad] of turning against moving where speeds at ramps are matched."""
+_REACH_HALF = 0.5
+ACCURACY = 1e-5
+"""Path accuracy [m] that a corner is rounded within even without a zone; a tenth of what ABB states for path
+repeatability."""
+ACCURACY_TURN = 1e-4
+"""The same for turning [rad]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """N moves of one arm in a stage: which are ``joint`` moves (N,), targets as TCP ``pose`` (N, 4, 4) in the
+    world and as ``q`` (N, 6) where they are joints, ``conf`` (N, 4), ``tool`` (N, 4, 4), ``base`` (4, 4)."""
+
+    task: TaskText
+    moves: tuple[MoveStep, ...]
+    robot: RobotData
+    base: FloatArray
+    tool: FloatArray
+    joint: NDArray[np.bool_]
+    pose: FloatArray
+    q: FloatArray
+    conf: IntArray
+
+    def tcp(self, q: FloatArray) -> FloatArray:
+        """TCP poses (..., 4, 4) in the world of joints (..., 6), with the tool of the first move."""
+        return np.asarray(self.base @ forward(self.robot, q) @ self.tool[0])
+
+
+def make_row(task: TaskText, moves: tuple[MoveStep, ...], machine: RobotData, base: FloatArray) -> Row:
+    """Targets of one arm's moves in the world."""
+    count = len(moves)
+    joint = np.array([isinstance(move.target, JointTarget) for move in moves])
+    position, quaternion = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    conf = np.zeros((count, 4), dtype=np.int64)
+    q = np.full((count, 6), np.nan)
+    work: dict[int, FloatArray] = {}
+    frame = np.zeros((count, 4, 4))
+    tool = np.zeros((count, 4, 4))
+    for i, move in enumerate(moves):
+        tool[i] = move.tool.pose
+        if isinstance(move.target, RobTarget):
+            position[i], quaternion[i], conf[i] = (
+                move.target.position,
+                move.target.quaternion,
+                move.target.conf,
+            )
+        else:
+            q[i] = machine.from_controller(move.target.joints)
+        key = id(move.wobj)
+        if key not in work:
+            work[key] = move.wobj.user @ move.wobj.object
+        frame[i] = work[key]
+    pose = frame @ poses(position, quaternion)
+    pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
+    return Row(task, moves, machine, base, tool, joint, pose, q, conf)
+
+
+def make_law(rows: Sequence[Row], starts: Sequence[FloatArray], stop: NDArray[np.bool_]) -> time_law.TimeLaw:
+    """The time law of the moves: the slowest of the arms sets each move's time, the smallest zone the
+    rounding."""
+    count = len(rows[0].moves)
+    duration, length = np.zeros(count), np.zeros(count)
+    reach = np.full((count + 1, 2), _REACH_HALF)
+    deltas = []
+    for row, start in zip(rows, starts, strict=True):
+        before = np.concatenate([row.tcp(start)[None], row.pose[:-1]])
+        shift = row.pose[:, :3, 3] - before[:, :3, 3]
+        turning = log_rotation(np.swapaxes(before[:, :3, :3], 1, 2) @ row.pose[:, :3, :3])
+        step, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(turning, axis=1)
+        deltas += [(shift, ACCURACY), (turning, ACCURACY_TURN)]
+        length = np.hypot(length, np.hypot(step, _ARM_LENGTH * turn))
+        duration = np.maximum(duration, _durations(row, start, step, turn))
+        zone = np.array([0.0 if move.zone.fine else move.zone.tcp for move in row.moves])
+        angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
+        reach[1:, 0] = np.minimum(reach[1:, 0], _share(zone, angle, step, turn))
+        reach[1:-1, 1] = np.minimum(reach[1:-1, 1], _share(zone[:-1], angle[:-1], step[1:], turn[1:]))
+    duration = np.maximum(duration, 1e-4)
+    room = np.full(count + 1, np.inf)
+    for (
+        delta,
+        accuracy,
+    ) in deltas:  # a rounding of half width h strays from the corner by h |change of speed| / 4
+        change = _sideways(delta / duration[:, None])
+        room[1:-1] = np.minimum(room[1:-1], 4.0 * accuracy / np.maximum(change, 1e-12))
+    return time_law.make(duration, length, stop, np.clip(reach, 0.0, _REACH_HALF), room)
+
+
+def _durations(row: Row, start: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
+    """Time of each move: \\T where given, else by the speed and by what the joints can do from stop to
+    stop."""
+    out = np.zeros(len(row.moves))
+    for i, move in enumerate(row.moves):
+        if move.time is not None:
+            out[i] = move.time
+            continue
+        tcp = move.velocity if move.velocity is not None else move.speed.tcp
+        out[i] = max(step[i] / max(tcp, 1e-6), turn[i] / max(move.speed.turn, 1e-6))
+        if row.joint[i]:
+            past = row.q[i - 1] if i and row.joint[i - 1] else start
+            change = np.abs(row.q[i] - past)
+            ramps = np.sqrt(6.0 * change / row.robot.acceleration)
+            out[i] = max(out[i], float(np.max(1.5 * change / row.robot.velocity)), float(ramps.max()))
+            out[i] *= 1.02  # the controller's own ramps stay inside the limits
+    return out
+
+
+def _sideways(speed: FloatArray) -> FloatArray:
+    """Change (N - 1,) of speeds (N, 3) across the path; a change along it does not leave the path, unless it
+    turns back."""
+    before, after = speed[:-1], speed[1:]
+    size = np.maximum(np.linalg.norm(speed, axis=1), 1e-12)
+    along = np.einsum("ij,ij->i", before, after)
+    whole = np.linalg.norm(after - before, axis=1)
+    cross = np.linalg.norm(np.cross(before, after), axis=1)
+    across = cross / np.minimum(size[:-1], size[1:])
+    still = np.minimum(size[:-1], size[1:]) < 1e-9
+    return np.asarray(np.where((along < 0.0) | still, whole, np.minimum(across, whole)))
+
+
+def _share(zone: FloatArray, angle: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
+    """Fraction of moves that zones cover: by the way of the TCP, or by the turning of a TCP that stands."""
+    by_turn = np.where(turn > 1e-6, angle / np.maximum(turn, 1e-6), _REACH_HALF)
+    return np.where(step > 1e-5, zone / np.maximum(step, 1e-5), by_turn)
+
+
+def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
+    """Steps that are no moves: before the first move, behind each of ``count`` moves (the last takes what
+    remains)."""
+    out: list[list[Step]] = [[] for _ in range(count + 1)]
+    seen = 0
+    for step in steps:
+        if isinstance(step, MoveStep):
+            seen += 1
+        else:
+            out[min(seen, count)].append(step)
+    return out
+
+
+def waits(steps: list[Step]) -> float:
+    return sum(
+        (step.seconds or 0.0) for step in steps if isinstance(step, WaitStep) and step.kind == "WaitTime"
+    )
+
+
+def holds(steps: list[Step]) -> bool:
+    """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
+    return any(
+        isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
+    ) or any(isinstance(step, SettingStep) and step.kind == "Stop" for step in steps)
