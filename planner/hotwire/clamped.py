@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.hotwire.basis import Array, bump_values, bumps, legendre
+from planner.hotwire.basis import Array, Bumps, bump_values, bumps, legendre
 from planner.hotwire.stability import constrained_smallest, project
 
 MODES = 36
-QUADRATURE = 80
+FINE_MODES = 64
 _STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
 _LIMIT = 0.6  # rad: largest change of theta in one step
 
@@ -39,9 +39,13 @@ def clamped_theta(first: Array, last: Array, amplitude: Array, sigma: Array) -> 
 
 def start_curvature(first: Array, last: Array, amplitude: Array) -> Array:
     """d theta / d sigma (B,) at the start."""
-    slopes = bumps(amplitude.shape[1], QUADRATURE).slope_start
+    slopes = _base(amplitude.shape[1]).slope_start
     out: Array = last - first + amplitude @ slopes
     return out
+
+
+def _base(modes: int) -> Bumps:
+    return bumps(modes, 2 * modes + 8)
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class _Terms:
 
 
 def _terms(first: Array, last: Array, weight: Array, amplitude: Array, force: Array) -> _Terms:
-    base = bumps(amplitude.shape[1], QUADRATURE)
+    base = _base(amplitude.shape[1])
     theta = first[:, None] + (last - first)[:, None] * base.sigma + amplitude @ base.value.T
     sin, cos = np.sin(theta), np.cos(theta)
     fx = force[:, :1] - weight[:, :1] * base.sigma
@@ -88,6 +92,7 @@ def minimise(
     weight: Array,
     amplitude: Array,
     rounds: int = 60,
+    limit: float = _LIMIT,
     tolerance: float = 1e-11,
 ) -> Clamped:
     """Local minima of the energy near the guessed amplitudes (B, j).
@@ -113,11 +118,12 @@ def minimise(
         filled = projected + 2.0 * (np.swapaxes(basis, 1, 2) @ basis)
         lift = np.zeros(i.size)
         far = error > 1e-4  # near a solution its own margin decides, at the end
-        lift[far] = np.maximum(0.0, 0.1 - np.linalg.eigvalsh(filled[far])[:, 0])
+        lowest = np.linalg.eigvalsh(filled[far])[:, 0]
+        lift[far] = np.where(lowest > 1e-5, 0.0, 0.03 - lowest)
         form = terms.form + lift[:, None, None] * np.eye(size)
         da, df = _saddle_step(form, terms.normal, terms.gradient, miss)
-        moved = np.abs(da @ bumps(size, QUADRATURE).value.T).max(axis=1)
-        share = np.minimum(1.0, _LIMIT / np.maximum(moved, 1e-300))
+        moved = np.abs(da @ _base(size).value.T).max(axis=1)
+        share = np.minimum(1.0, limit / np.maximum(moved, 1e-300))
         a[i] += share[:, None] * da
         force[i] += share[:, None] * df
         if t == 1.0:
@@ -145,7 +151,7 @@ def newton(
         if float(max(np.abs(terms.gradient).max(initial=0.0), np.abs(miss).max(initial=0.0))) < 1e-13:
             break
         da, df = _saddle_step(terms.form, terms.normal, terms.gradient, miss)
-        moved = np.abs(da @ bumps(a.shape[1], QUADRATURE).value.T).max(axis=1)
+        moved = np.abs(da @ _base(a.shape[1]).value.T).max(axis=1)
         share = np.minimum(1.0, _LIMIT / np.maximum(moved, 1e-300))
         a += share[:, None] * da
         f += share[:, None] * df

@@ -158,6 +158,9 @@ def solve(length: ArrayLike, start: ArrayLike, end: ArrayLike, strict: bool = Tr
     todo = np.flatnonzero(np.isnan(middle[:, 0]) & (np.hypot(chord[:, 0], chord[:, 1]) < 1.0))
     if todo.size:
         middle[todo] = _least_energy(a[todo], b[todo], chord[todo], lengths[todo])
+        todo = todo[np.isnan(middle[todo, 0])]
+    if todo.size:  # again with more starts and smaller steps
+        middle[todo] = _least_energy(a[todo], b[todo], chord[todo], lengths[todo], fine=True)
     ok = np.isfinite(middle[:, 0])
     shape = Shape(lengths.reshape(batch), middle.reshape(*batch, 6), ok.reshape(batch))
     if strict and not ok.all():
@@ -198,20 +201,20 @@ def _straight(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
     return middle
 
 
-def _starts(a: Array, b: Array, chord: Array) -> Array:
-    """First guesses (B, g, modes): the arc, and arc + bumps of the first two kinds with about the
-    wanted chord."""
+def _starts(a: Array, b: Array, chord: Array, kinds: int, modes: int) -> Array:
+    """First guesses (B, g, modes): the arc, and arc + bumps of the first kinds with about the wanted
+    chord."""
     sizes = np.concatenate([np.geomspace(1e-6, 0.1, 11), np.linspace(0.2, 9.0, 36)])
     want = np.hypot(chord[:, 0], chord[:, 1])
-    guesses = np.zeros((a.shape[0], 5, clamped.MODES))
+    guesses = np.zeros((a.shape[0], 1 + 2 * kinds, modes))
     guesses[:, 0, 1] = 1e-3
     grid = nodes(32)
     slot = 1
-    for mode in range(2):
+    for mode in range(kinds):
         for sign in (1.0, -1.0):
-            trial = np.zeros((a.shape[0], sizes.size, clamped.MODES))
+            trial = np.zeros((a.shape[0], sizes.size, modes))
             trial[:, :, mode] = sign * sizes
-            flat = trial.reshape(-1, clamped.MODES)
+            flat = trial.reshape(-1, modes)
             first, last = np.repeat(a[:, 2], sizes.size), np.repeat(b[:, 2], sizes.size)
             theta = clamped.clamped_theta(first, last, flat, grid.sigma)
             got = np.hypot(np.cos(theta) @ grid.weight, np.sin(theta) @ grid.weight).reshape(-1, sizes.size)
@@ -221,15 +224,15 @@ def _starts(a: Array, b: Array, chord: Array) -> Array:
     return guesses
 
 
-def _least_energy(a: Array, b: Array, chord: Array, lengths: Array) -> Array:
+def _least_energy(a: Array, b: Array, chord: Array, lengths: Array, fine: bool = False) -> Array:
     """Middle states (B, 6) of the best stable solution of each; NaN rows where there is none."""
-    guesses = _starts(a, b, chord)
+    kinds, modes, rounds, limit = (4, clamped.FINE_MODES, 200, 0.2) if fine else (2, clamped.MODES, 60, 0.6)
+    guesses = _starts(a, b, chord, kinds, modes)
     count = guesses.shape[1]
     first, last = np.repeat(a[:, 2], count), np.repeat(b[:, 2], count)
     nothing = np.zeros((first.size, 2))
-    found = clamped.minimise(
-        first, last, np.repeat(chord, count, axis=0), nothing, guesses.reshape(first.size, -1)
-    )
+    chords = np.repeat(chord, count, axis=0)
+    found = clamped.minimise(first, last, chords, nothing, guesses.reshape(first.size, -1), rounds, limit)
     energy = 0.5 * np.sum(found.amplitude**2, axis=1)
     taut = np.hypot(found.force[:, 0], found.force[:, 1]) > _TAUTEST**2
     energy[(found.residual > 1e-6) | (found.margin < stability.STABLE) | taut] = np.inf

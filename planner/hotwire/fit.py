@@ -235,8 +235,8 @@ def _spread(task: _Task, state: Array, foot: Array) -> Array:
 
 
 def _grow(task: _Task) -> tuple[Array, Array, IntArray]:
-    """Fit the middle of the target first and then more and more of it: for curves with many waves, where the errors of
-    the first guess have grown too large at the ends."""
+    """Fit the middle of the target first and then more and more of it: for curves with many waves, where
+    the errors of the first guess have grown too large at the ends."""
     _, place = _guess(task)
     state = foot = np.empty(0)
     rounds = np.zeros(task.reach.size, dtype=np.int64)

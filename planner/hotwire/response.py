@@ -91,7 +91,7 @@ def end_sensitivity(shape: HeavyShape, window: Array | None = None) -> EndSensit
     first, last = np.hypot(profile[..., 0], profile[..., 1]), np.hypot(profile[..., 3], profile[..., 4])
     angle = np.abs(profile[..., 2]) + np.abs(profile[..., 5])
     return EndSensitivity(
-        np.max((first + last) * inside, axis=1, where=inside, initial=0.0),
+        np.max(first + last, axis=1, where=inside, initial=0.0),
         np.max(angle, axis=1, where=inside, initial=0.0),
         np.max(np.abs(profile[..., 6]), axis=1, where=inside, initial=0.0),
         sigma,
