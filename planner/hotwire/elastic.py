@@ -181,8 +181,8 @@ def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
 
 def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> list[Issue]:
     """Half-way between targets, driven by its ends, the wire must be where it is wanted."""
-    lost: NDArray[np.bool_] = np.logical_not(miss < 1e-6)
-    cutting = np.array([label.startswith("cut") for label in route.segment])
+    lost = np.array([not m < 1e-6 for m in miss], dtype=np.bool_)
+    cutting = np.array([label.startswith("cut") for label in route.segment], dtype=np.bool_)
     far = cutting & (off > 0.5 * op.shape_tol_mm * MM)
     if not (lost | far).any():
         return []
@@ -214,8 +214,8 @@ def _targets(
     shapes = route.wires.shapes()
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
-    foam = (box_distance(points, stock.size) < 0.0).any(axis=1)
-    cutting = np.array([label.startswith("cut") for label in route.segment])
+    foam = np.asarray(np.any(box_distance(points, stock.size) < 0.0, axis=1))
+    cutting = np.array([label.startswith("cut") for label in route.segment], dtype=np.bool_)
     burning = cutting & foam & np.concatenate([[False], foam[:-1]])
     feed = np.where(cutting, op.feed_mm_s * MM, AIR_FEED)
     return Targets(

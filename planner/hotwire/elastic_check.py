@@ -26,6 +26,7 @@ from planner.units import MM
 FloatArray = NDArray[np.float64]
 
 _SOME = 24  # shapes per job for which the deviation by weight is worked out
+_HUGE = 1e6  # stands for a shape that end errors or weight move without limit
 _THIN = 0.05  # margin of stability below which a note is due
 
 
@@ -77,8 +78,8 @@ def measure(route: Route, wire: Wire, size: FloatArray) -> Figures:
         shape.margin_in_plane,
         shape.margin_out_of_plane(wire.section),
         np.abs(shape.curvature).max(axis=1),
-        feel * touches,
-        sag,
+        np.where(touches, np.minimum(feel, _HUGE), 0.0),
+        np.minimum(sag, _HUGE),
         np.minimum(distance[:, 0], distance[:, -1]),
         off,
         some,

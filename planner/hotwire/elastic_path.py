@@ -8,6 +8,7 @@ block.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +146,7 @@ def _link(a: Wires, b: Wires, size: FloatArray, margin: float, radius: float, ov
         up = np.array([0.0, 0.0, 1.0])
         way = [a, a.moved((top - a.frame[0, 2, 3]) * up), b.moved((top - b.frame[0, 2, 3]) * up), b]
     legs = []
-    for first, last in zip(way, way[1:], strict=False):
+    for first, last in itertools.pairwise(way):
         gap = np.linalg.norm(last.points(last.shapes()) - first.points(first.shapes()), axis=2).max()
         if gap < 1e-9:
             continue

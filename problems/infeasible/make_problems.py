@@ -1,0 +1,107 @@
+"""Writes small problems that cannot be solved, and expect.yaml: the issue codes that each must give.
+
+All are one block with one simple panel; each has one fault.
+"""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ARC = [[-70, 0], [-25, 21], [25, 21], [70, 0]]  # a flat arch, [x, z]
+WAVES = [[-80, 0], [-60, 190], [-40, -235], [0, 280], [40, -235], [60, 190], [80, 0]]  # four inflections
+FLAT = [[-70, 0], [70, 0]]
+
+
+def loft(profile: list[list[float]], length: float = 200.0) -> dict[str, Any]:
+    """A straight loft of one profile along y."""
+    ends = [[[x, y, z] for x, z in profile] for y in (-length / 2, length / 2)]
+    sections = [{"at": float(i), "bezier_mm": end} for i, end in enumerate(ends)]
+    return {"loft": {"sections": sections, "flip": True, "chord_mm": 0.02}}
+
+
+def saddle() -> dict[str, Any]:
+    """The arch along a valley: its planes do not stay upright to the face."""
+    sections = []
+    for at, y, rise in ((0.0, -100.0, 45.0), (0.3, -40.0, 6.0), (0.7, 40.0, 6.0), (1.0, 100.0, 45.0)):
+        sections.append({"at": at, "bezier_mm": [[x, y, z + rise] for x, z in ARC]})
+    return {"loft": {"sections": sections, "flip": True, "chord_mm": 0.02}}
+
+
+def base() -> dict[str, Any]:
+    """A problem without fault."""
+    return {
+        "tandem": 1,
+        "name": "feasible",
+        "cell": "../cells/two_irb140_facing.yaml",
+        "stock": {"size_mm": [160, 230, 100], "place": "auto"},
+        "part": {"front": loft(ARC), "back": {"offset_mm": 15}, "in_stock": "auto"},
+        "operations": [
+            {
+                "name": "faces",
+                "process": "elastic_wire",
+                "arms": ["left", "right"],
+                "wire": {
+                    "material": "spring_steel",
+                    "diameter_mm": 1.5,
+                    "length_mm": 520,
+                    "temperature_c": 300,
+                },
+                "kerf_mm": 2.5,
+                "shape_tol_mm": 0.5,
+                "sweep": "y",
+                "step_mm": 5,
+            }
+        ],
+    }
+
+
+def faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
+    """Problems by name with the codes that they must give."""
+    out: dict[str, tuple[dict[str, Any], list[str]]] = {}
+
+    def add(name: str, codes: list[str]) -> dict[str, Any]:
+        problem = copy.deepcopy(base())
+        problem["name"] = name
+        out[name] = (problem, codes)
+        return problem
+
+    wire = add("wire_too_short", ["wire.too_short"])["operations"][0]["wire"]
+    wire["length_mm"] = 170
+    wire = add("wire_too_thick", ["wire.curvature"])["operations"][0]["wire"]
+    wire["diameter_mm"] = 6
+    problem = add("waves", ["wire.shape"])
+    problem["part"] = {"front": loft(WAVES), "in_stock": "auto"}
+    problem["operations"][0]["faces"] = ["front"]
+    add("flat_wall", ["wire.end_error"])["part"] |= {"front": loft(FLAT)}
+    problem = add("thin_wire_on_edge", ["wire.weight"])
+    problem["stock"]["roll_pitch_deg"] = [80, 0]
+    problem["part"]["front"] = saddle()
+    problem["operations"][0]["wire"]["diameter_mm"] = 0.5
+    add("block_too_small", ["part.stock_too_small"])["stock"]["size_mm"] = [160, 190, 100]
+    problem = add("bent_tighter_than_thick", ["part.offset"])
+    problem["part"] |= {"front": loft([[-30, 0], [-30, 45], [30, 45], [30, 0]]), "back": {"offset_mm": 40}}
+    add("no_back_face", ["part.missing_face"])["part"].pop("back")
+    problem = add("unknown_key", ["problem.field"])
+    problem["operations"][0]["speed"] = 8
+    problem = add("far_cell", ["motion.unreachable"])
+    problem["stock"]["place"] = {"xyz_mm": [0, 3000, 500]}
+    return out
+
+
+def main() -> None:
+    """Write all files beside this one."""
+    folder = Path(__file__).parent
+    expect = {}
+    for name, (problem, codes) in faults().items():
+        text = yaml.safe_dump(problem, sort_keys=False, default_flow_style=None, width=110)
+        (folder / f"{name}.yaml").write_text("# Written by make_problems.py. This problem cannot be solved.\n" + text)
+        expect[f"{name}.yaml"] = codes
+    (folder / "expect.yaml").write_text(yaml.safe_dump(expect, sort_keys=False))
+
+
+if __name__ == "__main__":
+    main()
