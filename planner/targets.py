@@ -7,6 +7,7 @@ paths without knowing a process. Poses are (..., 4, 4) float64, in metres, in th
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -54,6 +55,16 @@ class TableFreedom:
     lower: FloatArray
     upper: FloatArray
     prefer: FloatArray | None = None
+
+
+    @functools.cached_property
+    def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, worked out once."""
+        out = {}
+        for arm, table in self.pose.items():
+            middle = table[:, len(self.nodes) // 2]
+            out[arm] = (middle, log_pose(np.linalg.inv(middle)[:, None] @ table))
+        return out
 
 
 Freedom = ScrewFreedom | TableFreedom
@@ -151,7 +162,9 @@ class Targets:
         pose = self.pose[arm][rows]
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, TableFreedom) and arm in freedom.pose:
-                pose = _table_pose(freedom.nodes, freedom.pose[arm][rows], values[..., j])
+                middle, twists = freedom.twists[arm]
+                weights = lagrange(freedom.nodes, values[..., j])
+                pose = middle[rows] @ exp_twist(np.einsum("...k,...kc->...c", weights, twists[rows]))
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
                 pose = pose @ exp_twist(values[..., j, None] * freedom.axis[arm])
@@ -161,14 +174,6 @@ class Targets:
 def segment_kind(label: str) -> str:
     """The kind of a segment label: ``cut`` of ``cut/front``."""
     return label.split("/", 1)[0]
-
-
-def _table_pose(nodes: FloatArray, table: FloatArray, value: FloatArray) -> FloatArray:
-    """Poses (..., 4, 4) of tables (..., K, 4, 4) at values (...,): Lagrange in the log relative to the middle node."""
-    middle = table[..., len(nodes) // 2, :, :]
-    relative = np.linalg.inv(middle)[..., None, :, :] @ table
-    twists = log_pose(relative)
-    return middle @ exp_twist(np.einsum("...k,...kc->...c", lagrange(nodes, value), twists))
 
 
 def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:
