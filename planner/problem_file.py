@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
 
 from planner import cell_file, part_file, yaml_lines
 from planner.cell_file import CellFile, Name, PoseFile, Positive, ShapeFile, Strict
@@ -25,11 +25,20 @@ from planner.yaml_lines import Document
 OperationModels = Mapping[str, type[BaseModel]]
 
 
+def _word_or_mapping(value: object) -> str:
+    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
+    return "mapping" if isinstance(value, dict | BaseModel) else "word"
+
+
+Auto = Annotated[Literal["auto"], Tag("word")]
+Choice = Discriminator(_word_or_mapping)
+
+
 class StockFile(Strict):
     """The raw block and where it stands; ``place: auto`` lets Tandem search."""
 
     size_mm: tuple[Positive, Positive, Positive]
-    place: Literal["auto"] | PoseFile = "auto"
+    place: Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice] = "auto"
     roll_pitch_deg: tuple[float, float] = (0.0, 0.0)
     support: list[ShapeFile] = []
 
@@ -63,7 +72,7 @@ class ProblemFile(Strict):
 
     tandem: Literal[1]
     name: Name
-    cell: str | CellFile
+    cell: Annotated[Annotated[str, Tag("word")] | Annotated[CellFile, Tag("mapping")], Choice]
     stock: StockFile
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
@@ -119,11 +128,13 @@ def _validate(
     try:
         return model.model_validate(data, context={"folder": document.path.parent}), []
     except ValidationError as error:
-        return None, [_field_issue(dict(e), document, prefix) for e in error.errors()]
+        return None, [_field_issue(dict(e), document, prefix, data) for e in error.errors()]
 
 
-def _field_issue(error: dict[str, Any], document: Document, prefix: tuple[str | int, ...]) -> Issue:
-    location = (*prefix, *error["loc"])
+def _field_issue(
+    error: dict[str, Any], document: Document, prefix: tuple[str | int, ...], data: Any
+) -> Issue:
+    location = (*prefix, *_as_written(error["loc"], data))
     field = ".".join(str(step) for step in location)
     got = error.get("input")
     shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {got!r}"
@@ -141,6 +152,19 @@ def _field_issue(error: dict[str, Any], document: Document, prefix: tuple[str | 
         line=document.line(location),
         field=field,
     )
+
+
+def _as_written(location: tuple[str | int, ...], data: Any) -> Iterator[str | int]:
+    """The steps of ``location`` that the file has; pydantic puts the names of chosen alternatives between them."""
+    for number, step in enumerate(location):
+        last = number == len(location) - 1
+        if isinstance(data, dict) and (step in data or (last and isinstance(step, str))):
+            data = data.get(step)
+        elif isinstance(data, list) and isinstance(step, int) and step < len(data):
+            data = data[step]
+        else:
+            continue
+        yield step
 
 
 def _operation(

@@ -1,0 +1,121 @@
+"""Problem files: all faults at once, each with its field and line; a good file becomes values in SI units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner.issues import Issue, TandemError
+from planner.pipeline import load
+
+GOOD = """\
+tandem: 1
+name: small
+cell:
+  name: one
+  arms:
+    - name: left
+      robot: irb140
+      base: {xyz_mm: [-800, 0, 0]}
+      tool: {kind: wire_holder, mounting: across, side: start}
+    - name: right
+      robot: irb140
+      base: {xyz_mm: [800, 0, 0], rpy_deg: [0, 0, 180]}
+      tool: {kind: wire_holder, mounting: across, side: end}
+  obstacles:
+    - name: table
+      shapes: [{kind: box, size_mm: [500, 500, 20], pose: {xyz_mm: [0, 0, -10]}}]
+stock: {size_mm: [160, 300, 100], place: {xyz_mm: [0, 0, 600], rpy_deg: [0, 0, 90]}}
+settings: {clearance_mm: 15}
+operations:
+  - name: poses
+    process: targets
+    arms: [left, right]
+    file: targets.csv
+"""
+
+
+def refused(folder: Path, text: str) -> tuple[Issue, ...]:
+    path = folder / "problem.yaml"
+    path.write_text(text)
+    with pytest.raises(TandemError) as caught:
+        load(path)
+    return caught.value.issues
+
+
+def test_a_good_file_becomes_values_in_si(tmp_path: Path) -> None:
+    path = tmp_path / "problem.yaml"
+    path.write_text(GOOD)
+    problem = load(path)
+    assert problem.name == "small"
+    np.testing.assert_allclose(problem.stock.size, [0.16, 0.3, 0.1])
+    np.testing.assert_allclose(problem.cell.arm("right").base[:3, 3], [0.8, 0, 0])
+    assert problem.stock.place is not None
+    np.testing.assert_allclose(problem.stock.place[:3, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(problem.stock.gravity, [0, 0, -1])
+    assert problem.settings.clearance == pytest.approx(0.015)
+    assert [op.process for op in problem.operations] == ["targets"]
+
+
+def test_the_digest_covers_the_files_that_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "problem.yaml"
+    path.write_text(GOOD)
+    without = load(path).digest
+    (tmp_path / "targets.csv").write_text("a\n")
+    with_file = load(path).digest
+    (tmp_path / "targets.csv").write_text("b\n")
+    assert len({without, with_file, load(path).digest}) == 3
+
+
+def test_all_faults_come_at_once_with_their_lines(tmp_path: Path) -> None:
+    text = (
+        GOOD.replace("size_mm: [160, 300, 100]", "size_mm: [160, -300, .nan]")
+        .replace("settings: {clearance_mm: 15}", "settings: {clearence_mm: 15}")
+        .replace("process: targets", "process: lasers")
+    )
+    issues = refused(tmp_path, text)
+    found = {(issue.code, issue.field, issue.line) for issue in issues}
+    assert ("problem.field", "stock.size_mm.1", 17) in found
+    assert ("problem.not_finite", "stock.size_mm.2", 17) in found
+    assert ("problem.field", "settings.clearence_mm", 18) in found
+    assert ("problem.unknown_process", "operations.0.process", 21) in found
+    messages = "\n".join(issue.message for issue in issues)
+    assert "unknown key" in messages
+    assert "known are elastic_wire, targets" in messages
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "words"),
+    [
+        ("robot: irb140\n      base: {xyz_mm: [-8", "robot: irb9\n      base: {xyz_mm: [-8", "problem.unknown_robot", "irb140"),
+        ("arms: [left, right]", "arms: [left, middle]", "problem.unknown_arm", "middle"),
+        ("- name: right", "- name: Left", "problem.duplicate_name", "Left"),
+        ("    file: targets.csv", "    arm: left\n    file: targets.csv", "problem.field", "operations.0.arm"),
+        ("tandem: 1", "tandem: 2", "problem.field", "tandem"),
+        ("name: small", "name: 9lives", "problem.field", "name"),
+        ("clearance_mm: 15", "clearance_mm: -1", "problem.field", "clearance_mm"),
+        ("kind: box, size_mm: [500, 500, 20]", "kind: mesh, file: no.stl, unit: mm", "problem.missing_file", "no.stl"),
+        ("kind: box, size_mm: [500, 500, 20]", "kind: mesh, file: no.stl", "problem.field", "cell.obstacles.0.shapes.0.unit"),
+    ],
+)  # fmt: skip
+def test_each_fault_has_its_code(tmp_path: Path, old: str, new: str, code: str, words: str) -> None:
+    assert old in GOOD
+    issues = refused(tmp_path, GOOD.replace(old, new))
+    hits = [issue for issue in issues if issue.code == code]
+    assert hits, [str(issue) for issue in issues]
+    assert words in str(hits[0])
+
+
+def test_a_missing_cell_file_is_named(tmp_path: Path) -> None:
+    start, end = GOOD.index("cell:"), GOOD.index("stock:")
+    (issue,) = refused(tmp_path, GOOD[:start] + "cell: no_cell.yaml\n" + GOOD[end:])
+    assert issue.code == "problem.missing_file"
+    assert issue.field == "cell"
+    assert issue.line == 3
+
+
+def test_no_operation_is_no_problem(tmp_path: Path) -> None:
+    issues = refused(tmp_path, GOOD[: GOOD.index("operations:")] + "operations: []\n")
+    assert issues[0].field == "operations"
