@@ -102,7 +102,7 @@ def bodies(robot: catalogue.RobotData, build: Build) -> Bodies:
             Solid("cylinder", (radius * 0.80, reach), (0, 0, reach / 2), "z"),
             Solid("cylinder", (radius * 0.60, width * 0.70), (0, 0, 0), "y", "dark"),
         ],
-        [Solid("capsule", (radius, max(reach - radius, 1.0)), (0, 0, max(reach - radius, 1.0) / 2))],
+        [Solid("capsule", (radius, reach - 0.45 * radius), (0, 0, 0.5 * (reach - 0.45 * radius)))],
     )
     disc = (build.flange, thick)
     out["link_6"] = (
@@ -139,7 +139,7 @@ def _shoulder(build: Build, a1: float, b: float, c1: float) -> tuple[list[Solid]
     radius, width = build.shoulder
     foot = build.foot[2]
     bottom, ring = foot - c1, 0.10 * foot
-    top = -0.35 * radius
+    top, crown = -0.35 * radius, 0.30 * radius
     cheek = 0.5 * (width - build.arm[1]) * 0.86
     centre = (width - cheek) / 2
     seen = [
@@ -151,21 +151,21 @@ def _shoulder(build: Build, a1: float, b: float, c1: float) -> tuple[list[Solid]
         Solid("cylinder", (0.62 * radius, width * 1.04), (0, 0, 0), "y", "dark"),
         Solid(
             "cylinder",
-            (0.55 * radius, 1.3 * radius),
-            (-a1 - 0.35 * build.column, 0.3 * width, top),
+            (0.45 * radius, 1.3 * radius),
+            (-a1 - 0.3 * build.column, 0.1 * width, top),
             "z",
             "dark",
         ),
     ]
     solid = [
-        Solid("cylinder", (build.column, top - bottom), (-a1, -b, (top + bottom) / 2)),
+        Solid("cylinder", (build.column, crown - bottom), (-a1, -b, (crown + bottom) / 2)),
         Solid("cylinder", (radius, 1.04 * width), (0, 0, 0), "y"),
     ]
     if build.balancer:
-        length, back = 3.2 * build.column, -a1 - 0.9 * build.column
-        place = (back, 0.36 * width, 0.95 * radius)
+        length, back = 1.5 * build.column, -a1 - 0.55 * build.column
+        place = (back, 0.36 * width, 0.75 * radius)
         seen.append(Solid("cylinder", (build.balancer, length), place, "x", "metal"))
-        seen.append(Solid("cylinder", (0.45 * build.balancer, length * 1.18), place, "x", "dark"))
+        seen.append(Solid("cylinder", (0.45 * build.balancer, length * 1.1), place, "x", "dark"))
         solid.append(Solid("capsule", (build.balancer, length), place, "x"))
     return seen, solid
 
@@ -189,12 +189,12 @@ def _elbow(build: Build, a2: float, split: float) -> tuple[list[Solid], list[Sol
     tube, back = build.forearm, build.back
     cheek = 0.5 * (width - build.arm[1]) * 0.86
     centre = (width - cheek) / 2
-    half = max(1.05 * tube, 0.42 * width)
+    half = 0.85 * tube
     rise = abs(a2)
     seen = [
         Solid("cylinder", (radius, cheek), (0, centre, 0), "y"),
         Solid("cylinder", (radius, cheek), (0, -centre, 0), "y"),
-        Solid("box", (1.6 * tube + 0.5 * rise, 2 * half, 1.5 * radius), (0.75 * a2, 0, 0.12 * radius)),
+        Solid("box", (1.6 * tube + 0.5 * rise, 2 * half, 1.4 * radius), (0.75 * a2, 0, 0.1 * radius)),
         Solid("cylinder", (0.98 * tube, 0.75 * back), (a2, 0, -0.38 * back), "z"),
         Solid("cylinder", (0.42 * tube, back), (a2 - 0.42 * tube, 0.42 * tube, -0.5 * back), "z", "dark"),
         Solid("cylinder", (0.42 * tube, back), (a2 - 0.42 * tube, -0.42 * tube, -0.5 * back), "z", "dark"),
@@ -203,9 +203,8 @@ def _elbow(build: Build, a2: float, split: float) -> tuple[list[Solid], list[Sol
         Solid("cylinder", (1.04 * tube, split), (a2, 0, split / 2), "z"),
         Solid("cylinder", (1.10 * tube, 0.14 * split), (a2, 0, 0.93 * split), "z", "dark"),
     ]
-    length = split + back - 1.1 * tube
     solid = [
-        Solid("capsule", (1.1 * tube, length), (a2, 0, split - 0.5 * length), "z"),
+        Solid("cylinder", (1.1 * tube, split + back), (a2, 0, 0.5 * (split - back)), "z"),
         Solid("cylinder", (radius, 1.02 * width), (0, 0, 0), "y"),
     ]
     return seen, solid
@@ -231,7 +230,7 @@ def _forearm(build: Build, rest: float) -> tuple[list[Solid], list[Solid]]:
     ]
     stout = max(tube, float(np.hypot(0.85 * radius, 0.5 * width)))
     solid = [
-        Solid("capsule", (stout, rest - neck), (0, 0, -neck - 0.5 * (rest - neck))),
+        Solid("capsule", (stout, rest - 0.9 * neck), (0, 0, -0.5 * (rest + 0.9 * neck))),
         Solid("cylinder", (0.96 * radius, 1.03 * width), (0, 0, 0), "y"),
     ]
     return seen, solid

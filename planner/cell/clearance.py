@@ -42,12 +42,12 @@ def free(
     A configuration that is not finite is not free.
     """
     rows = model.stack(q)
-    good = np.isfinite(rows).all(axis=1)
+    good = np.asarray(np.isfinite(rows).all(axis=1))
     if len(rows) >= FEW:
         lower, upper = _bounds(model, rows, padding, ignore)
-        good &= upper > padding
         settled = good & (lower > padding)
-        return settled | _asked(model, rows, good & ~settled, padding, ignore)
+        unsettled = good & (lower <= padding) & (upper > padding)
+        return np.asarray(settled | _asked(model, rows, unsettled, padding, ignore))
     return _asked(model, rows, good, padding, ignore)
 
 
@@ -82,17 +82,20 @@ def _bounds(model: CellModel, rows: FloatArray, limit: float, ignore: Pairs) -> 
 def least(
     model: CellModel, q: Mapping[str, FloatArray], reach: float = 0.1, ignore: Pairs = frozenset()
 ) -> LeastClearance:
-    """Least distance between bodies (robots, tools, stock, obstacles), of those within ``reach`` [m]."""
+    """Least distance between bodies (robots, tools, stock, obstacles), of those within ``reach`` [m].
+
+    A configuration that is not finite has the distance NaN and the pair ("", "").
+    """
     rows = model.stack(q)
-    distance = np.full(len(rows), reach)
-    close = (
-        _bounds(model, rows, reach, ignore)[0] < reach if len(rows) >= FEW else np.ones(len(rows), dtype=bool)
-    )
+    finite = np.isfinite(rows).all(axis=1)
+    distance = np.where(finite, reach, np.nan)
+    lower, upper = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
+    if len(rows) >= FEW:
+        lower, upper = _bounds(model, rows, reach, ignore)
     pairs = [("", "")] * len(rows)
     with _ignored(model, ignore):
-        for i in np.flatnonzero(close):
-            row = rows[i]
-            found = model.checker.CalcRobotClearance(row, reach)
+        for i in np.flatnonzero(finite & (lower < reach)):
+            found = model.checker.CalcRobotClearance(rows[i], max(min(reach, float(upper[i])), 0.0))
             values = found.distances()
             if len(values) and values.min() < reach:
                 k = int(values.argmin())

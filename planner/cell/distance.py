@@ -51,7 +51,7 @@ def extent(solid: Solid) -> FloatArray:
     """Edge lengths (3,) [m] of a box about the origin of the shape's frame that holds the solid."""
     shape = solid.shape
     if shape.vertices is not None:
-        return 2.0 * np.abs(shape.vertices).max(axis=0)
+        return np.asarray(2.0 * np.abs(shape.vertices).max(axis=0))
     if shape.kind == "box":
         return np.asarray(shape.size)
     long = shape.size[1] if len(shape.size) > 1 else 0.0
@@ -86,7 +86,7 @@ def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
     outside = np.flatnonzero(out > 0.0)
     for part in np.array_split(outside, max(1, len(outside) * len(triangles) // 200_000)):
         out[part] = _triangle_distance(flat[part, None], triangles[None]).min(axis=1)
-    return out.reshape(points.shape[:-1])
+    return np.asarray(out.reshape(points.shape[:-1]))
 
 
 def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:

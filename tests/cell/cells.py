@@ -1,0 +1,40 @@
+"""Cells that several tests of this folder use."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.geometry.rigid import from_rpy
+from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
+from planner.tools import plain, wire_holder
+
+BLOCK = Stock(np.array([0.16, 0.70, 0.10]), None, np.eye(3))
+UP = (0.0, 0.0, 0.0)
+TABLE = Obstacle("table", (Shape("box", (0.5, 0.9, 0.5), from_rpy((0.0, 0.0, 0.25), UP)),))
+WIDE = np.deg2rad([120.0, 60.0, 50.0, 150.0, 100.0, 150.0])
+
+
+def facing(robot: str = "irb140", half: float = 0.85) -> Cell:
+    """Two arms that face each other, with wire holders and a table between them."""
+    home = np.deg2rad([0.0, -30.0, 30.0, 0.0, 90.0, 0.0])
+    arms = (
+        Arm("left", robot, from_rpy((-half, 0.0, 0.0), UP), wire_holder("across", "start"), home),
+        Arm(
+            "right", robot, from_rpy((half, 0.0, 0.0), (0.0, 0.0, np.pi)), wire_holder("across", "end"), home
+        ),
+    )
+    return Cell("facing", arms, (TABLE,), Controller())
+
+
+def ball(radius: float = 0.03, out: float = 0.30) -> Tool:
+    """A ball on the flange axis, whose distances to boxes are known in closed form."""
+    place = from_rpy((0.0, 0.0, out), UP)
+    return plain("ball", place, (Shape("sphere", (radius,), place),), 0.5)
+
+
+def alone(robot: str, tool: Tool | None = None, obstacles: tuple[Obstacle, ...] = ()) -> Cell:
+    """One arm at the origin, at home in its controller's upright posture."""
+    home = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0] if robot.startswith("kr") else [0.0] * 6
+    return Cell(
+        "alone", (Arm("arm", robot, np.eye(4), tool or ball(), np.deg2rad(home)),), obstacles, Controller()
+    )

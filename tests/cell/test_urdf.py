@@ -1,0 +1,93 @@
+"""The URDF files on disk are what the script writes, and their solids make sense."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tests.cell.cells import BLOCK, alone
+from planner import catalogue
+from planner.cell import clearance, plant
+from planner.cell.distance import Solid, signed_distance
+from planner.geometry.rigid import from_rpy, inverse, transform
+from planner.problem import Shape
+
+FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def _script() -> ModuleType:
+    path = catalogue.data_dir("urdf") / "make_urdf.py"
+    spec = importlib.util.spec_from_file_location("make_urdf", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_urdf"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+MAKE = _script()
+
+
+@pytest.mark.parametrize("name", catalogue.robot_names())
+def test_files_are_what_the_script_writes(name: str) -> None:
+    assert catalogue.urdf_path(name).read_text(encoding="utf-8") == MAKE.urdf(name)
+
+
+def _solid(solid: object) -> Solid:
+    turn = {"z": (0.0, 0.0, 0.0), "y": (np.pi / 2, 0.0, 0.0), "x": (0.0, np.pi / 2, 0.0)}[solid.axis]
+    size = tuple(1e-3 * v for v in solid.size)
+    return Solid("", Shape(solid.kind, size, from_rpy(1e-3 * np.array(solid.xyz), turn)))
+
+
+def _surface(solid: Solid, rng: np.random.Generator) -> np.ndarray:
+    """Points on the rim and the sides of a box or cylinder, in the link's frame."""
+    u = rng.uniform(-1.0, 1.0, (200, 3))
+    if solid.shape.kind == "box":
+        u[np.arange(200), rng.integers(0, 3, 200)] = np.sign(u[:, 0]) + (u[:, 0] == 0)
+        local = 0.5 * u * np.asarray(solid.shape.size)
+    else:
+        radius, length = solid.shape.size
+        angle = np.pi * u[:, 0]
+        local = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.5 * length * u[:, 1]], axis=1)
+    return transform(solid.shape.pose, local)
+
+
+@pytest.mark.parametrize("name", catalogue.robot_names())
+def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
+    """Covers and edges may stick out by a little: 15 mm."""
+    robot, build = catalogue.robot(name), MAKE.BUILDS[name]
+    rng = np.random.default_rng(1)
+    for link, (seen, solid) in MAKE.bodies(robot, build).items():
+        around = [_solid(s) for s in solid]
+        for item in map(_solid, seen):
+            points = _surface(item, rng)
+            each = [signed_distance(s, transform(inverse(s.shape.pose), points)) for s in around]
+            assert np.min(each, axis=0).max() < 0.015, (link, item.shape)
+
+
+@pytest.mark.parametrize("name", catalogue.robot_names())
+def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> None:
+    robot = catalogue.robot(name)
+    model = plant.build(alone(name), BLOCK, FAR)
+    assert clearance.free(model, {}, 0.010).all()
+    q = np.random.default_rng(2).uniform(robot.lower, robot.upper, (400, 6))
+    share = clearance.free(model, {"arm": q}, 0.0)[robot.limit_margin(q) > 0.0].mean()
+    assert share > 0.6
+
+
+@pytest.mark.parametrize("name", catalogue.robot_names())
+def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
+    """The 300 mm ball tool inside the base's pedestal."""
+    robot = catalogue.robot(name)
+    model = plant.build(alone(name), BLOCK, FAR)
+    q = np.random.default_rng(3).uniform(robot.lower, robot.upper, (4000, 6))
+    foot = model.tcp({"arm": q})["arm"][:, :3, 3]
+    height, radius = 1e-3 * MAKE.BUILDS[name].foot[2], 1e-3 * MAKE.BUILDS[name].column
+    inside = (np.hypot(foot[:, 0], foot[:, 1]) < 0.9 * radius) & (foot[:, 2] > 0.0) & (foot[:, 2] < height)
+    if inside.any():
+        assert not clearance.free(model, {"arm": q[inside]}, 0.0).any()
