@@ -55,6 +55,7 @@ STAGES: _RuleTable = (
     ("verify.move_ids", rules_sync.move_ids),
     ("verify.zone_kind", rules_sync.zone_kind),
     ("verify.move_time", rules_sync.move_time),
+    ("verify.speed_data", rules_sync.speed_data),
     ("verify.arms_alone", rules_sync.arms_alone),
     ("verify.wire_alone", rules_sync.wire_alone),
     ("verify.stop_before_logic", rules_sync.stop_before_logic),

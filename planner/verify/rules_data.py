@@ -22,6 +22,7 @@ from planner.verify.rapid_steps import (
     Step,
 )
 from planner.verify.rapid_values import JointTarget, RobTarget
+from planner.verify.rules_sync import straight_way
 
 FloatArray = NDArray[np.float64]
 
@@ -153,7 +154,7 @@ def zone_size(context: Context) -> Outcome:
     """A zone takes at most half of the shorter one of the moves that meet in it."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
-        ways = [_way(a, b) for a, b in itertools.pairwise(moves)]
+        ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
         for i, move in enumerate(moves):
             if move.zone.fine:
                 continue
@@ -260,19 +261,11 @@ def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(log_rotation(relative[:3, :3])))
 
 
-def _way(a: MoveStep, b: MoveStep) -> float | None:
-    """Distance between the targets of two straight moves of one frame, None where it is not known from the
-    text."""
-    if isinstance(a.target, RobTarget) and isinstance(b.target, RobTarget) and a.wobj_name == b.wobj_name:
-        return float(np.linalg.norm(a.target.position - b.target.position))
-    return None
-
-
 def _still(a: MoveStep, b: MoveStep) -> bool:
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
         return bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
     if isinstance(a.target, RobTarget) and isinstance(b.target, RobTarget):
         turn = min(np.abs(a.target.quaternion - s * b.target.quaternion).max() for s in (1.0, -1.0))
-        way = _way(a, b)
+        way = straight_way(a, b)
         return way is not None and way < _ZERO_WAY and bool(turn < _ZERO_TURN)
     return False

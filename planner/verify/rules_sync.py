@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
+
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.rapid_steps import MoveStep, SettingStep, Step
+from planner.verify.rapid_values import RobTarget
 
 _TIME_TOLERANCE = 1e-9
+SPEED_SLACK = 1.01
+"""A time may be shorter than the stated speed makes it by this factor: both are rounded."""
 
 
 def task_list(context: Context) -> Outcome:
@@ -148,6 +155,32 @@ def move_time(context: Context) -> Outcome:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
                 issues.append(at_step("verify.move_time", message, b_task, b))
     return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
+
+
+def speed_data(context: Context) -> Outcome:
+    """The speed that stands beside a time is not below what way and time ask for."""
+    issues, worst = [], 0.0
+    for _, _, task, moves in context.moves():
+        for before, move in itertools.pairwise(moves):
+            way = straight_way(before, move)
+            if way is None or not move.time:
+                continue
+            share = way / move.time / max(move.speed.tcp, 1e-9)
+            worst = max(worst, share)
+            if share > SPEED_SLACK:
+                message = (
+                    f"{way * 1e3:.3f} mm in {move.time:g} s are {way / move.time * 1e3:.2f} mm/s; "
+                    f"the move's own speed is {move.speed.tcp * 1e3:g} mm/s"
+                )
+                issues.append(at_step("verify.speed_data", message, task, move))
+    return Outcome(tuple(issues), worst, SPEED_SLACK, "of the stated speed")
+
+
+def straight_way(a: MoveStep, b: MoveStep) -> float | None:
+    """Distance [m] between the targets of two straight moves of one frame, None where the text gives none."""
+    if isinstance(a.target, RobTarget) and isinstance(b.target, RobTarget) and a.wobj_name == b.wobj_name:
+        return float(np.linalg.norm(a.target.position - b.target.position))
+    return None
 
 
 def arms_alone(context: Context) -> Outcome:
