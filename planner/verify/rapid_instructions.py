@@ -93,9 +93,7 @@ def _option(option: _Option, form: Form) -> Expr | None:
         )
     slot, kind = allowed
     if option.slot != slot:
-        message = (
-            f"\\{option.name} is behind argument {option.slot} of {form.name}; allowed: behind {slot}"
-        )
+        message = f"\\{option.name} is behind argument {option.slot} of {form.name}; allowed: behind {slot}"
         raise RapidSyntaxError(option.start, "rapid.options", message)
     if (option.value is None) != (kind == "switch"):
         wanted = "takes no value" if kind == "switch" else f"needs a value (\\{option.name}:=...)"

@@ -300,6 +300,8 @@ class Parser:
             self._resume(wrong.start, before)
 
     def _resume(self, start: int, before: int) -> None:
+        if before < self.cursor.end and self.text[self.cursor.end - 1] == ";":
+            return  # the statement was whole; what it says is wrong
         line, column = self.cursor.place(start)
         if not self.text[start - column + 1 : start].strip():
             line -= 1  # the statement before ended without its ";"; this line may be sound

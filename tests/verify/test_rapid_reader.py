@@ -39,7 +39,10 @@ HEAD = """MODULE Left
   VAR syncident sync1;
   VAR syncident sync2;
 """
-MOVE = r"MoveL [[10.5,-2,3],[0,1,0,0],[0,0,-1,1],[9E9,9E9,9E9,9E9,9E9,9E9]]\ID:=10, v100\T:=0.25, z1, holder\WObj:=block;"
+MOVE = (
+    r"MoveL [[10.5,-2,3],[0,1,0,0],[0,0,-1,1],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    r"\ID:=10, v100\T:=0.25, z1, holder\WObj:=block;"
+)
 
 
 def program(body: str, more: str = "", data: str = "") -> str:
@@ -69,7 +72,8 @@ FULL = program(
     MoveAbsJ home\NoEOffs, v50, fine, tool0;
     TPErase;
     TPWrite "ready " \Num:=pause;
-    UIMsgBox \Header:="Mount", "the wire" \MsgLine2:="""quoted""" \Buttons:=btnOKCancel \Icon:=iconInfo \Result:=answer;
+    UIMsgBox \Header:="Mount", "the wire" \MsgLine2:="""quoted"""
+      \Buttons:=btnOKCancel \Icon:=iconInfo \Result:=answer;
     IF answer <> resOK THEN
       Stop;
     ENDIF
@@ -392,7 +396,8 @@ def test_signals_are_held_against_the_cell_when_it_is_known() -> None:
 
 def test_names_are_resolved_over_the_modules_of_a_task() -> None:
     first = program("    second;")
-    second = "MODULE Two\n  LOCAL CONST num answer:=1;\n  PROC second()\n    MoveL above, v5, fine, holder;\n  ENDPROC\nENDMODULE"
+    body = "  PROC second()\n    MoveL above, v5, fine, holder;\n  ENDPROC"
+    second = f"MODULE Two\n  LOCAL CONST num answer:=1;\n{body}\nENDMODULE"
     task = read_task({"a.mod": first, "b.mod": second})
     assert task.faults == ()
     (move,) = flatten(task.modules)
@@ -439,7 +444,8 @@ def test_missing_entry_is_said() -> None:
 
 def test_constants_decide_branches_and_loops() -> None:
     text = program(
-        "    answer := 1;\n    IF answer = 1 AND (NOT late) THEN\n      cut;\n    ELSE\n      SetDO do_b, 1;\n    ENDIF\n"
+        "    answer := 1;\n    IF answer = 1 AND (NOT late) THEN\n      cut;\n"
+        "    ELSE\n      SetDO do_b, 1;\n    ENDIF\n"
         "    WHILE answer < 3 DO\n      answer := answer + 1;\n      SetDO do_c, answer;\n    ENDWHILE\n"
         "    FOR i FROM 3 TO 1 DO\n      SetDO do_d, i;\n    ENDFOR",
         "  PROC cut()\n    SetDO do_a, 1;\n    RETURN;\n    SetDO do_b, 1;\n  ENDPROC",
@@ -450,7 +456,8 @@ def test_constants_decide_branches_and_loops() -> None:
 
 def test_a_branch_that_ends_the_task_may_switch_off_first() -> None:
     text = program(
-        '    UIMsgBox "ok?" \\Result:=answer;\n    IF answer <> resOK THEN\n      Reset do_wire;\n      EXIT;\n    ENDIF\n    Stop;'
+        '    UIMsgBox "ok?" \\Result:=answer;\n    IF answer <> resOK THEN\n'
+        "      Reset do_wire;\n      EXIT;\n    ENDIF\n    Stop;"
     )
     found = steps(text)
     assert isinstance(found[1], ChoiceStep) and len(found[1].steps) == 2
@@ -490,7 +497,8 @@ def test_the_quick_way_and_the_ordinary_way_read_the_same(
         "-0.00000000", "0"
     )
     place = ",".join(f"{x:.4f}" for x in p).replace("-0.0000,", "0,")
-    line = rf"MoveL [[{place}],[{quaternion}],[0,1,-2,3],[9E9,9E9,9E9,9E9,9E9,9E9]]\ID:={ident},v5\T:={time:.4f},z1,t;"
+    target = f"[[{place}],[{quaternion}],[0,1,-2,3],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+    line = rf"MoveL {target}\ID:={ident},v5\T:={time:.4f},z1,t;"
     text = f"MODULE a\nPROC main()\n{line}\nENDPROC\nENDMODULE"
     found = [read_module(text, quick=quick) for quick in (True, False)]
     assert [f.code for f in found[0][1]] == [f.code for f in found[1][1]]

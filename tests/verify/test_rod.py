@@ -36,7 +36,9 @@ def wire(ratio: float = 1.0, torsion: float = ROUND, weight: float = 0.0, segmen
 def planar_reference(
     start: tuple[float, float, float], end: tuple[float, float, float], guess: Array
 ) -> Array:
-    """Elastica x, y, theta, k at 65 points by scipy's collocation: x' = cos, y' = sin, theta' = k, k' = Fx sin - Fy cos.
+    """Elastica x, y, theta, k at 65 points by scipy's collocation.
+
+    x' = cos, y' = sin, theta' = k, k' = Fx sin - Fy cos.
 
     All in units of the length; `guess` is a polyline of 65 points.
     """
@@ -57,7 +59,7 @@ def planar_reference(
     return found
 
 
-# ---- shapes --------------------------------------------------------------------------------------------------------
+# ---- shapes ------------------------------------------------------------------------------------------------
 
 
 def arc_frames(turn: float) -> tuple[Array, Array, Array]:
@@ -121,7 +123,7 @@ def test_attitude_and_place_in_space_do_not_matter_without_weight() -> None:
 
 @pytest.mark.parametrize("ratio", [4.0, 1000.0])
 def test_sag_across_a_slight_bow_is_that_of_the_beam_column(ratio: float) -> None:
-    """EI y4 + P y2 = w with clamped ends; P = 4 pi^2 EI_soft / L^2 is the thrust of the bow in the level plane.
+    """EI y4 + P y2 = w with clamped ends; P = 4 pi^2 EI_soft / L^2 is the bow's thrust.
 
     For a stiff strip P does not count, and the sag is the textbook w L^4 / (384 EI).
     """
@@ -208,8 +210,8 @@ def rocking(rod: Rod, distance: float, angles: Array) -> tuple[Array, Array]:
 
 
 def test_round_wire_between_rocking_ends_turns_over_as_soon_as_they_pass_level() -> None:
-    """With level ends any plane through the ends is as good as any other, so past level the shape must fall; the
-    mirror image of the shape before is the only stable one of its kind."""
+    """With level ends any plane through the ends is as good as any other, so past level the shape must fall;
+    the mirror image of the shape before is the only stable one of its kind."""
     rod = wire()
     angles = np.linspace(0.31, -0.31, 32)
     a, b = rocking(rod, 0.9, angles)
@@ -222,7 +224,7 @@ def test_round_wire_between_rocking_ends_turns_over_as_soon_as_they_pass_level()
 
 
 def first_singular_angle(distance: float, angles: Array) -> float:
-    """Where the planar elastica between rocking ends stops being stable: the shooting map's Jacobian is singular there.
+    """Where the planar elastica between rocking ends ends: its shooting map's Jacobian is singular there.
 
     The map takes (k0, Fx, Fy) at the start to (x, y, theta) at the end, integrated by scipy.
     """
@@ -339,8 +341,8 @@ def test_unequal_spin_twists_evenly() -> None:
 
 
 def test_ring_loses_stability_at_the_twist_of_michell_and_zajac() -> None:
-    """A closed ring with its ends twisted against each other buckles at 2 pi sqrt(3) EI / GJ (Michell 1889; Zajac,
-    Trans. ASME J. Appl. Mech. 29, 1962; Goriely, J. Elasticity 84, 2006)."""
+    """A closed ring with its ends twisted against each other buckles at 2 pi sqrt(3) EI / GJ (Michell 1889;
+    Zajac, Trans. ASME J. Appl. Mech. 29, 1962; Goriely, J. Elasticity 84, 2006)."""
     torsion = 1.6
     critical = 2.0 * math.pi * math.sqrt(3.0) / torsion
     n = 96
