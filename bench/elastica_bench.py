@@ -34,7 +34,7 @@ def run() -> list[dict[str, Any]]:
         )
     )
 
-    few: list[float] = []
+    few: list[tuple[float, float]] = []
     for _ in range(30):
         size, a, b = _clamps(rng, 20)
         points = elastica.solve(size, a, b).points(60)
@@ -51,7 +51,7 @@ def run() -> list[dict[str, Any]]:
     rows.append(
         _row("fit of a panel, 200 sections", times, None, "160 mm targets in 560 mm wires with weight")
     )
-    per: list[float] = []
+    per: list[tuple[float, float]] = []
     for _ in range(30):
         some, long, load = _panel(rng, 20)
         per += _times(lambda p=some, w=long, q=load: heavy.fit(p, w, q), 1, 20)
@@ -126,22 +126,27 @@ def _plain_fit(points: Array) -> None:
     least_squares(gap, begin, x_scale=[size, size, 1.0, 1 / size, size**-2, size**-2, size])
 
 
-def _times(work: Callable[[], object], repeats: int, parts: int) -> list[float]:
+def _times(work: Callable[[], object], repeats: int, parts: int) -> list[tuple[float, float]]:
+    """Wall and processor time of a part of the work, for each repeat."""
     out = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin, used = time.perf_counter(), time.process_time()
         work()
-        out.append((time.perf_counter() - begin) / parts)
+        out.append(((time.perf_counter() - begin) / parts, (time.process_time() - used) / parts))
     return out
 
 
-def _row(name: str, times: list[float], peer: list[float] | None, note: str) -> dict[str, Any]:
-    median = float(np.median(times))
+def _row(
+    name: str, times: list[tuple[float, float]], peer: list[tuple[float, float]] | None, note: str
+) -> dict[str, Any]:
+    wall, used = np.array(times).T
+    median = float(np.median(wall))
+    cpu = f"processor {1e3 * np.median(used):.3g} ms, p99 {1e3 * np.percentile(used, 99):.3g} ms"
     return {
         "name": name,
         "median_s": median,
-        "p99_s": float(np.percentile(times, 99)),
-        "spread": float(np.percentile(times, 90) - np.percentile(times, 10)),
-        "ratio": None if peer is None else float(np.median(peer)) / median,
-        "note": note,
+        "p99_s": float(np.percentile(wall, 99)),
+        "spread": float(np.percentile(wall, 90) - np.percentile(wall, 10)),
+        "ratio": None if peer is None else float(np.median([t for t, _ in peer])) / median,
+        "note": f"{note}; {cpu}" if note else cpu,
     }

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.hotwire.basis import Array, IntArray, Mask, legendre, nodes
+from planner.hotwire.fit_guess import first_guess
 from planner.hotwire.flow import Flow, flow, node_counts
 
 TAIL_WEIGHT = 2e-4
@@ -22,7 +23,8 @@ over the ends beyond the target, l being the target's length. An end that bends 
 target length (k l = 1) then weighs as much as an rms distance of 2e-4 l: 0.03 mm on a target of 160
 mm."""
 
-_ROUNDS = 40
+_ROUNDS = 30
+_STAGE_ROUNDS = 6
 _FAR = 1e-2  # rms over the target's length beyond which another way in is tried
 _SETTLED = 1e-5  # relative fall of the cost that ends the search
 
@@ -108,8 +110,8 @@ def fit_curves(
         reach,
         np.ascontiguousarray(tail),
     )
-    state, foot = _guess(task)
-    state, foot, rounds = _search_all(task, state, foot)
+    state, foot = first_guess(task.points, task.share, task.weight)
+    state, foot, rounds = _search_all(task, state, foot, _ROUNDS)
     far = np.flatnonzero(~(_spread(task, state, foot) < _FAR))
     if far.size:
         again = task.pick(far)
@@ -118,49 +120,6 @@ def fit_curves(
         state[far[better]], foot[far[better]] = other[better], other_foot[better]
         rounds[far] += turns
     return _finish(task, state, foot, size, length, sides, share > 0.0, rounds)
-
-
-def _guess(task: _Task) -> tuple[Array, Array]:
-    """States at the middle and first feet: theta of the target's chords against the affine law of
-    curvature, integrated once."""
-    delta = np.diff(task.points, axis=1)
-    steps = np.hypot(delta[..., 0], delta[..., 1])
-    place = np.concatenate([np.zeros((steps.shape[0], 1)), np.cumsum(steps, axis=1)], axis=1) - 0.5
-    theta = np.unwrap(np.arctan2(delta[..., 1], delta[..., 0]), axis=1)
-    centre = _at_zero(place, task.points)
-    from_centre = task.points - centre[:, None, :]
-
-    def integral(values: Array) -> Array:
-        """From the centre to the middles of the chords, by trapezoids; values (B, m, c)."""
-        parts = 0.5 * (values[:, 1:] + values[:, :-1]) * steps[..., None]
-        whole = np.concatenate([np.zeros_like(values[:, :1]), np.cumsum(parts, axis=1)], axis=1)
-        middle = 0.5 * (whole[:, 1:] + whole[:, :-1])
-        out: Array = middle - _at_zero(place, whole)[:, None, :]
-        return out
-
-    # k = kc + Fx (y - yc) - Fy (x - xc) - int (qx s sin theta - qy s cos theta) and theta = theta_c + int k
-    s = 0.5 * (place[:, 1:] + place[:, :-1])
-    qx, qy = task.weight[:, :1], task.weight[:, 1:]
-    load = (qx * s * np.sin(theta) - qy * s * np.cos(theta)) * steps
-    bent = np.concatenate([np.zeros_like(load[:, :1]), np.cumsum(load, axis=1)], axis=1)
-    bent -= _at_zero(place, bent[..., None])
-    force = integral(np.stack([from_centre[..., 1], -from_centre[..., 0], bent], axis=-1))
-    columns = np.stack([np.ones_like(s), s, force[..., 0], force[..., 1]], axis=-1)
-    left = np.swapaxes(columns, 1, 2) * (steps * task.share[:, 1:])[:, None, :] / np.mean(task.share)
-    law = np.linalg.solve(
-        left @ columns + np.diag([1e-12, 1e-9, 1e-8, 1e-8]), left @ (theta + force[..., 2])[..., None]
-    )
-    return np.concatenate([centre, law[..., 0]], axis=1), place
-
-
-def _at_zero(place: Array, values: Array) -> Array:
-    """Values (B, c) at place 0 from (B, m, c) at the increasing places (B, m), linear in between."""
-    rows = np.arange(place.shape[0])
-    right = np.clip(np.sum(place < 0.0, axis=1), 1, place.shape[1] - 1)
-    a, b = place[rows, right - 1], place[rows, right]
-    u = (-a / np.where(b > a, b - a, 1.0))[:, None]
-    out: Array = values[rows, right - 1] * (1.0 - u) + values[rows, right] * u
-    return out
 
 
 @dataclass(frozen=True)
@@ -228,7 +187,7 @@ def _try(task: _Task, state: Array, foot: Array, theta: Array | None, count: int
 
 def _spread(task: _Task, state: Array, foot: Array) -> Array:
     """Root mean square distance (B,) of the points, in target lengths."""
-    wire = flow(state, 2.0 * task.reach, task.weight, 0.5)
+    wire = flow(state, 2.0 * task.reach, task.weight, 0.5, count=_most(task, state))
     _, here, _ = _feet(wire, task, foot)
     gap = np.sum((task.points - here[..., :2]) ** 2, axis=2)
     return np.asarray(np.sqrt(np.sum(task.share * gap, axis=1)))
@@ -237,7 +196,7 @@ def _spread(task: _Task, state: Array, foot: Array) -> Array:
 def _grow(task: _Task) -> tuple[Array, Array, IntArray]:
     """Fit the middle of the target first and then more and more of it: for curves with many waves, where
     the errors of the first guess have grown too large at the ends."""
-    _, place = _guess(task)
+    _, place = first_guess(task.points, task.share, task.weight)
     state = foot = np.empty(0)
     rounds = np.zeros(task.reach.size, dtype=np.int64)
     for part in (0.4, 0.6, 0.8, 1.0):
@@ -246,8 +205,8 @@ def _grow(task: _Task) -> tuple[Array, Array, IntArray]:
         share /= share.sum(axis=1, keepdims=True)
         stage = replace(task, share=share)
         if part == 0.4:
-            state, _ = _guess(stage)
-        state, foot, turns = _search_all(stage, state, place)
+            state, _ = first_guess(stage.points, stage.share, stage.weight)
+        state, foot, turns = _search_all(stage, state, place, _ROUNDS if part == 1.0 else _STAGE_ROUNDS)
         rounds += turns
     return state, foot, rounds
 
@@ -256,7 +215,11 @@ def _need(task: _Task, state: Array) -> IntArray:
     return node_counts(state, 2.0 * task.reach, task.weight, base=14.0, per_wave=3.6)
 
 
-def _search_all(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, IntArray]:
+def _most(task: _Task, state: Array) -> int:
+    return int(np.max(_need(task, state)))
+
+
+def _search_all(task: _Task, state: Array, foot: Array, limit: int) -> tuple[Array, Array, IntArray]:
     """The search with as many nodes as each wire needs; wires that grow more waves are searched on with
     more nodes."""
     state, foot = state.copy(), foot.copy()
@@ -269,12 +232,12 @@ def _search_all(task: _Task, state: Array, foot: Array) -> tuple[Array, Array, I
             return state, foot, rounds
         count = int(need[open_rows].min())
         rows = open_rows[need[open_rows] == count]
-        state[rows], foot[rows], turns = _search(task.pick(rows), state[rows], foot[rows], count)
+        state[rows], foot[rows], turns = _search(task.pick(rows), state[rows], foot[rows], count, limit)
         used[rows] = count
         rounds[rows] += turns
 
 
-def _search(task: _Task, state: Array, foot: Array, count: int) -> tuple[Array, Array, IntArray]:
+def _search(task: _Task, state: Array, foot: Array, count: int, limit: int) -> tuple[Array, Array, IntArray]:
     """Levenberg-Marquardt on all items that still move; returns states, feet and the rounds of each."""
     state, foot = state.copy(), foot.copy()
     now = _try(task, state, foot, None, count)
@@ -282,7 +245,7 @@ def _search(task: _Task, state: Array, foot: Array, count: int) -> tuple[Array, 
     damp = np.full(state.shape[0], 1e-6)
     rounds = np.zeros(state.shape[0], dtype=np.int64)
     active = np.arange(state.shape[0])
-    for _ in range(_ROUNDS):
+    for _ in range(limit):
         if active.size == 0:
             break
         i = active
@@ -317,8 +280,8 @@ def _finish(
     counts: Mask,
     rounds: IntArray,
 ) -> CurveFit:
-    wire = flow(state, 2.0 * task.reach, task.weight, 0.5)
-    for _ in range(3):
+    wire = flow(state, 2.0 * task.reach, task.weight, 0.5, count=_most(task, state))
+    for _ in range(2):
         foot, here, _ = _feet(wire, task, foot)
     first, last = foot[:, 0], foot[:, -1]
     long = last - first if length is None else length / size
