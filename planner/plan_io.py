@@ -59,7 +59,7 @@ def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
 def dump(plan: Plan) -> dict[str, bytes]:
     """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes.
 
-    ``plan.json`` comes last and carries the hash of ``plan.npz``, so that a pair torn apart by a kill is told from a whole one.
+    ``plan.json`` comes last and carries the hash of ``plan.npz``, so a pair torn apart by a kill is found.
     Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
     """
     arrays: Arrays = {}

@@ -25,7 +25,7 @@ _TRACE: Final = (1.0, 0.62, 0.35)
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """What is shown: joint angles {arm: (6,)}, wire (P, 3) in the world or None, earlier wires (S, P, 3), part meshes."""
+    """Joint angles {arm: (6,)}, wire (P, 3) in the world, earlier wires (S, P, 3), meshes of the part."""
 
     q: Mapping[str, FloatArray]
     wire: FloatArray | None = None
@@ -36,7 +36,7 @@ class Moment:
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """``pixels`` (h, w, 3) and ``alpha`` (h, w) in 0..1; ``labels``: name and place as fractions of width and height."""
+    """``pixels`` (h, w, 3), premultiplied, and ``alpha`` (h, w) in 0..1; ``labels``: name, x, y in 0..1."""
 
     pixels: FloatArray
     alpha: FloatArray
@@ -44,7 +44,7 @@ class Picture:
 
 
 def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -> Picture:
-    """The cell from the side where the arms stand apart, twice as fine and then averaged; the ground is clear with a shadow."""
+    """The cell from the side where the arms stand apart, on a clear ground with a shadow."""
     poses = scene.poses({arm: q[None] for arm, q in moment.q.items()})
     opaque = [
         Thing(piece.solid.moved(poses[piece.body][0] @ piece.pose), piece.color[:3], 0.0, piece.closed)
@@ -60,8 +60,7 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
         for part in moment.part:
             solid = solids.mesh(part.vertices, part.faces, smooth=True).moved(moment.stock_pose)
             opaque.append(Thing(solid, PART, 0.0, closed=False))
-    for wire in moment.earlier:
-        opaque.append(Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85))
+    opaque += [Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
     if moment.wire is not None:
         opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
     everything = np.concatenate([thing.solid.vertices for thing in (*opaque, *block)])
@@ -92,7 +91,7 @@ def _cropped(picture: Picture, margin: int = 14) -> Picture:
 
 
 def _direction(scene: Scene) -> FloatArray:
-    """A view across the line from the first base to the last, or from the front of a single arm, from above."""
+    """A view from above across the line from the first base to the last, or from before a single arm."""
     places = [scene.model.bases[arm][:3, 3] for arm in scene.model.arms]
     line = places[-1] - places[0] if len(places) > 1 else scene.model.bases[scene.model.arms[0]][:3, 1] * -1.0
     line = line[:2] / max(float(np.linalg.norm(line[:2])), 1e-9)
@@ -127,7 +126,7 @@ def _over(
 def _ground(
     camera: Camera, things: list[Thing], color: FloatArray, alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """A soft shadow on the ground: darker the lower what hangs above it, found at a quarter of the resolution."""
+    """A soft shadow on the ground, darker the lower what hangs above it, at a quarter of the resolution."""
     points = np.concatenate([_scattered(thing.solid) for thing in things])
     low, high = points.min(axis=0) - 0.35, points.max(axis=0) + 0.35
     cell = float((high - low)[:2].max()) / 260.0

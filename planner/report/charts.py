@@ -219,12 +219,16 @@ def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(x) <= 2 * _COLUMNS:
         return x, y
-    keep = []
-    for block in np.array_split(np.arange(len(x)), _COLUMNS):
-        if np.isfinite(y[block]).any():
-            keep += sorted({int(block[np.nanargmin(y[block])]), int(block[np.nanargmax(y[block])])})
-        else:
-            keep.append(int(block[0]))
+    width = -(-len(x) // _COLUMNS)
+    whole = np.full(width * _COLUMNS, np.nan)
+    whole[: len(y)] = y
+    columns = whole.reshape(_COLUMNS, width)
+    missing = np.isnan(columns)
+    least = np.where(missing, np.inf, columns).argmin(axis=1)
+    greatest = np.where(missing, -np.inf, columns).argmax(axis=1)
+    start = np.arange(_COLUMNS) * width
+    keep = np.unique(np.concatenate([start + least, start + greatest, [0, len(x) - 1]]))
+    keep = keep[keep < len(x)]
     return x[keep], y[keep]
 
 

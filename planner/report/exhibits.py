@@ -2,24 +2,26 @@
 
 An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``note`` optional):
 
-``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` the same, optional;
-              ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn in space within the block,
-              and laid over one another in their planes.
-``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,), ``x`` optional};
-              ``limits``: sequence of {``name``, ``value``}, optional; ``equal``: one scale for both axes, optional.
+``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` alike, optional;
+              ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn in space within the
+              block, and laid over one another in their planes.
+``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,),
+              ``x`` if its own}; optional ``limits``: sequence of {``name``, ``value``}, ``equal``: one scale.
 ``table``     ``columns``: names; ``rows``: sequence of sequences.
 ``facts``     ``items``: sequence of (name, value) or (name, value, unit).
 ``setup``     as ``facts``, but shown in the setup sheet: what an operator mounts, cuts, sets or measures.
-``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional. With ``limit`` the colours diverge from 0.
+``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional: the colours
+              then diverge from 0 up to it.
 ``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
 ``tree``      ``nodes``: names; ``parent``: for each node the index of its parent, -1 for a root.
 ``text``      ``text``: a paragraph.
 
-What does not follow its form becomes an issue ``report.exhibit`` and is left out; the report is written all the same.
+What does not follow its form becomes an issue ``report.exhibit`` and is left out of the report.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -41,9 +43,10 @@ def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Raw], lis
     figures, issues = [], []
     for name, exhibit in exhibits.items():
         kind = exhibit.get("kind") if isinstance(exhibit, Mapping) else None
-        if kind == "setup":
-            continue
         try:
+            if kind == "setup":
+                _items(exhibit["items"])
+                continue
             figures.append(_KINDS[str(kind)](exhibit, block))
         except (KeyError, TypeError, ValueError, IndexError, np.linalg.LinAlgError) as error:
             issues.append(_refused(name, kind, error))
@@ -55,7 +58,8 @@ def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Any, Any]]:
     out: list[tuple[Any, Any]] = []
     for exhibit in exhibits.values():
         if isinstance(exhibit, Mapping) and exhibit.get("kind") == "setup":
-            out += _items(exhibit["items"])
+            with contextlib.suppress(KeyError, TypeError, ValueError):  # draw() has said so
+                out += _items(exhibit["items"])
     return out
 
 

@@ -1,4 +1,4 @@
-"""Heat maps of deviations over a face, seen along its normal, with a histogram and the figures that matter."""
+"""Heat maps of deviations over a face, seen along its normal, with a histogram and figures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def diverging(value: FloatArray, span: float) -> FloatArray:
 
 
 def sequential(value: FloatArray) -> FloatArray:
-    """Colours (..., 3) for values in 0..1, dark blue over green to yellow (after the viridis map's key colours)."""
+    """Colours (..., 3) for values in 0..1, dark blue over green to yellow (keys of the viridis map)."""
     keys = np.array(
         [[0.27, 0.0, 0.33], [0.23, 0.32, 0.55], [0.13, 0.57, 0.55], [0.37, 0.79, 0.38], [0.99, 0.91, 0.15]]
     )
@@ -46,7 +46,7 @@ def sequential(value: FloatArray) -> FloatArray:
 
 
 def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, float, float, float]]:
-    """Values on a grid (rows from the top) and its extent u0, u1, v0, v1: in each cell the value of greatest size.
+    """Values on a grid (rows from the top) and its extent u0, u1, v0, v1: the greatest value in each cell.
 
     Cells without a point take the nearest one's where that is near; farther ones are infinite; NaN stays NaN.
     """
@@ -105,7 +105,6 @@ def histogram(deviation: FloatArray, tolerance: float) -> str:
         x_label="deviation [mm]",
         y_label="share [%]",
         bands=[inside],
-        size=(420, 210),
         y_range=(0.0, float(share.max()) * 1.08),
     )
 
@@ -119,7 +118,8 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
     left = 46.0 + 0.5 * (width - 60.0 - w)
     parts = [
         f'<svg class="plot" viewBox="0 0 {width:g} {h + 34:.1f}">'
-        f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" preserveAspectRatio="none"/>'
+        f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" '
+        'preserveAspectRatio="none"/>'
     ]
     for value in charts.ticks(u0, u1, 6):
         x = left + (value - u0) * scale
@@ -155,7 +155,9 @@ def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
 
 
 def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> str:
-    """A heat map of any value (M,) at points (M, 3) [m]: diverging about 0 when ``limit`` is given, else from least to most."""
+    """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
+    if points.shape != (len(value), 3):
+        raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
     across, up, _ = view(points)
     grid, extent = binned(points @ np.stack([across, up], axis=1), value)
     inside = np.isfinite(grid)

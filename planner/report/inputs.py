@@ -1,8 +1,8 @@
-"""What the report draws of a motion, on one clock: from the proof's replay where there is one, else from the plan.
+"""What the report draws of a motion, on one clock: from the proof's replay or, without one, the plan.
 
-Names that are read from ``Proof.series``: ``time`` (T,) [s]; per arm ``q/<arm>``, ``speed/<arm>``, ``acceleration/<arm>``
-(T, 6) [rad, rad/s, rad/s^2]; ``clearance`` (T,) [m] with ``clearance_pair`` (T,) names of the closest pair;
-``clearance_time`` (T',) where it has a clock of its own. All are optional.
+Names that are read from ``Proof.series``: ``time`` (T,) [s]; per arm ``q/<arm>``, ``speed/<arm>``,
+``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2]; ``clearance`` (T,) [m] with ``clearance_pair`` (T,)
+names of the closest pair; ``clearance_time`` (T',) where it has a clock of its own. All are optional.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ArmMotion:
         """Angle (T,) [rad] of axis 5 from the posture where axes 4 and 6 are in line."""
         opw = self.robot.opw
         theta = opw.signs[4] * self.q[:, 4] - opw.offsets[4]
-        return np.abs(np.arctan2(np.sin(theta), np.abs(np.cos(theta))))
+        return np.asarray(np.abs(np.arctan2(np.sin(theta), np.abs(np.cos(theta)))))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -54,14 +54,15 @@ def fixed(value: float, places: int) -> str:
 def table(columns: Sequence[Any], rows: Iterable[Sequence[Any]], kind: str = "") -> Raw:
     """A table; cells that are numbers are set right."""
     body = []
+    right: set[int] = set()
     for row in rows:
+        right |= {i for i, cell in enumerate(row) if _number_class(cell)}
         cells = "".join(f"<td{_number_class(cell)}>{text(cell)}</td>" for cell in row)
         body.append(f"<tr>{cells}</tr>")
-    head = "".join(f"<th>{text(c)}</th>" for c in columns)
+    head = "".join(f"<th{' class=n' if i in right else ''}>{text(c)}</th>" for i, c in enumerate(columns))
     style = f' class="{kind}"' if kind else ""
-    return Raw(
-        f'<div class="scroll"><table{style}><thead><tr>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>'
-    )
+    inner = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
+    return Raw(f'<div class="scroll"><table{style}>{inner}</table></div>')
 
 
 def _number_class(cell: Any) -> str:

@@ -56,7 +56,7 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Raw:
 
 
 def closest_pairs(data: Clearance, count: int = 6) -> Raw:
-    """For each pair that is the closest at some time: its least distance, when, and for what share of the time."""
+    """For each pair that is the closest at some time: its least distance, when, and how often."""
     rows: dict[str, tuple[float, float, int]] = {}
     for time, distance, pair in zip(data.time, data.distance, data.pair, strict=True):
         least, when, often = rows.get(pair, (np.inf, 0.0, 0))
@@ -151,6 +151,7 @@ def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> lis
             ),
         )
         top = int(np.nanargmax(np.nanmax(share, axis=0)))
-        note = f"highest: axis {top + 1}, {markup.fixed(most, 1)} % of its limit; {100 * fraction:.0f} % are allowed"
+        allowed = f"{100 * fraction:.0f} % are allowed"
+        note = f"highest: axis {top + 1}, {markup.fixed(most, 1)} % of its limit; {allowed}"
         out.append(markup.figure(f"{name}: joint {what}s", body, note))
     return out

@@ -37,8 +37,8 @@ def header(problem: Problem | None, plan: Plan | None, proof: Proof | None, erro
         arms = ", ".join(f"{a.name}: {_title(a.robot)}" for a in problem.cell.arms)
         work = ", ".join(dict.fromkeys(op.process.replace("_", " ") for op in problem.operations))
         lines = (
-            f'<p class="soft">{html.escape(work)} · {html.escape(arms)} · cell {html.escape(problem.cell.name)} · '
-            f"problem <code>{html.escape(problem.digest[:12])}</code></p>"
+            f'<p class="soft">{html.escape(work)} · {html.escape(arms)} · '
+            f"cell {html.escape(problem.cell.name)} · problem {_code(problem.digest[:12])}</p>"
         )
     return f'<header><h1>{html.escape(name)}</h1><span class="verdict {kind}">{word}</span></header>{lines}'
 
@@ -89,7 +89,8 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
 def _tile(name: str, value: str, unit: str = "", bad: bool = False) -> str:
     kind = "tile bad" if bad else "tile"
     shown = html.escape(value.replace("-", "−"))
-    return f'<div class="{kind}"><b>{shown}<small>{html.escape(unit)}</small></b><span>{html.escape(name)}</span></div>'
+    figure = f"<b>{shown}<small>{html.escape(unit)}</small></b>"
+    return f'<div class="{kind}">{figure}<span>{html.escape(name)}</span></div>'
 
 
 def _duration(seconds: float) -> tuple[str, str]:

@@ -23,8 +23,8 @@ from planner.verify.result import Proof
 class Extra:
     """What the report shows besides problem, plan and proof.
 
-    ``picture`` of the cell; ``filtered`` pairs of bodies that are not held apart, with reasons; ``programs``: names and
-    numbers of lines; ``seconds``: wall-clock times per stage by name; ``issues`` that belong to no plan.
+    ``picture`` of the cell; ``filtered`` pairs of bodies that are not held apart, with reasons; ``programs``:
+    names and numbers of lines; ``issues`` that belong to no plan.
     """
 
     picture: Picture | None = None
@@ -138,8 +138,8 @@ def _background(plan: Plan | None, extra: Extra) -> list[Raw]:
             markup.section(
                 "filter",
                 "Collision filter",
-                f"<details><summary>{len(extra.filtered)} pairs of bodies are not held apart; every other pair is"
-                f"</summary>{rows}</details>",
+                f"<details><summary>{len(extra.filtered)} pairs of bodies are not held apart; "
+                f"every other pair is</summary>{rows}</details>",
             )
         )
     return out

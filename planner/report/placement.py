@@ -1,6 +1,6 @@
 """The search for a place of the stock, from ``metrics["placement"]``.
 
-Read are ``positions`` (K, 2 or 3) [m] and ``score`` (K,) (greater is better, NaN or not finite: not feasible), with
+Read are ``positions`` (K, 2 or 3) [m] and ``score`` (K,) (greater is better, not finite: not feasible), with
 ``chosen`` (index), ``unit`` and ``name`` of the score where given.
 """
 

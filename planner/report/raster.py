@@ -1,4 +1,4 @@
-"""A small depth-buffer renderer in NumPy: pictures of a cell without a window, a graphics card or a display."""
+"""A small depth-buffer renderer in NumPy: pictures of a cell without a display."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.report.solids import Solid
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 _TILES: Final = (8, 24, 72, 216)
-_BATCH: Final = 2_000_000
+_BATCH: Final = 200_000
 _LIGHT: Final = np.array([0.35, -0.55, 0.76])
 
 
@@ -65,7 +65,7 @@ class Camera:
 
 
 def frame(points: FloatArray, toward: FloatArray, width: int, height: int, fill: float = 0.94) -> Camera:
-    """The camera that looks along ``toward`` (3,) and just sees all ``points`` (P, 3); field of view about 30 degrees."""
+    """The camera that looks along ``toward`` (3,) and just sees all ``points`` (P, 3); 30 degrees wide."""
     z = toward / np.linalg.norm(toward)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -89,7 +89,7 @@ def frame(points: FloatArray, toward: FloatArray, width: int, height: int, fill:
 
 @dataclasses.dataclass(frozen=True)
 class Image:
-    """``color`` (h, w, 3) in 0..1, ``depth`` (h, w) [m] (inf where empty), ``thing`` (h, w) index (-1 where empty)."""
+    """``color`` (h, w, 3) in 0..1, ``depth`` (h, w) [m] (inf: empty), ``thing`` (h, w) index (-1: empty)."""
 
     color: FloatArray
     depth: FloatArray
@@ -97,13 +97,13 @@ class Image:
 
 
 def draw(camera: Camera, things: list[Thing]) -> Image:
-    """The things as seen by the camera, shaded, with soft corners and ink lines at silhouettes and creases."""
+    """The things as seen by the camera, shaded, with soft corners and ink lines at outlines and creases."""
     solids = [t.solid for t in things]
     owner = np.repeat(np.arange(len(solids)), [len(s.faces) for s in solids])
     starts = np.cumsum([0, *(len(s.vertices) for s in solids[:-1])])
     faces = np.concatenate([s.faces + a for s, a in zip(solids, starts, strict=True)])
     vertices = np.concatenate([s.vertices for s in solids])
-    normals = np.concatenate([s.normals for s in solids])
+    normals = np.concatenate([s.normals for s in solids]).astype(np.float32)
     closed = np.array([t.closed for t in things])[owner]
     face, weights, depth = _resolve(camera, camera.project(vertices)[faces], closed)
     seen = face >= 0
@@ -113,16 +113,18 @@ def draw(camera: Camera, things: list[Thing]) -> Image:
     shown = sum(blend[:, k, None] * normals[rows[:, k]] for k in range(3))
     normal = np.zeros((*face.shape, 3), dtype=np.float32)
     normal[seen] = shown
-    base = np.array([t.color for t in things])
-    glow = np.array([t.glow for t in things])
-    color = np.ones((*face.shape, 3))
+    base = np.array([t.color for t in things], dtype=np.float32)
+    glow = np.array([t.glow for t in things], dtype=np.float32)
+    color = np.ones((*face.shape, 3), dtype=np.float32)
     color[seen] = _shade(camera, base[thing[seen]], glow[thing[seen]], np.asarray(shown))
     dark = _occlusion(depth, camera) * _ink(depth, normal, thing)
     dark = np.where(seen, np.maximum(dark, glow[thing]), 1.0)
     return Image(color * dark[..., None], depth, thing)
 
 
-def _shade(camera: Camera, base: FloatArray, glow: FloatArray, normal: FloatArray) -> FloatArray:
+def _shade(
+    camera: Camera, base: NDArray[np.float32], glow: NDArray[np.float32], normal: FloatArray
+) -> FloatArray:
     """Warm key light from above, cool fill from below, a soft highlight."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     view = -camera.pose[:3, 2]
@@ -135,7 +137,7 @@ def _shade(camera: Camera, base: FloatArray, glow: FloatArray, normal: FloatArra
     half = light + view
     shine = np.clip(normal @ (half / np.linalg.norm(half)), 0.0, None) ** 32
     lit = base * (0.34 + 0.46 * key + 0.14 * fill + 0.20 * sky)[:, None] + 0.10 * shine[:, None]
-    return np.clip(lit + glow[:, None] * (base - lit), 0.0, 1.0)
+    return np.asarray(np.clip(lit + glow[:, None] * (base - lit), 0.0, 1.0))
 
 
 def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
@@ -169,12 +171,12 @@ def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> Flo
 
 def _resolve(
     camera: Camera, corners: FloatArray, closed: NDArray[np.bool_]
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Nearest face (h, w), its barycentric weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
+) -> tuple[IntArray, NDArray[np.float32], FloatArray]:
+    """Nearest face (h, w), its weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
     h, w = camera.height, camera.width
     depth = np.full(h * w, np.inf)
     face = np.full(h * w, -1, dtype=np.int64)
-    weights = np.zeros((h * w, 3))
+    weights = np.zeros((h * w, 3), dtype=np.float32)
     low = np.floor(corners[..., :2].min(axis=1)).astype(np.int64)
     high = np.ceil(corners[..., :2].max(axis=1)).astype(np.int64)
     inside = (high >= 0).all(axis=1) & (low < [w, h]).all(axis=1) & (corners[..., 2] > 1e-3).all(axis=1)
@@ -205,7 +207,7 @@ def _fill(
     shape: tuple[int, int],
     depth: FloatArray,
     face: IntArray,
-    weights: FloatArray,
+    weights: NDArray[np.float32],
 ) -> None:
     """Fills triangles (T, 3, 3) into the flat buffers at pixel centres x (T, 1, n), y (T, n, 1)."""
     h, w = shape

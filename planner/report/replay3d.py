@@ -1,7 +1,7 @@
-"""The 3D replay: one offline HTML file with both arms, tools, block, obstacles, the bending wire and a time bar.
+"""The 3D replay: one offline HTML file with arms, tools, block, obstacles, the bending wire and a time bar.
 
-Written by Drake's Meshcat as static HTML. Rigid bodies move by transforms; the wire is a chain of capsules that move by
-transforms, because animated lines keep only their last state. What has been cut appears strip by strip.
+Written by Drake's Meshcat as static HTML. Rigid bodies move by transforms, and so does the wire, as a chain
+of capsules, because animated lines keep only their last state. What has been cut appears strip by strip.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
 
 
 def document(model: CellModel, problem: Problem, plan: Plan) -> str:
-    """The replay as text. Raises :class:`TandemError` (``report.replay_failed``) where Meshcat cannot start."""
+    """The replay as text. Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start."""
     try:
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     except RuntimeError as error:

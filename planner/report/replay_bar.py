@@ -25,25 +25,33 @@ _OTHER: Final = "#8d99a8"
 _STYLE: Final = """
 #status-message{display:none!important}.dg.ac{z-index:3}
 #bar{position:fixed;left:16px;right:16px;bottom:14px;z-index:4;background:rgba(255,255,255,.93);border-radius:12px;
-padding:10px 16px 12px;font:14px/1.35 "Inter","Segoe UI",system-ui,-apple-system,Arial,sans-serif;color:#1b2330;
-box-shadow:0 4px 18px rgba(20,30,45,.18);display:grid;grid-template-columns:auto 1fr auto;gap:4px 14px;align-items:center}
-#bar button,#bar select{font:inherit;border:0;background:#e8edf2;color:inherit;border-radius:8px;height:34px;cursor:pointer}
+padding:10px 16px 12px;font:14px/1.35 "Inter","Segoe UI",system-ui,-apple-system,Arial,sans-serif;
+color:#1b2330;
+box-shadow:0 4px 18px rgba(20,30,45,.18);display:grid;grid-template-columns:auto 1fr auto;gap:4px 14px;
+align-items:center}
+#bar button,#bar select{font:inherit;border:0;background:#e8edf2;color:inherit;border-radius:8px;
+height:34px;cursor:pointer}
 #bar button{width:42px;font-size:15px}#bar select{padding:0 6px}
 #bar .line{position:relative;height:34px;touch-action:none;cursor:pointer}
 #bar .seg{position:absolute;top:13px;height:8px}#bar .seg:first-child{border-radius:4px 0 0 4px}
 #bar .stop{position:absolute;top:8px;width:2px;height:18px;background:#c0352b}
-#bar .knob{position:absolute;top:7px;width:20px;height:20px;margin-left:-10px;border-radius:50%;background:#fff;
+#bar .knob{position:absolute;top:7px;width:20px;height:20px;margin-left:-10px;border-radius:50%;
+background:#fff;
 border:3px solid #0f6e84;box-shadow:0 1px 4px rgba(0,0,0,.3);box-sizing:border-box}
-#bar .say{grid-column:1/4;display:flex;gap:10px 22px;flex-wrap:wrap;color:#4d596a;font-size:13px;min-height:18px}
-#bar .say b{color:#1b2330;font-variant-numeric:tabular-nums}#bar .say i{display:inline-block;width:10px;height:10px;
+#bar .say{grid-column:1/4;display:flex;gap:10px 22px;flex-wrap:wrap;color:#4d596a;
+font-size:13px;min-height:18px}
+#bar .say b{color:#1b2330;font-variant-numeric:tabular-nums}
+#bar .say i{display:inline-block;width:10px;height:10px;
 border-radius:3px;margin-right:6px}
 """
 
 _SCRIPT: Final = """
-(()=>{const D=JSON.parse(document.getElementById('track').textContent),T=D.end,bar=document.getElementById('bar'),
+(()=>{const D=JSON.parse(document.getElementById('track').textContent),T=D.end,
+ bar=document.getElementById('bar'),
  q=s=>bar.querySelector(s),line=q('.line'),knob=q('.knob'),play=q('button'),speed=q('select');
  let t=0,going=false,last=0,drag=false;
- for(const [a,b,name,color] of D.segments){const e=document.createElement('div');e.className='seg';e.title=name;
+ for(const [a,b,name,color] of D.segments){const e=document.createElement('div');e.className='seg';
+e.title=name;
   e.style.cssText=`left:${100*a/T}%;width:${100*(b-a)/T}%;background:${color}`;line.prepend(e)}
  for(const [a,text] of D.stops){const e=document.createElement('div');e.className='stop';e.title=text;
   e.style.left=`${100*a/T}%`;line.append(e)}
@@ -51,9 +59,12 @@ _SCRIPT: Final = """
  const clock=s=>`${Math.floor(s/60)}:${(s%60).toFixed(1).padStart(4,'0')}`;
  const draw=()=>{knob.style.left=`${100*t/T}%`;
   const s=D.segments.find(v=>t>=v[0]&&t<=v[1])||D.segments[D.segments.length-1];
-  q('.time').textContent=`${clock(t)} / ${clock(T)}`;q('.segment').textContent=s?s[2]:'';q('.say i').style.background=s?s[3]:'';
-  const near=D.stops.filter(v=>Math.abs(v[0]-t)<Math.max(T*.004,.05));q('.stopped').textContent=near.map(v=>v[1]).join(' · ')};
- const go=v=>{t=Math.min(Math.max(v,0),T);if(window.viewer){for(const a of viewer.animator.actions){a.paused=false;a.enabled=true}
+  q('.time').textContent=`${clock(t)} / ${clock(T)}`;q('.segment').textContent=s?s[2]:'';
+q('.say i').style.background=s?s[3]:'';
+  const near=D.stops.filter(v=>Math.abs(v[0]-t)<Math.max(T*.004,.05));
+q('.stopped').textContent=near.map(v=>v[1]).join(' · ')};
+ const go=v=>{t=Math.min(Math.max(v,0),T);
+if(window.viewer){for(const a of viewer.animator.actions){a.paused=false;a.enabled=true}
   viewer.animator.seek(t)}draw()};
  const set=v=>{going=v;play.textContent=v?'\\u275A\\u275A':'\\u25B6';last=performance.now()};
  play.onclick=()=>{if(!going&&t>=T)go(0);set(!going)};
@@ -63,16 +74,18 @@ _SCRIPT: Final = """
  addEventListener('keydown',e=>{if(e.code==='Space'){e.preventDefault();play.onclick()}
   if(e.code==='ArrowRight')go(t+T/200);if(e.code==='ArrowLeft')go(t-T/200)});
  const start=new URLSearchParams(location.hash.slice(1)).get('t');
- const step=now=>{if(going&&!drag){go(t+(now-last)/1000*speed.value);if(t>=T)set(false)}last=now;requestAnimationFrame(step)};
+ const step=now=>{if(going&&!drag){go(t+(now-last)/1000*speed.value);if(t>=T)set(false)}last=now;
+requestAnimationFrame(step)};
  const ready=()=>{if(window.viewer&&viewer.animator&&viewer.animator.duration>0){
-   if(viewer.gui)viewer.gui.close();viewer.animator.play();viewer.animator.pause();go(start===null?0:+start);if(start===null)set(true);
+   if(viewer.gui)viewer.gui.close();viewer.animator.play();viewer.animator.pause();
+go(start===null?0:+start);if(start===null)set(true);
    requestAnimationFrame(step)}else setTimeout(ready,60)};
  draw();ready()})();
 """
 
 
 def bar(name: str, run: Track) -> str:
-    """HTML of the bar for a replay whose animation starts at time 0; ``#t=seconds`` in the address starts there, still."""
+    """HTML of the bar for an animation that starts at time 0; ``#t=seconds`` in the address stops there."""
     time = run.time - run.time[0]
     end = float(max(time[-1], 1e-3))
     data = {
@@ -87,10 +100,12 @@ def bar(name: str, run: Track) -> str:
         for v in (0.5, 1, 2, 4, 8, 16, 32)
     )
     return (
-        f"<style>{_STYLE}</style><div id='bar'><button title='play or pause (space)'>▶</button><div class='line'>"
+        f"<style>{_STYLE}</style><div id='bar'>"
+        "<button title='play or pause (space)'>▶</button><div class='line'>"
         f"<div class='knob'></div></div><select title='speed'>{options}</select>"
         f"<div class='say'><span><b>{html.escape(name)}</b></span><span class='time'></span>"
-        "<span><i></i><span class='segment'></span></span><span class='stopped' style='color:#c0352b'></span></div></div>"
+        "<span><i></i><span class='segment'></span></span>"
+        "<span class='stopped' style='color:#c0352b'></span></div></div>"
         f"<script type='application/json' id='track'>{packed}</script><script>{_SCRIPT}</script>"
     )
 

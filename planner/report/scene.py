@@ -1,4 +1,4 @@
-"""What a cell looks like, taken from its Drake model once: visible shapes per body, and where bodies are over time."""
+"""What a cell looks like, taken from its Drake model once: visible shapes, and where bodies are."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PLAIN = (0.7, 0.72, 0.75, 1.0)
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """One visible shape: Drake's ``shape`` at ``pose`` (4, 4) in its body's frame, and the same as triangles."""
+    """One visible shape: Drake's ``shape`` at ``pose`` (4, 4) in its body's frame, also as triangles."""
 
     body: str
     shape: Any
@@ -47,7 +47,7 @@ class Scene:
         return tuple(dict.fromkeys(piece.body for piece in self.pieces))
 
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """World poses {body: (B, 4, 4)} at joint angles {arm: (B, 6)}; arms that are not named stay at home."""
+        """World poses {body: (B, 4, 4)} at joint angles {arm: (B, 6)}; arms not named stay at home."""
         rows = self.model.stack(q)
         checker = self.model.checker
         shown = {name: self.model.body(name) for name in self.bodies()}

@@ -34,7 +34,8 @@ def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray)
                 p, q = ((corners[[a, b]] @ axes) - low) * scale + 12.0
                 back = " back" if hidden in (a, b) else ""
                 parts.append(
-                    f'<line class="edge{back}" x1="{p[0]:.1f}" y1="{p[1]:.1f}" x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
+                    f'<line class="edge{back}" x1="{p[0]:.1f}" y1="{p[1]:.1f}" '
+                    f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
                 )
     colors = _colours(value)
     for i in _thin(len(curves)):
@@ -93,7 +94,7 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
 
 def colour_key(value: FloatArray, name: str) -> str:
     """A bar that says which colour stands for which value."""
-    image = markup.png(np.tile(heatmap.sequential(np.linspace(0.0, 0.92, 160))[None], (2, 1, 1)))
+    image = markup.png(np.tile(heatmap.sequential(np.linspace(0.18, 0.92, 160))[None], (2, 1, 1)))
     low, high = (markup.number(float(v), 3) for v in (value.min(), value.max()))
     return (
         '<svg class="plot" viewBox="0 0 540 22"><text class="ytick" x="150" y="12">'
@@ -123,5 +124,5 @@ def _thin(count: int) -> list[int]:
 
 def _colours(value: FloatArray) -> list[str]:
     span = float(np.ptp(value)) or 1.0
-    rgb = heatmap.sequential(0.92 * (value - value.min()) / span) * 255.0
+    rgb = heatmap.sequential(0.18 + 0.74 * (value - value.min()) / span) * 255.0
     return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]

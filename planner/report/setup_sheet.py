@@ -1,4 +1,4 @@
-"""The setup sheet: what an operator mounts where, which lengths to cut, what to set and which poses to measure."""
+"""The setup sheet: what an operator mounts where, lengths to cut, what to set, poses to measure."""
 
 from __future__ import annotations
 
@@ -98,7 +98,8 @@ def _work(problem: Problem, operation: OperationPlan) -> Raw:
     )
     waits = sum(a.seconds for a in targets.actions)
     items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
-    tasks = ", ".join(f"{arm.name}: {t}" for arm, t in zip(problem.cell.arms, problem.cell.controller.tasks))
+    named = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
+    tasks = ", ".join(f"{arm.name}: {task}" for arm, task in named)
     return markup.facts([*items, ("tasks", tasks)])
 
 
@@ -156,6 +157,6 @@ def _measure(problem: Problem, plan: Plan) -> Raw:
     ):
         point = plan.stock_pose @ np.array([*corner, 1.0])
         place = Raw(", ".join(markup.fixed(float(v) / MM, 2) for v in point[:3]))
-        rows.append((f"{label}, world", place, "", "", _FILL))
+        rows.append((f"{label}, world", place, Raw(""), Raw(""), _FILL))
     heads = ("what", "x, y, z [mm]", "roll, pitch, yaw [deg]", "axes on the controller [deg]", "measured")
     return markup.table(heads, rows)

@@ -13,7 +13,7 @@ IntArray = NDArray[np.int64]
 
 @dataclasses.dataclass(frozen=True)
 class Solid:
-    """Triangles to draw: ``vertices`` (V, 3) [m], unit ``normals`` (V, 3), ``faces`` (F, 3) counter-clockwise from outside."""
+    """Triangles to draw: ``vertices`` (V, 3) [m], unit ``normals`` (V, 3), ``faces`` (F, 3)."""
 
     vertices: FloatArray
     normals: FloatArray
@@ -26,7 +26,9 @@ class Solid:
 
 def box(x: float, y: float, z: float) -> Solid:
     """A box of edges x, y, z [m] about its centre."""
-    corners, normals, faces = [], [], []
+    corners: list[FloatArray] = []
+    normals: list[FloatArray] = []
+    faces: list[list[int]] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             u, v = (axis + 1) % 3, (axis + 2) % 3

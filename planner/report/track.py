@@ -1,4 +1,4 @@
-"""The whole job on one clock for a replay: from home to the first target, through all operations, and home again."""
+"""The whole job on one clock for a replay: from home through all operations and home again."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ PACE: Final = 0.25
 
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """Keyframes: ``time`` (T,) [s] ascending; ``q`` {arm: (T, 6)}; ``segment`` (T,) labels; ``stops``: time and text.
+    """Keyframes: ``time`` (T,) [s] ascending; ``q`` {arm: (T, 6)}; ``segment`` (T,) labels; ``stops``: time,
+    text.
 
     ``wire`` (T, P, 3) in the world, None for jobs without; ``shown`` (T,): whether it is mounted.
     """
@@ -174,7 +175,7 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, radius: float | No
     nearest = np.where(share < 1.0, left, right)
     labels = tuple(rows.segment[i] for i in np.where(share > 0.0, right, nearest))
     wire = mix(np.concatenate(rows.wire))
-    shown = np.isfinite(wire).all(axis=(1, 2))
+    shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
     if radius is None or not shown.any():
         return Track(pick, q, labels, None, np.zeros(len(pick), dtype=bool), 0.0, tuple(rows.stops))
     # A hidden wire waits where it is next or was last seen, so that nothing flies in from afar.

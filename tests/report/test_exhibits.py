@@ -1,0 +1,143 @@
+"""Exhibits are drawn by kind; a malformed one is named and left out; maps and charts keep the extremes."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner.report import charts, exhibits, heatmap
+
+BLOCK = np.array([0.6, 0.1, 0.4])
+S = np.linspace(0.0, 1.0, 30)
+CURVES = np.stack([np.stack([S, 0.1 * k * S * (1 - S), 0 * S + 0.1 * k], axis=1) for k in range(4)])
+GOOD = {
+    "sections": {
+        "kind": "sections",
+        "title": "a",
+        "curves": CURVES,
+        "wanted": CURVES,
+        "value": np.arange(4.0),
+    },
+    "straight": {"kind": "sections", "title": "s", "curves": (CURVES[0],)},
+    "curve": {
+        "kind": "curve",
+        "title": "b",
+        "x": S,
+        "x_label": "x",
+        "y_label": "y",
+        "series": ({"name": "n", "y": S**2},),
+        "limits": ({"name": "most", "value": 0.8},),
+        "equal": True,
+    },
+    "table": {"kind": "table", "title": "c", "columns": ("k", "v"), "rows": (("a", 1.5), ("b", None))},
+    "facts": {"kind": "facts", "title": "d", "items": (("length", 870.2, "mm"), ("wire", "Kanthal"))},
+    "setup": {"kind": "setup", "title": "e", "items": (("cold length", 868.0, "mm"),)},
+    "heat": {
+        "kind": "heatmap",
+        "title": "f",
+        "points": CURVES.reshape(-1, 3),
+        "value": np.arange(120.0),
+        "unit": "mm",
+    },
+    "diverging": {
+        "kind": "heatmap",
+        "title": "g",
+        "points": CURVES.reshape(-1, 3),
+        "value": np.linspace(-1, 1, 120),
+        "limit": 0.5,
+    },
+    "mesh": {
+        "kind": "mesh",
+        "title": "h",
+        "vertices": np.eye(4)[:, :3],
+        "faces": np.array([[0, 1, 2], [0, 1, 3]]),
+    },
+    "tree": {"kind": "tree", "title": "i", "nodes": ("root", "left", "right"), "parent": (-1, 0, 0)},
+    "text": {"kind": "text", "title": "j", "text": "1 < 2"},
+}
+
+
+def test_every_kind_is_drawn_in_order() -> None:
+    figures, issues = exhibits.draw(GOOD, BLOCK)
+    assert issues == []
+    titles = [re.search(r"<figcaption>(\w)</figcaption>", figure) for figure in figures]
+    assert [t.group(1) for t in titles if t] == list("asbcdfghij")
+    assert exhibits.setup_items(GOOD)[0][0] == "cold length"
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"kind": "sculpture", "title": "x"},
+        {"title": "no kind"},
+        "not a mapping",
+        {"kind": "curve", "title": "x"},
+        {"kind": "setup", "title": "x", "items": (("name",),)},
+        {"kind": "heatmap", "title": "x", "points": np.zeros((3, 3)), "value": np.zeros(2)},
+        {"kind": "tree", "title": "x", "nodes": ("a", "b"), "parent": (-1,)},
+        {"kind": "mesh", "title": "x", "vertices": np.zeros((2, 3)), "faces": np.array([[0, 1, 7]])},
+    ],
+)
+def test_a_malformed_exhibit_is_named_and_left_out(bad: object) -> None:
+    figures, issues = exhibits.draw({"good": GOOD["table"], "bad": bad, "also": GOOD["text"]}, BLOCK)
+    assert len(figures) == 2
+    assert [issue.code for issue in issues] == ["report.exhibit"]
+    assert issues[0].field == "bad"
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+def test_ticks_are_round_and_inside(low: float, span: float) -> None:
+    found = charts.ticks(low, low + span, 5)
+    assert 2 <= len(found) <= 12
+    step = found[1] - found[0]
+    slack = 1e-6 * span + 1e-9 * abs(low)
+    assert found[0] >= low - slack and found[-1] <= low + span + slack
+    digits = step / 10.0 ** np.floor(np.log10(step) + 1e-9)
+    assert min(abs(digits - d) for d in (1.0, 2.0, 2.5, 5.0, 10.0)) < 1e-3 * 10
+
+
+def test_long_curves_keep_their_peaks() -> None:
+    y = np.sin(np.linspace(0, 300, 50_000))
+    y[31_234] = 9.0
+    y[777] = -7.0
+    text = charts.chart([charts.Line("y", np.arange(50_000.0), y)], x_label="", y_label="")
+    found = re.search(r'points="([^"]*)"', text)
+    assert found is not None
+    heights = np.array([float(p.split(",")[1]) for p in found.group(1).split()])
+    bottom, top, y0, y1 = (float(v) for v in re.search(r'data-y="([^"]*)"', text).group(1).split())  # type: ignore[union-attr]
+    values = y0 + (bottom - heights) / (bottom - top) * (y1 - y0)
+    assert values.max() == pytest.approx(9.0, abs=0.1) and values.min() == pytest.approx(-7.0, abs=0.1)
+    assert len(heights) < 2000
+
+
+def test_gaps_split_a_curve() -> None:
+    y = np.array([0.0, 1.0, np.nan, 1.0, 0.0])
+    text = charts.chart([charts.Line("y", np.arange(5.0), y)], x_label="", y_label="")
+    assert text.count("<polyline") == 2
+    assert "no data" in charts.chart([charts.Line("y", np.arange(5.0), y * np.nan)], x_label="", y_label="")
+
+
+def test_map_shows_the_worst_of_each_cell_and_what_was_missed() -> None:
+    u, v = np.meshgrid(np.linspace(0, 0.4, 60), np.linspace(0, 0.3, 45))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    value = np.full(len(uv), 1e-4)
+    value[1000] = -2e-3
+    value[(uv[:, 0] > 0.35) & (uv[:, 1] > 0.25)] = np.nan
+    grid, (u0, u1, v0, v1) = heatmap.binned(uv, value)
+    assert np.nanmin(np.where(np.isfinite(grid), grid, np.nan)) == -2e-3
+    assert np.isnan(grid[0, -2]) and not np.isnan(grid[-1, 0])
+    assert u0 == 0.0 and v0 == 0.0 and u1 >= 0.4 and v1 >= 0.3
+
+
+@pytest.mark.parametrize("normal", [(0.0, 1.0, 0.0), (1.0, 0.2, 0.1), (0.0, 0.0, 1.0)])
+def test_view_looks_along_the_normal(normal: tuple[float, float, float]) -> None:
+    n = np.array(normal) / np.linalg.norm(normal)
+    points = np.random.default_rng(0).normal(size=(200, 3))
+    points -= np.outer(points @ n, n)
+    across, up, found = heatmap.view(points)
+    assert abs(abs(found @ n) - 1.0) < 1e-9
+    np.testing.assert_allclose(np.cross(across, up), found, atol=1e-12)

@@ -1,0 +1,223 @@
+"""The report: whole, offline, readable where there is no plan, and true to what it is given."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+import synthetic_job as job
+
+from planner import catalogue
+from planner.cell import robots
+from planner.issues import Issue, Severity, TandemError
+from planner.plan import Plan
+from planner.problem import Problem
+from planner.report import inputs, output, page, replay3d
+from planner.report.page import Extra
+from planner.verify.result import Proof
+
+VOID = {"meta", "img", "br", "link", "input"}
+
+
+class Balance(HTMLParser):
+    """Checks that tags close in order, and gathers addresses and anchors."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.anchors: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if name in ("src", "href") and value:
+                self.addresses.append(value)
+            if name == "id" and value:
+                self.anchors.append(value)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-1:]}"
+        self.open.pop()
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return job.problem()
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return job.plan(60)
+
+
+@pytest.fixture(scope="module")
+def proof() -> Proof:
+    return job.proof(400)
+
+
+@pytest.fixture(scope="module")
+def files(problem: Problem, plan: Plan, proof: Proof) -> dict[str, str]:
+    return output.files(problem, plan, proof)
+
+
+def _checked(text: str) -> Balance:
+    seen = Balance()
+    seen.feed(text)
+    assert seen.open == []
+    for address in seen.addresses:
+        assert address.startswith(("data:", "#")), address
+        if address.startswith("#"):
+            assert address[1:] in seen.anchors
+    assert len(seen.anchors) == len(set(seen.anchors))
+    assert "@import" not in text and not re.search(r"url\(\s*['\"]?http", text)
+    for svg in re.findall(r'<svg class="(?:chart|plot)".*?</svg>(?=<|$)', text, re.S):
+        if svg.count("<svg") == svg.count("</svg>"):
+            ET.fromstring(svg)
+    assert "nan" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", text).lower().replace("nanum", "")
+    return seen
+
+
+def test_report_is_whole_offline_and_has_every_part(files: dict[str, str]) -> None:
+    seen = _checked(files["report.html"])
+    parts = (
+        "issues",
+        "cell",
+        "part",
+        "process0",
+        "motion",
+        "joints",
+        "setup",
+        "proof",
+        "placement",
+        "times",
+        "filter",
+    )
+    assert set(parts) <= set(seen.anchors)
+    assert len(files["report.html"]) < 3_000_000
+
+
+def test_same_plan_same_page(problem: Problem, plan: Plan, proof: Proof) -> None:
+    assert page.render(problem, plan, proof) == page.render(problem, plan, proof)
+
+
+def test_figures_at_a_glance_are_those_of_the_proof(
+    files: dict[str, str], problem: Problem, plan: Plan
+) -> None:
+    tiles = dict(re.findall(r"<b>([^<]*)<small>[^<]*</small></b><span>([^<]*)</span>", files["report.html"]))
+    by_name = {name: value for value, name in tiles.items()}
+    assert by_name["targets"] == str(plan.operations[0].targets.count)
+    assert by_name["wire, hot length"] == "640.0"
+    assert by_name["rules held"] == "2"
+    motion = inputs.motion(problem, plan, None)
+    robot = catalogue.robot("irb140")
+    margin = min(robot.limit_margin(plan.operations[0].q[arm]).min() for arm in job.ARMS)
+    got = min(arm.limit_margin.min() for arm in motion.arms.values())
+    assert got == pytest.approx(margin, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ok", "issues", "word"),
+    [(True, (), "Planned and proven"), (False, (), "Proof failed: no programs")],
+)
+def test_verdict(
+    problem: Problem, plan: Plan, proof: Proof, ok: bool, issues: tuple[Issue, ...], word: str
+) -> None:
+    rules = tuple(dataclasses.replace(rule, passed=ok or rule.passed) for rule in proof.rules)
+    given = dataclasses.replace(proof, rules=rules, issues=issues)
+    assert f">{word}</span>" in page.render(problem, plan, given)
+
+
+def test_without_proof_the_plan_speaks(problem: Problem, plan: Plan) -> None:
+    text = page.render(problem, plan, None)
+    _checked(text)
+    assert "Planned, not proven" in text and "the plan&#x27;s targets" in text
+
+
+def test_failure_shows_issues_and_the_cell(problem: Problem, proof: Proof) -> None:
+    text = output.failure(problem, proof.issues)
+    seen = _checked(text)
+    assert {"issues", "cell"} <= set(seen.anchors) and "No plan" in text
+    assert "move the stock or ask for less clearance" in text
+
+
+def test_a_refused_problem_has_a_report_too() -> None:
+    issue = Issue(
+        "problem.field",
+        "stock.size_mm is -3; it must be positive",
+        file="p.yaml",
+        line=7,
+        field="stock.size_mm",
+    )
+    text = output.failure(None, (issue,))
+    _checked(text)
+    assert "p.yaml, line 7" in text and "The problem was refused" in text
+
+
+def test_text_of_others_is_escaped(problem: Problem, plan: Plan) -> None:
+    bad = "<script>alert(1)</script>"
+    named = dataclasses.replace(problem, name=bad)
+    issue = Issue(
+        "problem.field", bad, Severity.NOTE, hint=bad, field=bad, bodies=(bad,), unit=bad, value=1.0
+    )
+    text = page.render(
+        named, plan, None, Extra(issues=(issue,), filtered=((bad, bad, bad),), programs=((bad, 1),))
+    )
+    assert bad not in text
+    _checked(text)
+
+
+def test_setup_sheet_states_where_the_tcps_are_at_the_mount(
+    files: dict[str, str], problem: Problem, plan: Plan
+) -> None:
+    for arm in problem.cell.arms:
+        q = plan.operations[0].q[arm.name][0]
+        tcp = arm.base @ robots.forward(catalogue.robot(arm.robot), q) @ arm.tool.tcp
+        place = ", ".join(f"{v * 1e3:.2f}" for v in tcp[:3, 3]).replace("-0.00", "0.00").replace("-", "−")
+        assert place in files["report.html"]
+    assert "600.00 mm" in files["report.html"]  # the clamps stand 0.6 m apart in the synthetic job
+    assert "Kanthal D, 1.2 mm" in files["report.html"] and "638.2 mm" in files["report.html"]
+
+
+def test_joint_speeds_from_a_plan_are_steps_over_time(problem: Problem, plan: Plan) -> None:
+    operation = plan.operations[0]
+    steady = {arm: np.outer(operation.time, np.arange(1.0, 7.0)) * 0.01 for arm in job.ARMS}
+    made = dataclasses.replace(plan, operations=(dataclasses.replace(operation, q=steady),))
+    motion = inputs.motion(problem, made, None)
+    for arm in job.ARMS:
+        np.testing.assert_allclose(
+            motion.arms[arm].speed[1:], np.tile(np.arange(1.0, 7.0) * 0.01, (len(operation.time) - 1, 1))
+        )
+
+
+def test_wrist_angle_is_zero_where_axes_4_and_6_are_in_line(problem: Problem, plan: Plan) -> None:
+    motion = inputs.motion(problem, plan, None)
+    arm = motion.arms["left"]
+    q = np.zeros((3, 6))
+    q[:, 4] = [0.0, 0.3, np.pi - 0.2]
+    got = dataclasses.replace(arm, time=np.arange(3.0), q=q, speed=q).wrist_angle
+    np.testing.assert_allclose(got, [0.0, 0.3, 0.2], atol=1e-12)
+
+
+def test_report_without_replay_says_why(
+    problem: Problem, plan: Plan, proof: Proof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("no free port")
+
+    monkeypatch.setattr(replay3d, "Meshcat", refuse)
+    with pytest.raises(TandemError) as caught:
+        replay3d.document(object(), problem, plan)  # type: ignore[arg-type]
+    assert caught.value.issues[0].code == "report.replay_failed"
+    made = output.files(problem, plan, proof)
+    assert "replay.html" not in made and "report.replay_failed" in made["report.html"]
