@@ -16,7 +16,7 @@ from rich.table import Table
 
 from planner.issues import Issue, Severity, TandemError, has_errors
 
-DONE, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 2, 3, 4
+DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 app = tyro.extras.SubcommandApp()
@@ -73,18 +73,20 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
 
 
 @app.command
-def verify(
-    folder: tyro.conf.Positional[Path], problem: tyro.conf.Positional[Path]
-) -> int:
-    """Prove the programs in FOLDER again, from their text and the problem file alone."""
+def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> int:
+    """Prove the programs in a result folder again, from their text and the problem alone.
+
+    Args:
+        folder: a result folder; of it, only programs/ and problem/ are read.
+        problem: the problem file to prove against, instead of the copy in the folder.
+    """
     from planner import pipeline
 
     try:
-        loaded = pipeline.load(problem)
-        programs = pipeline.read_programs(folder)
+        loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
+        proof = pipeline.verify(loaded, pipeline.read_programs(folder))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
-    proof = pipeline.verify(loaded, programs)
     _print_issues(proof.issues)
     passed = sum(rule.passed for rule in proof.rules)
     out.print(f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}")
@@ -109,11 +111,12 @@ def robots() -> int:
 @app.command
 def materials() -> int:
     """List the wire and foam materials, with the sources of their figures."""
-    from planner.materials import describe
+    from planner.materials import foams, wire_materials
 
-    table = Table("name", "figure", "value", "source")
-    for row in describe():
-        table.add_row(*row)
+    table = Table("name", "material", "figure", "source")
+    for item in (*wire_materials().values(), *foams().values()):
+        for figure, source in item.sources.items():
+            table.add_row(item.name, item.title, figure.replace("_", " "), source)
     out.print(table)
     return DONE
 
@@ -134,6 +137,11 @@ def main() -> None:
     """Entry point of the command ``tandem``."""
     try:
         sys.exit(app.cli(prog="tandem", description="Plan two robots that share one job, and prove their programs."))
+    except Exception as error:
+        err.print_exception()
+        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
+        _print_issues((Issue("internal.error", what),))
+        sys.exit(FAILED)
     except KeyboardInterrupt:
         err.print("stopped; nothing half-written was left")
         sys.exit(130)

@@ -127,11 +127,13 @@ CODES: Final[dict[str, str]] = {
     "motion.no_path": "no choice of branches carries the arms past a target without a jump",
     "motion.collision": "bodies come too near each other at a target whatever its freedoms",
     "motion.linear_move": "an arm cannot follow the straight move between two targets",
+    "motion.home": "the arms are too near something while all are at home",
     "motion.entry": "an arm has no free way between home and its first or last target",
     "motion.timing": "no clock was found for a piece of the path",
     "motion.feed_min": "the arms cannot make a move as fast as the process wants",
     "motion.no_placement": "no place of the stock was found from which the whole job can be done",
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
+    "verify.no_programs": "a result folder holds no programs",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from planner import plan_io, problem_file, processes
+from planner.catalogue import data_dir
 from planner.files import write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.motion import solve
@@ -20,6 +21,7 @@ from planner.verify.result import Proof
 Progress = Callable[[str, float], None]
 OWNED = (
     "programs",
+    "problem",
     "plan.npz",
     "plan.json",
     "proof.json",
@@ -55,14 +57,18 @@ class Outcome:
         tell("report", 0.0)
         files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
         files |= plan_io.dump(self.plan)
+        files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
         write_folder(Path(folder), files, OWNED)
         tell("report", 1.0)
 
 
 def load(path: str | Path) -> Problem:
-    """Read a problem file. Raises ``TandemError`` with every fault found."""
-    return problem_file.read(Path(path), processes.schemas())
+    """Read a problem file, or a bundled problem by its name, such as ``column_capital``.
+
+    Raises ``TandemError`` with every fault found.
+    """
+    return problem_file.read(_find(Path(path)), processes.schemas())
 
 
 def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
@@ -105,6 +111,11 @@ def read_programs(folder: str | Path) -> dict[str, str]:
     return texts
 
 
+def load_result(folder: str | Path) -> Problem:
+    """The problem that a result folder was made for, from the copy that it carries."""
+    return load(Path(folder) / "problem" / "problem.yaml")
+
+
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
     """Write the report alone, for a problem that was refused or has no plan; removes what an older run left."""
     write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, OWNED)
@@ -113,6 +124,18 @@ def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str
 def exit_code(outcome: Outcome) -> int:
     """0 for done and verified, 4 for planned but not proven."""
     return 4 if not outcome.verified or has_errors(outcome.issues) else 0
+
+
+def _find(path: Path) -> Path:
+    """The file itself, or the bundled problem of that name; the name may begin with ``problems/``."""
+    if path.exists():
+        return path / "problem.yaml" if path.is_dir() else path
+    parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
+    inside = data_dir("problems").joinpath(*parts)
+    for candidate in (inside, inside / "problem.yaml"):
+        if not path.is_absolute() and ".." not in parts and candidate.is_file():
+            return candidate
+    return path
 
 
 def _with_margins(

@@ -7,8 +7,9 @@ rest of the house needs of one is :class:`Operation`.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +155,10 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """A whole problem: ``path`` is the file it came from, ``digest`` the SHA-256 over it and every file it names."""
+    """A whole problem: ``path`` is the file it came from, ``digest`` the SHA-256 over its values and files.
+
+    ``source`` is what the file said, with the cell inside and file names made absolute, so that it can be carried along.
+    """
 
     name: str
     cell: Cell
@@ -164,3 +168,4 @@ class Problem:
     settings: Settings
     path: Path
     digest: str
+    source: Mapping[str, Any] = dataclasses.field(default_factory=dict)

@@ -6,11 +6,13 @@ Operations belong to processes, so the caller passes their schemas; this module 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import yaml
 from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
 
 from planner import cell_file, part_file, yaml_lines
@@ -94,10 +96,10 @@ def read(path: Path, models: OperationModels) -> Problem:
             issues += faults
             if operation is not None:
                 operations.append(operation)
-    cell, cell_text = None, b""
+    cell = None
     if spec is not None:
         try:
-            cell, cell_text = _cell(spec.cell, document)
+            cell = _cell(spec.cell, document)
         except TandemError as error:
             issues += error.issues
     if cell is not None:
@@ -110,6 +112,7 @@ def read(path: Path, models: OperationModels) -> Problem:
             issues += error.issues
     if spec is None or cell is None or issues:
         raise TandemError(issues)
+    source = _resolved(document.data, path.parent)
     return Problem(
         name=spec.name,
         cell=cell,
@@ -118,7 +121,8 @@ def read(path: Path, models: OperationModels) -> Problem:
         operations=tuple(operations),
         settings=spec.settings.build(),
         path=path,
-        digest=_digest(document, cell_text),
+        digest=_digest(source),
+        source=source,
     )
 
 
@@ -190,9 +194,9 @@ def _operation(
     return operation, faults
 
 
-def _cell(spec: str | CellFile, document: Document) -> tuple[Cell, bytes]:
+def _cell(spec: str | CellFile, document: Document) -> Cell:
     if isinstance(spec, CellFile):
-        return cell_file.build(spec, document.path.parent), b""
+        return cell_file.build(spec, document.path.parent)
     path = document.path.parent / spec
     if not path.is_file():
         raise TandemError(
@@ -208,7 +212,7 @@ def _cell(spec: str | CellFile, document: Document) -> tuple[Cell, bytes]:
     cell_spec, issues = _validate(CellFile, inner.data, inner, ())
     if cell_spec is None:
         raise TandemError(issues)
-    return cell_file.build(cell_spec, path.parent), inner.text + _named_files(inner.data, path.parent)
+    return cell_file.build(cell_spec, path.parent)
 
 
 def _names(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
@@ -248,19 +252,49 @@ def _stock(spec: StockFile, folder: Path) -> Stock:
     return Stock(np.array(spec.size_mm) * MM, place, attitude, support)
 
 
-def _digest(document: Document, cell_text: bytes) -> str:
-    """SHA-256 over the problem file and every file that it or its cell names: the same problem, the same digest."""
-    sha = hashlib.sha256(document.text)
-    sha.update(cell_text)
-    sha.update(_named_files(document.data, document.path.parent))
-    return sha.hexdigest()
+def bundle(problem: Problem) -> dict[str, bytes]:
+    """The problem as files that stand alone: ``problem.yaml`` with the cell inside, and what it names in ``files/``.
+
+    Reading the bundle gives a problem with the same digest, so a result folder can be proven wherever it is carried.
+    """
+    files: dict[str, bytes] = {}
+
+    def carry(path: Path) -> str:
+        content = path.read_bytes()
+        name = f"files/{hashlib.sha256(content).hexdigest()[:16]}{path.suffix.lower()}"
+        files[name] = content
+        return name
+
+    text = yaml.safe_dump(_each_file(problem.source, carry), sort_keys=False, allow_unicode=True)
+    return {"problem.yaml": text.encode(), **files}
 
 
-def _named_files(data: Any, folder: Path) -> bytes:
-    if isinstance(data, dict):
-        own = data.get("file")
-        text = (folder / own).read_bytes() if isinstance(own, str) and (folder / own).is_file() else b""
-        return text + b"".join(_named_files(v, folder) for v in data.values())
+def _resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The file's data with its cell inside and every file name made absolute."""
+    out: dict[str, Any] = _each_file(data, lambda path: str(folder / path))
+    if isinstance(data.get("cell"), str):
+        path = folder / data["cell"]
+        out["cell"] = _each_file(yaml_lines.read(path).data, lambda name: str(path.parent / name))
+    return out
+
+
+def _digest(source: Mapping[str, Any]) -> str:
+    """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not matter."""
+
+    def content(path: Path) -> str:
+        return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
+
+    text = json.dumps(_each_file(source, content), sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _each_file(data: Any, change: Callable[[Path], str]) -> Any:
+    """A copy of plain data with every value of a key ``file`` changed."""
+    if isinstance(data, Mapping):
+        return {
+            k: change(Path(v)) if k == "file" and isinstance(v, str) else _each_file(v, change)
+            for k, v in data.items()
+        }
     if isinstance(data, list):
-        return b"".join(_named_files(v, folder) for v in data)
-    return b""
+        return [_each_file(v, change) for v in data]
+    return data

@@ -9,6 +9,7 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.pipeline import load
+from planner.problem_file import bundle
 
 GOOD = """\
 tandem: 1
@@ -119,3 +120,22 @@ def test_a_missing_cell_file_is_named(tmp_path: Path) -> None:
 def test_no_operation_is_no_problem(tmp_path: Path) -> None:
     issues = refused(tmp_path, GOOD[: GOOD.index("operations:")] + "operations: []\n")
     assert issues[0].field == "operations"
+
+
+def test_a_bundle_reads_as_the_same_problem(tmp_path: Path) -> None:
+    (tmp_path / "cells").mkdir()
+    (tmp_path / "job").mkdir()
+    start, end = GOOD.index("cell:"), GOOD.index("stock:")
+    inner = "\n".join(line[2:] for line in GOOD[start:end].splitlines()[1:]) + "\n"
+    (tmp_path / "cells" / "one.yaml").write_text(inner)
+    path = tmp_path / "job" / "problem.yaml"
+    path.write_text("# a comment\n" + GOOD[:start] + "cell: ../cells/one.yaml\n" + GOOD[end:])
+    (tmp_path / "job" / "targets.csv").write_text("left.x_mm\n1\n")
+    problem = load(path)
+    for name, content in bundle(problem).items():
+        target = tmp_path / "elsewhere" / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+    again = load(tmp_path / "elsewhere" / "problem.yaml")
+    assert again.digest == problem.digest
+    assert again.operations[0].file.read_text() == "left.x_mm\n1\n"  # type: ignore[attr-defined]
