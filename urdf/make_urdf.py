@@ -220,7 +220,7 @@ def _forearm(build: Build, rest: float) -> tuple[list[Solid], list[Solid]]:
     middle = 0.55 * (rest - neck)
     seen = [
         Solid("cylinder", (tube, middle), (0, 0, -rest + middle / 2)),
-        Solid("cylinder", (0.9 * tube, rest - neck - middle), (0, 0, -neck - (rest - neck - middle) / 2)),
+        Solid("cylinder", (0.78 * tube, rest - neck - middle), (0, 0, -neck - (rest - neck - middle) / 2)),
         Solid("box", (1.7 * radius, width, 0.4 * radius), (0, 0, -neck), "z"),
         Solid("box", (1.7 * radius, prong, neck), (0, centre, -0.5 * neck)),
         Solid("box", (1.7 * radius, prong, neck), (0, -centre, -0.5 * neck)),
@@ -228,9 +228,11 @@ def _forearm(build: Build, rest: float) -> tuple[list[Solid], list[Solid]]:
         Solid("cylinder", (0.96 * radius, prong), (0, -centre, 0), "y"),
         Solid("cylinder", (0.55 * radius, 1.03 * width), (0, 0, 0), "y", "dark"),
     ]
-    stout = max(tube, float(np.hypot(0.85 * radius, 0.5 * width)))
+    half = max(0.85 * radius, 0.78 * tube)
+    wide = max(width, 1.56 * tube)
     solid = [
-        Solid("capsule", (stout, rest - 0.9 * neck), (0, 0, -0.5 * (rest + 0.9 * neck))),
+        Solid("cylinder", (tube, middle), (0, 0, -rest + middle / 2)),
+        Solid("box", (2 * half, wide, rest - middle), (0, 0, -0.5 * (rest - middle))),
         Solid("cylinder", (0.96 * radius, 1.03 * width), (0, 0, 0), "y"),
     ]
     return seen, solid

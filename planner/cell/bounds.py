@@ -63,7 +63,8 @@ class Bounds:
     def least(self, poses: Mapping[str, FloatArray], limit: float) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (B,) [m] of the least distance, for body poses (B | 1, 4, 4).
 
-        Distances above ``limit`` are not worked out: both bounds are then infinite or above it.
+        Where bodies overlap the bounds only have the true sign, and no meaning as depths. Distances above
+        ``limit`` are not worked out: both bounds are then infinite or above it.
         """
         rows = max(len(pose) for pose in poses.values())
         centre = np.empty((rows, len(self.solids), 3))

@@ -35,7 +35,7 @@ def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
     if shape.vertices is None or shape.faces is None:
         raise ValueError("a mesh shape needs vertices and faces")
     text = _obj(shape.vertices, shape.faces)
-    memory = InMemoryMesh(MemoryFile(text, ".obj", "mesh.obj"))
+    memory = InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "mesh.obj"))
     return Convex(memory) if solid else Mesh(memory)
 
 

@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from planner import catalogue
 from planner.cell.robots import forward, jacobian, link_frames
 
-# Flange positions [m] with all axes at zero, from the ROS-Industrial URDFs named in the catalogue (tool0 origins at zero).
+# Flange positions [m] with all axes at zero: tool0 of the ROS-Industrial URDFs that the catalogue names.
 ZERO = {
     "irb140": (0.515, 0.0, 0.712),
     "irb120": (0.374, 0.0, 0.63),
@@ -51,7 +51,7 @@ def test_the_flange_at_zero_is_where_the_published_models_have_it(name: str) -> 
 
 @pytest.mark.parametrize("name", [n for n in ROBOTS if n.startswith("kr")])
 def test_kukas_flange_at_home(name: str) -> None:
-    """At A1..A6 = 0, -90, 90, 0, 0, 0 the arm stands, the forearm is level; $POS_ACT shows A = 0, B = 90, C = 0."""
+    """At 0, -90, 90, 0, 0, 0 the arm stands and the forearm is level; $POS_ACT shows A = 0, B = 90, C = 0."""
     robot = catalogue.robot(name)
     p = robot.opw
     pose = forward(robot, np.deg2rad([0, -90, 90, 0, 0, 0]))

@@ -9,12 +9,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from tests.cell.cells import BLOCK, alone
 from planner import catalogue
 from planner.cell import clearance, plant
 from planner.cell.distance import Solid, signed_distance
 from planner.geometry.rigid import from_rpy, inverse, transform
 from planner.problem import Shape
+from tests.cell.cells import BLOCK, alone
 
 FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
