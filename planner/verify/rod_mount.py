@@ -56,7 +56,7 @@ def _first(rod: Rod, rotation: Array, distance: float, side: float) -> State:
 
 
 def _brought(rod: Rod, state: State, goal: Ends) -> Outcome:
-    """The shape after the end went from where it is in `state` to its place, and the weight from 0 to its own."""
+    """The shape after the end went from its place in `state` to the wanted one, and the weight from 0."""
     first = matrix(state.q)[:, 0].mean(axis=1)
     outcome = settle(rod.stiffness, state, Ends(first, goal.turn, 0.0 * goal.weight))
     done, step = 0.0, 0.1
