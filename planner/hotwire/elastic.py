@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.hotwire import wire as wires
-from planner.hotwire.elastic_check import Cut, check, measure
+from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit
 from planner.hotwire.elastic_exhibits import exhibits, mount_figures
-from planner.hotwire.elastic_family import FamilyFit, fit_family
+from planner.hotwire.elastic_family import FamilyFit, fit_family, fit_first
 from planner.hotwire.elastic_path import Face, Route, lay_out, refine, travel
 from planner.hotwire.elastic_planes import cut_sections, direction_of, make_spine
 from planner.hotwire.elastic_slack import slack_freedom
@@ -36,6 +36,7 @@ AIR_FEED = 0.1
 
 _SECTION_STEP = 0.006  # m between the sections that the fit sees
 _CELLS = (16, 32)  # cells of the family's spline, coarse first
+_HOPELESS = 3.0  # times the tolerance: single sections this far off are not fitted any further
 _DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
 
 
@@ -49,6 +50,9 @@ def make_targets(operation: ElasticWire, stock: Stock, part: Part | None) -> Tar
     tried, degrees = _sweep(operation, wire, list(moved.values()))
     gravity = wire.load * stock.gravity
     cuts = [_cut(operation, name, mesh, degrees, gravity, stock.size) for name, mesh in moved.items()]
+    misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
+    if misfits:
+        raise TandemError(misfits)
     margin, radius = operation.margin_mm * MM, 0.5 * wire.width
     faces = [cut.face for cut in cuts]
     route = lay_out(faces, stock.size, margin, radius, operation.step_mm * MM, operation.runs == "two")
@@ -147,9 +151,13 @@ def _cut(
     _long_enough(op, name, sections.length)
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
     reach = 0.5 * float(np.abs(spine.direction[:2]) @ size[:2]) + 2.0 * op.margin_mm * MM
+    first = fit_first(sections, load, op.wire.length_mm * MM)
+    hopeless = misfit(op, name, spine, sections, first.rows, first.fit.residual, _HOPELESS)
+    if hopeless:
+        raise TandemError(hopeless)
     best: FamilyFit | None = None
     for cells in _CELLS:
-        fit = fit_family(sections, load, op.wire.length_mm * MM, -reach, reach, -spine.across, cells)
+        fit = fit_family(sections, first, load, op.wire.length_mm * MM, -reach, reach, -spine.across, cells)
         if best is None or np.quantile(np.abs(fit.residual), op.share) < 0.8 * np.quantile(
             np.abs(best.residual), op.share
         ):

@@ -13,7 +13,7 @@ from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.hotwire import heavy
 from planner.hotwire.elastic_family import FamilyFit
 from planner.hotwire.elastic_path import Face, Route
-from planner.hotwire.elastic_planes import SectionSet
+from planner.hotwire.elastic_planes import SectionSet, Spine
 from planner.hotwire.elastic_wires import box_distance
 from planner.hotwire.fit import fit_curves
 from planner.hotwire.operation import ElasticWire
@@ -177,9 +177,7 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
 
 
 def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
-    """Shape, then shape with weight, then with end errors: the first that breaks the tolerance is the one
-    to name.
-    """
+    """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
     label = f"cut/{cut.face.name}"
     tol = op.shape_tol_mm * MM
     has = cut.sections.length > 0.0
@@ -197,8 +195,6 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         residual + lean * at_sections(figures.sag) + op.end_error_mm * MM * at_sections(figures.sensitivity)
     )[has]
     share = [float(np.quantile(v, op.share)) for v in (shape, sag, feel)]
-    if share[0] > tol:
-        return [_shape_issue(op, wire, cut, share[0])]
     what = f"{op.name}: {op.share * 100:g} % of the {cut.face.name} face is within"
     if share[1] > tol:
         worst = float(figures.sag[rows].max())
@@ -220,21 +216,68 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         ]
     if share[2] > tol:
         worst = float(figures.sensitivity[rows].max())
+        feels = f"{worst * 0.1:.2f} mm" if worst < 0.01 * _HUGE else "without limit"
+        reached = f"{share[2] * 1e3:.2f} mm" if share[2] < 1.0 else "no bound"
         return [
             Issue(
                 "wire.end_error",
-                f"{what} {share[2] * 1e3:.2f} mm with ends off by {op.end_error_mm:g} mm, "
-                f"{op.shape_tol_mm:g} mm are "
-                f"wanted: the wire moves up to {worst * 0.1:.2f} mm for 0.1 mm at its ends",
-                value=share[2] * 1e3,
+                f"{what} {reached} with ends off by {op.end_error_mm:g} mm, {op.shape_tol_mm:g} mm are "
+                "wanted: "
+                f"the wire moves {feels} for 0.1 mm at its ends",
+                value=min(share[2], 1.0) * 1e3,
                 limit=op.shape_tol_mm,
                 unit="mm",
-                hint="calibrate the ends better (end_error_mm), use another sweep or a longer wire, so "
-                "that it is more "
-                "bowed; a nearly straight wire cannot be held",
+                hint="a nearly straight wire cannot be held: use another sweep, a longer and so more "
+                "bowed wire, or "
+                "ends that are better calibrated (end_error_mm)",
             )
         ]
     return []
+
+
+def check_shape(op: ElasticWire, cut: Cut) -> list[Issue]:
+    """Whether the fitted wires meet the face: to know before anything is laid out."""
+    has = np.nonzero(cut.sections.length > 0.0)[0]
+    return misfit(op, cut.face.name, cut.face.spine, cut.sections, has, cut.fit.residual[has])
+
+
+def misfit(
+    op: ElasticWire,
+    name: str,
+    spine: Spine,
+    sections: SectionSet,
+    rows: NDArray[np.intp],
+    residual: FloatArray,
+    factor: float = 1.0,
+) -> list[Issue]:
+    """``wire.shape`` if residuals (R, m) [m] of the sections ``rows`` are beyond ``factor`` times the
+    tolerance."""
+    got = float(np.quantile(np.abs(residual), op.share))
+    if got <= factor * op.shape_tol_mm * MM:
+        return []
+    worst = int(np.argmax(np.abs(residual).max(axis=1)))
+    off = float(np.abs(residual[worst]).max())
+    where, left = best_split(sections.points[rows[worst]], op.wire.length_mm * MM)
+    helps = (
+        f"each half then is within {left * 1e3:.2f} mm"
+        if left < op.shape_tol_mm * MM
+        else f"each half then still is off by {left * 1e3:.2f} mm, so split more finely"
+    )
+    return [
+        Issue(
+            "wire.shape",
+            f"{op.name}: an elastic wire of {op.wire.length_mm:g} mm meets {op.share * 100:g} % of the "
+            f"{name} face "
+            f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
+            f"{sections.p[rows[worst]] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
+            value=got * 1e3,
+            limit=op.shape_tol_mm,
+            unit="mm",
+            hint=f"split the panel at {(where + spine.across) * 1e3:.0f} mm along the wire, from the "
+            "block's middle "
+            f"({helps}), choose another sweep, or allow more",
+        )
+    ]
 
 
 def _lean(cut: Cut) -> float:
@@ -249,47 +292,20 @@ def _lean(cut: Cut) -> float:
     return float(part[order][np.searchsorted(area, 0.95 * area[-1])])
 
 
-def _shape_issue(op: ElasticWire, wire: Wire, cut: Cut, got: float) -> Issue:
-    worst = int(np.argmax(np.abs(cut.fit.residual).max(axis=1)))
-    off = float(np.abs(cut.fit.residual[worst]).max())
-    where, left = best_split(cut, worst, op.wire.length_mm * MM)
-    helps = (
-        f"each half then is within {left * 1e3:.2f} mm"
-        if left < op.shape_tol_mm * MM
-        else f"each half then still is off by {left * 1e3:.2f} mm, so split more finely"
-    )
-    return Issue(
-        "wire.shape",
-        f"{op.name}: an elastic wire of {op.wire.length_mm:g} mm meets {op.share * 100:g} % of the "
-        f"{cut.face.name} face "
-        f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
-        f"{cut.sections.p[worst] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
-        value=got * 1e3,
-        limit=op.shape_tol_mm,
-        unit="mm",
-        hint=f"split the panel at {where * 1e3:.0f} mm along the wire, from the block's middle ({helps}), "
-        "choose "
-        "another sweep, or allow more",
-    )
-
-
-def best_split(cut: Cut, row: int, length: float) -> tuple[float, float]:
-    """Where along the wire [m], from the block's middle, to split a section so that both parts fit best;
-    and how well [m].
-    """
-    points = cut.sections.points[row]
+def best_split(points: FloatArray, length: float) -> tuple[float, float]:
+    """Where along x [m] to split a section (m, 2) so that wires of ``length`` meet both parts best; and how
+    well [m]."""
     count = len(points)
-    at = np.arange(8, count - 7, 2)
+    at = np.linspace(8, count - 9, 9).astype(np.intp)
     parts = []
     for i in at:
         for part in (points[: i + 1], points[i:]):
-            places = np.linspace(0, len(part) - 1, 25)
-            parts.append(
-                np.stack([np.interp(places, np.arange(len(part)), part[:, c]) for c in range(2)], axis=-1)
-            )
+            places = np.linspace(0, len(part) - 1, 21)
+            columns = [np.interp(places, np.arange(len(part)), part[:, c]) for c in range(2)]
+            parts.append(np.stack(columns, axis=-1))
     fitted = fit_curves(np.stack(parts), np.full(len(parts), length)).largest.reshape(-1, 2).max(axis=1)
     best = int(np.argmin(fitted))
-    return float(points[at[best], 0] + cut.face.spine.across), float(fitted[best])
+    return float(points[at[best], 0]), float(fitted[best])
 
 
 def _touching(op: ElasticWire, wire: Wire, route: Route, size: FloatArray) -> list[Issue]:

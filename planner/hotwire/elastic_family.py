@@ -18,7 +18,7 @@ from scipy.interpolate import BSpline
 
 from planner.hotwire.basis import legendre, nodes
 from planner.hotwire.elastic_planes import SectionSet
-from planner.hotwire.fit import TAIL_WEIGHT, fit_curves
+from planner.hotwire.fit import TAIL_WEIGHT, CurveFit, fit_curves
 from planner.hotwire.flow import flow, node_counts
 
 FloatArray = NDArray[np.float64]
@@ -69,8 +69,26 @@ class _Job:
     steady: FloatArray  # (c 6, c 6)
 
 
+@dataclasses.dataclass(frozen=True)
+class FirstFit:
+    """Single fits to some sections, ``rows`` (R,) of the planes: they show early whether a wire meets the
+    face at all."""
+
+    rows: NDArray[np.intp]
+    fit: CurveFit
+
+
+def fit_first(sections: SectionSet, load: FloatArray, length: float, count: int = 13) -> FirstFit:
+    """Fit up to ``count`` of the sections that cover the face well, each for itself."""
+    good = np.nonzero(sections.length > 0.6 * np.median(sections.length[sections.length > 0.0]))[0]
+    rows = good[np.unique(np.linspace(0, len(good) - 1, count).astype(np.intp))]
+    fit = fit_curves(sections.points[rows], np.full(len(rows), length), load[rows], None, 0.5, TAIL_WEIGHT)
+    return FirstFit(rows, fit)
+
+
 def fit_family(
     sections: SectionSet,
+    first: FirstFit,
     load: FloatArray,
     length: float,
     lower: float,
@@ -90,12 +108,8 @@ def fit_family(
     table = BSpline.design_matrix(sections.p, knots, 3).toarray()
     has = sections.length > 0.0
     long = float(np.median(sections.length[has]))
-    good = sections.length > 0.6 * long
-    first = fit_curves(
-        sections.points[good], np.full(int(good.sum()), length), load[good], None, 0.5, TAIL_WEIGHT
-    )
     share = np.where(has, np.minimum(sections.length / long, 1.0), 0.0)
-    coefficient = _smooth(table[good], first.middle / unit, knots)
+    coefficient = _smooth(table[first.rows], first.fit.middle / unit)
     covered = np.nonzero(has)[0]
     job = _Job(
         table,
@@ -116,7 +130,7 @@ def _unit(length: float) -> FloatArray:
     return np.array([length, length, 1.0, 1.0 / length, length**-2, length**-2])
 
 
-def _smooth(table: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+def _smooth(table: FloatArray, values: FloatArray) -> FloatArray:
     """Coefficients (c, 6) of the smoothing spline through values (K, 6)."""
     count = table.shape[1]
     bend = np.diff(np.eye(count), 2, axis=0)
