@@ -52,7 +52,9 @@ def test_shapes_and_verdicts_agree(flat: bool) -> None:
     stable = np.asarray(shape.stable_in_plane & shape.stable_out_of_plane(section))
     seen = set()
     for k in range(len(start)):
-        if not np.isfinite(points[k]).all() or (not flat and abs(shape.margin_out_of_plane(section)[k]) < 0.02):
+        if not np.isfinite(points[k]).all() or (
+            not flat and abs(shape.margin_out_of_plane(section)[k]) < 0.02
+        ):
             continue
         turn = np.zeros((3, n))
         turn[2] = theta[k] - start[k, 2]
@@ -62,12 +64,16 @@ def test_shapes_and_verdicts_agree(flat: bool) -> None:
         place = (a[:3, :3].T @ (b[:3, 3] - a[:3, 3]))[:, None] / LENGTH
         last = exponential(np.array([[0.0], [0.0], [end[k, 2] - start[k, 2]]]))
         ends = Ends(place, last, np.zeros((3, 1)))
-        outcome = rod_solve.newton(rod.stiffness, rod_solve.State(state.attitudes[..., None], np.zeros((3, 1))), ends)
+        outcome = rod_solve.newton(
+            rod.stiffness, rod_solve.State(state.attitudes[..., None], np.zeros((3, 1))), ends
+        )
         assert outcome.converged[0]
         assert (outcome.negatives[0] == 0) == stable[k], k
         seen.add(bool(stable[k]))
         if stable[k]:
-            path = follow(rod, a[None], b[None], DOWN, RodShape(outcome.state.q[..., 0], outcome.state.force[:, 0]))
+            path = follow(
+                rod, a[None], b[None], DOWN, RodShape(outcome.state.q[..., 0], outcome.state.force[:, 0])
+            )
             assert path.stable[0]
             assert np.abs(path.points[0, :, :2] - points[k]).max() < 5e-6 * LENGTH
     assert seen == ({True} if flat else {True, False})
