@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.tools import wire_holder
 from planner.geometry.rigid import from_parts
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
 from planner.targets import Edge, ScrewFreedom, Targets
+from planner.tools import wire_holder
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targe
 
 
 def s_curve(count: int = 400) -> tuple[Cell, Targets]:
-    """One IRB 140 with a pointed tool that follows an S-curve on a table, free to spin about the tool's axis."""
+    """One IRB 140 with a pointed tool that follows an S-curve, free to spin about the tool's axis."""
     tool = Tool(
         "point",
         from_parts(np.eye(3), np.array([0.0, 0.0, 0.12])),

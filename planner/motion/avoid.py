@@ -14,30 +14,32 @@ from planner.motion.hinges import Rows
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
-SOFT: Final = 0.010
+SOFT: Final = 0.008
 """Distances [m] up to this above the wanted clearance cost something."""
 
 QUERY: Final = 0.080
 """Distances [m] up to this are asked for."""
 
 FAR: Final = 0.25
-"""Bounds are worked out up to this far [m] beyond, so that it is known how far joints may move before they are again."""
+"""Bounds are worked out up to this far [m] beyond, so that it is known how far joints may move before they
+are again."""
 
 STRIDE: Final = 16
 TOUCH: Final = 1e-4
 HAND: Final = 0.1
-"""How far [m] a tool reaches beyond its TCP at most, for how far joints carry it; tools are smaller than this."""
+"""How far [m] a tool reaches beyond its TCP at most, for how far joints carry it; tools are smaller than
+this."""
 
-WRIST: Final = 0.4
+WRIST: Final = 0.25
 """Lever [m] of the wrist's axes for pairs of hand and forearm."""
 
 
 class Avoid:
     """Hinges on all distances below the wanted clearance and a little more, at joints (N, J) of ``arms``.
 
-    Drake is asked for exact distances only at rows where cheap bounds do not show that nothing is near. Pairs that
-    only the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the bounds:
-    they are followed by their gradients.
+    Drake is asked for exact distances only at rows where cheap bounds do not show that nothing is near. Pairs
+    that only the wrist moves against each other (hand and forearm of one arm) are always near, and would
+    spoil the bounds: they are followed by their gradients.
     """
 
     def __init__(self, model: CellModel, arms: tuple[str, ...], wanted: float, weight: float) -> None:
@@ -80,12 +82,16 @@ class Avoid:
         local = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)
         wrist = np.abs(step).reshape(len(q), -1, 6)[:, :, 4:].sum(axis=-1).max(axis=-1)
         near |= local.any(axis=1) | (QUERY - WRIST * wrist < limit)
+        curved = linear + 0.5 * (WRIST - self._levers.max()) * part * part
+        beyond = QUERY - np.abs(step) @ self._levers
+        near &= ~(self._own & (np.minimum(beyond, curved.min(axis=1, initial=np.inf)) > limit))
         index = np.flatnonzero(near)
         self._ask(q, index[step[index].any(axis=1) | ~self._own[index]])
         return index
 
     def _lower(self, q: FloatArray) -> FloatArray:
-        """Lower bounds (N,) of the least distance of all but local pairs, worked out anew only where they may matter."""
+        """Lower bounds (N,) of the least distance of all but local pairs, worked out anew only where they may
+        matter."""
         limit = self._wanted + SOFT
         bound = self._bound - np.abs(q - self._bound_at) @ self._levers
         index = np.flatnonzero(bound < limit)
@@ -96,7 +102,7 @@ class Avoid:
             lower, _ = self._bounds.least(self._model.poses(every), limit + FAR)
             bound[index] = np.minimum(lower, limit + FAR) - TOUCH
             self._bound[index], self._bound_at[index] = bound[index], q[index]
-        return bound
+        return np.asarray(bound)
 
     def _start(self, q: FloatArray) -> None:
         """Asks at a few rows; what is found there of local pairs holds for their neighbours to begin with."""

@@ -22,7 +22,7 @@ TWO_PI = 2.0 * np.pi
 
 @dataclasses.dataclass(frozen=True)
 class Chain:
-    """An arm at ``base`` (4, 4) in the world that holds a tool whose TCP is at ``tcp`` (4, 4) on the flange."""
+    """An arm at ``base`` (4, 4) in the world with a tool whose TCP is at ``tcp`` (4, 4) on the flange."""
 
     name: str
     robot: RobotData
@@ -40,7 +40,8 @@ class Chain:
         return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
 
     def inverse(self, pose: FloatArray, branches: Sequence[int] = range(opw.BRANCHES)) -> FloatArray:
-        """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its range.
+        """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its
+        range.
 
         NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
         """
@@ -54,7 +55,8 @@ class Chain:
 
     @property
     def turns(self) -> FloatArray:
-        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the limits."""
+        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
+        limits."""
         span = 0.5 * (self.robot.upper - self.robot.lower)
         most = np.floor((span + np.pi - 1e-9) / TWO_PI).astype(int)
         choices = itertools.product(*(range(-m, m + 1) for m in most))
@@ -66,7 +68,8 @@ class Chain:
         return np.asarray(self.robot.upper - self.robot.lower > TWO_PI + 1e-9)
 
     def continuous(self, q: FloatArray, near: FloatArray) -> FloatArray:
-        """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (..., 6)."""
+        """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (...,
+        6)."""
         return np.where(self.many_turns, wrap(q, near), q)
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
@@ -74,7 +77,8 @@ class Chain:
         return np.nan_to_num(self.robot.limit_margin(q), nan=-np.inf)
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
-        """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where NaN."""
+        """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
+        NaN."""
         low, high = self.robot.lower, self.robot.upper
         fixed: FloatArray | None = None
         for j in np.flatnonzero(~self.many_turns):
@@ -87,14 +91,14 @@ class Chain:
         parts: dict[tuple[int, float], FloatArray] = {}
         out = []
         for turn in turns:
-            margin = fixed
+            margin: FloatArray | None = fixed
             for j in np.flatnonzero(self.many_turns):
                 key = (int(j), float(turn[j]))
                 if key not in parts:
                     angle = q[..., j] + turn[j]
                     parts[key] = np.minimum(angle - low[j], high[j] - angle)
                 margin = parts[key] if margin is None else np.minimum(margin, parts[key])
-            out.append(np.nan_to_num(margin, nan=-np.inf))
+            out.append(np.nan_to_num(np.asarray(margin), nan=-np.inf))
         return out
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
@@ -103,8 +107,8 @@ class Chain:
         return np.nan_to_num(np.minimum(np.minimum(wrist, elbow), shoulder), nan=-np.inf)
 
     def singularities(self, q: FloatArray) -> FloatArray:
-        """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and the
-        angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
+        """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
+        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
         return np.stack(self._singularities(q), axis=-1)
 
     def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -118,7 +122,8 @@ class Chain:
         return wrist, elbow, shoulder
 
     def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
-        """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q (..., 6)."""
+        """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
+        (..., 6)."""
         jac = jacobian(self.robot, q)
         flange = forward(self.robot, q)
         tool = flange[..., :3, :3] @ self.tcp[:3, :3]

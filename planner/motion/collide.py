@@ -29,6 +29,7 @@ class Checker:
     def __init__(self, scene: Scene, targets: Targets, grid: Grid, rungs: Mapping[str, Rungs]) -> None:
         self._scene, self._targets, self._rungs = scene, targets, rungs
         shape = grid.values.shape[:2]
+        self._rungs_shape = (int(shape[0]), int(shape[1]))
         self.collided = np.zeros(shape, dtype=bool)
         self.known = np.zeros(shape, dtype=bool)
         self.checks = 0
@@ -46,10 +47,10 @@ class Checker:
 
     def coarse(self) -> FloatArray:
         """Checks all samples of every 8th target; cost (N, S) of samples between that are suspect."""
-        rows, samples = self.known.shape
+        rows, samples = self._rungs_shape
         at = np.unique(np.append(np.arange(0, rows, COARSE), rows - 1))
-        possible = np.logical_and.reduce([r.ok.any(axis=-1) for r in self._rungs.values()])
-        where = np.argwhere(possible[at])
+        possible = np.stack([np.asarray(r.ok.any(axis=-1)) for r in self._rungs.values()]).all(axis=0)
+        where = np.argwhere(np.asarray(possible)[at])
         self.check(at[where[:, 0]], where[:, 1])
         suspect = np.zeros((rows, samples))
         for a, b in itertools.pairwise(at):

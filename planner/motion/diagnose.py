@@ -1,4 +1,5 @@
-"""Says why there is no path: which targets, joints or bodies are in the way, and whether moving the stock would help."""
+"""Says why there is no path: which targets, joints or bodies are in the way, and whether moving the stock
+would help."""
 
 from __future__ import annotations
 
@@ -10,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
-from planner.cell.edge import edge as edge_clearance
 from planner.issues import Issue, TandemError
 from planner.motion.joints import Dense
-from planner.motion.reach import Grid, Reach, reach
-from planner.motion.scene import SKIP_ENDS, Scene
+from planner.motion.reach import Grid, Reach, reach, sample
+from planner.motion.scene import Scene
 from planner.motion.search import Blocked
-from planner.targets import Targets, segment_kind
+from planner.motion.subset import subset
+from planner.targets import Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +38,8 @@ def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> lis
 
 
 def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -> Issue | None:
-    """The first target that ends the branch which goes farthest, with what ends it: reach, a joint, a singularity."""
+    """The first target that ends the branch which goes farthest, with what ends it: reach, a joint, a
+    singularity."""
     if r.branches:
         return None
     ends = np.argmin(r.exists, axis=1)
@@ -46,7 +48,6 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     chain = scene.chains[arm]
     count = int((~r.exists[branch]).sum())
     name = targets.name(index)
-    common = {"arm": arm, "index": index, "target": name, "count": count}
     if not r.solved[branch, index]:
         far = _beyond(scene, targets, arm, index)
         return Issue(
@@ -57,7 +58,10 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             limit=0.0,
             unit="mm",
             hint="move the stock toward the arm, or take a larger arm",
-            **common,
+            arm=arm,
+            index=index,
+            target=name,
+            count=count,
         )
     pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
     q = chain.inverse(pose, [branch])[:, 0]
@@ -70,15 +74,18 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         joint = joint if room[joint] < scene.settings.joint_margin else int(np.argmin(room))
         return Issue(
             "motion.joint_limit",
-            f"arm {arm} passes the limit of axis {joint + 1} at target {name}: {q[best, joint] / DEG:.1f} deg, allowed "
-            f"{chain.robot.lower[joint] / DEG:.0f} to {chain.robot.upper[joint] / DEG:.0f} deg less the margin of "
-            f"{scene.settings.joint_margin / DEG:.1f} deg",
+            f"arm {arm} passes the limit of axis {joint + 1} at target {name}: "
+            f"{q[best, joint] / DEG:.1f} deg, allowed {chain.robot.lower[joint] / DEG:.0f} to {chain.robot.upper[joint] / DEG:.0f} deg "
+            f"less the margin of {scene.settings.joint_margin / DEG:.1f} deg",
             bodies=(f"axis {joint + 1}",),
             value=float(limit[best]) / DEG,
             limit=scene.settings.joint_margin / DEG,
             unit="deg",
             hint="move or turn the stock, or let the targets turn more freely",
-            **common,
+            arm=arm,
+            index=index,
+            target=name,
+            count=count,
         )
     single = float(chain.singularity_margin(q[best]))
     which = ("wrist (axis 5)", "elbow (axis 3)", "shoulder (axis 1)")[
@@ -93,12 +100,15 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         limit=scene.settings.singularity_margin / DEG,
         unit="deg",
         hint="move or turn the stock, or let the targets turn more freely",
-        **common,
+        arm=arm,
+        index=index,
+        target=name,
+        count=count,
     )
 
 
 def _beyond(scene: Scene, targets: Targets, arm: str, index: int) -> float:
-    """How far [m] the wrist's centre of a target lies outside what the arm reaches (at the neutral freedoms)."""
+    """How far [m] the wrist's centre of a target lies out of reach (at the neutral freedoms)."""
     chain = scene.chains[arm]
     pose = scene.tcp(targets, targets.neutral())[arm][index]
     flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
@@ -114,8 +124,8 @@ def _broken(targets: Targets, index: int) -> Issue:
     name = targets.name(index)
     return Issue(
         "motion.no_path",
-        f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: up to there the arms can go, "
-        f"but not on without a jump of a joint, or not both with the same freedoms",
+        f"no choice of branches for {' and '.join(targets.arms)} passes target {name}: up to there the arms "
+        f"can go, but not on without a jump of a joint, or not both with the same freedoms",
         index=index,
         target=name,
         hint="move or turn the stock, or let the targets turn more freely",
@@ -136,18 +146,16 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
 def describe(
     scene: Scene, targets: Targets, q: Mapping[str, FloatArray], index: int, count: int = 1
 ) -> Issue:
-    """The closest pair of bodies at one configuration {arm: (6,)} on the way to target ``index``, as an issue."""
+    """The closest pair of bodies at one configuration {arm: (6,)} on the way to target ``index``, as an
+    issue."""
     if scene.model is None:
         raise ValueError("there are no collisions without a model")
     one = {arm: angles[None] for arm, angles in q.items()}
     found = clearance.least(scene.model, one, 0.2)
     distance, pair = float(found.distance[0]), found.pair[0]
-    points = scene.edge(targets, np.array([index]))
-    if points is not None and targets.edge is not None:
-        against = "no_stock" if segment_kind(targets.segment[index]) == "cut" else "all"
-        wire = edge_clearance(scene.model, one, points, targets.edge.radius, SKIP_ENDS, against)
-        if float(wire.distance[0]) < distance:
-            distance, pair = float(wire.distance[0]), wire.pair[0]
+    wire, wire_pair = scene.edge_clearance(targets, one, np.array([index]))
+    if float(wire[0]) < distance:
+        distance, pair = float(wire[0]), wire_pair[0]
     name = targets.name(index)
     return Issue(
         "motion.collision",
@@ -165,7 +173,8 @@ def describe(
 
 
 def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], samples: Dense) -> None:
-    """Raises :class:`TandemError` where a linear move between targets leaves reach or passes too near something."""
+    """Raises :class:`TandemError` where a linear move between targets leaves reach or passes too near
+    something."""
     for arm, q in samples.q.items():
         lost = np.flatnonzero(np.isnan(q).any(axis=1))
         if len(lost):
@@ -173,8 +182,8 @@ def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], sam
             raise TandemError(
                 Issue(
                     "motion.linear_move",
-                    f"arm {arm} cannot follow the straight move to target {targets.name(index)}: between targets it "
-                    f"leaves its reach or its branch {branch[arm]}",
+                    f"arm {arm} cannot follow the straight move to target {targets.name(index)}: "
+                    f"between targets it leaves its reach or its branch {branch[arm]}",
                     arm=arm,
                     index=index,
                     target=targets.name(index),
@@ -189,7 +198,8 @@ def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], sam
 
 
 def clear(scene: Scene, targets: Targets, samples: Dense) -> NDArray[np.bool_]:
-    """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer target."""
+    """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
+    target."""
     near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
     return scene.free(targets, samples.q, np.maximum(near, 0))
 
@@ -200,8 +210,8 @@ def keeps_clear(scene: Scene, targets: Targets, samples: Dense) -> bool:
 
 
 def shift_that_helps(scene: Scene, targets: Targets) -> str | None:
-    """The shortest shift of the stock along the world's axes after which every arm has a branch for all of a sample of
-    the targets, as a sentence; None if none does."""
+    """The shortest shift of the stock along the world's axes after which every arm has a branch for all of a
+    sample of the targets, as a sentence; None if none does."""
     if any(targets.frame.get(arm, "stock") != "stock" for arm in targets.arms):
         return None
     for size in SHIFTS:
@@ -216,13 +226,9 @@ def shift_that_helps(scene: Scene, targets: Targets) -> str | None:
 
 
 def _reaches(scene: Scene, targets: Targets, shift: FloatArray) -> bool:
-    from planner.motion.subset import subset
-
     rows = np.unique(np.linspace(0, targets.count - 1, min(SUBSAMPLE, targets.count)).astype(np.intp))
     few = subset(targets, rows)
     moved = scene.stock.copy()
     moved[:3, 3] += shift
-    from planner.motion.reach import sample
-
     table = reach(dataclasses.replace(scene, stock=moved, model=None), few, sample(few, np.deg2rad(20.0)))
     return all(r.branches for r in table.values())

@@ -49,6 +49,30 @@ def leave(
     return {arm: way[::-1].copy() for arm, way in found.way.items()}
 
 
+def require_home(scene: Scene, targets: Targets) -> None:
+    """Raises :class:`TandemError` (``motion.home``) where the arms are too near something while all are at
+    home."""
+    if scene.model is None:
+        return
+    q = {arm: scene.chains[arm].home[None] for arm in targets.arms}
+    if clearance.free(scene.model, q, scene.settings.clearance).all():
+        return
+    found = clearance.least(scene.model, q, 0.2)
+    pair, distance = found.pair[0], float(found.distance[0]) / MM
+    raise TandemError(
+        Issue(
+            "motion.home",
+            f"at home {pair[0]} and {pair[1]} are {distance:.1f} mm apart, allowed is "
+            f"{scene.settings.clearance / MM:.1f} mm at least",
+            bodies=pair,
+            value=distance,
+            limit=scene.settings.clearance / MM,
+            unit="mm",
+            hint="choose another home posture (home_deg), or move what is in the way",
+        )
+    )
+
+
 def _ways(
     scene: Scene,
     targets: Targets,
@@ -77,7 +101,8 @@ def _ways(
 
 
 def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray) -> FloatArray | None:
-    """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no way."""
+    """Waypoints (M, 6) of one arm from home to ``goal`` with the others where they stand; None if there is no
+    way."""
     chain = scene.chains[arm]
     hard = scene.settings.joint_margin
 
@@ -95,7 +120,8 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
 def _blocked(
     scene: Scene, targets: Targets, standing: Mapping[str, FloatArray], arm: str, goal: FloatArray, row: int
 ) -> Issue:
-    """What stands in the way: the closest bodies at home, at the target, or on the straight line between them."""
+    """What stands in the way: the closest bodies at home, at the target, or on the straight line between
+    them."""
     home, name = scene.chains[arm].home, targets.name(row)
     line = home + np.linspace(0.0, 1.0, 41)[:, None] * (goal - home)
     points = np.concatenate([home[None], goal[None], line])
@@ -109,8 +135,9 @@ def _blocked(
     distance = float(found.distance[worst]) / MM
     return Issue(
         "motion.entry",
-        f"arm {arm} has no free way from home to {name}: {found.pair[worst][0]} and {found.pair[worst][1]} are "
-        f"{distance:.1f} mm apart {place}, allowed is {scene.settings.clearance / MM:.1f} mm at least",
+        f"arm {arm} has no free way from home to {name}: "
+        f"{found.pair[worst][0]} and {found.pair[worst][1]} are {distance:.1f} mm apart {place}, "
+        f"allowed is {scene.settings.clearance / MM:.1f} mm at least",
         arm=arm,
         index=row,
         target=name,

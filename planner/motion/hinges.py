@@ -17,7 +17,8 @@ FloatArray = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """R residuals: ``index`` (R,) of their targets, ``value`` (R,), ``slope`` (R, J) by joints (or by freedoms)."""
+    """R residuals: ``index`` (R,) of their targets, ``value`` (R,), ``slope`` (R, J) by joints (or by
+    freedoms)."""
 
     index: NDArray[np.intp]
     value: FloatArray
@@ -32,7 +33,8 @@ class Rows:
 def hinge(
     margin: FloatArray, slope: FloatArray, hard: float, soft: float, weight: float, index: NDArray[np.intp]
 ) -> Rows:
-    """Residuals of margins (R,) with their slopes (R, J): sqrt(weight) at ``hard``, 0 from ``hard + soft`` on."""
+    """Residuals of margins (R,) with their slopes (R, J): sqrt(weight) at ``hard``, 0 from ``hard + soft``
+    on."""
     factor = np.sqrt(weight) / soft
     return Rows(index, factor * (hard + soft - margin), -factor * slope)
 

@@ -19,15 +19,16 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 STRIDE: Final = np.deg2rad(2.0)
-"""A move that turns a joint farther than this gets samples of its own, since a line in space bends in the joints."""
+"""A move that turns a joint farther than this gets samples of its own, since a line in space bends in the
+joints."""
 
 MOST_SAMPLES: Final = 24
 
 
 @dataclasses.dataclass(frozen=True)
 class Dense:
-    """Samples of the linear moves: ``move`` (K,) the target that each leads to, ``share`` (K,) of the move in (0, 1],
-    the first one being target 0 itself; ``q`` {arm: (K, 6)}."""
+    """Samples of the linear moves: ``move`` (K,) the target that each leads to, ``share`` (K,) of the move in
+    (0, 1], the first one being target 0 itself; ``q`` {arm: (K, 6)}."""
 
     move: IndexArray
     share: FloatArray
@@ -36,7 +37,8 @@ class Dense:
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """Path between the stops at targets ``first`` and ``last``; ``knots`` are the path positions of its targets."""
+    """Path between the stops at targets ``first`` and ``last``; ``knots`` are the path positions of its
+    targets."""
 
     first: int
     last: int
@@ -46,8 +48,8 @@ class Piece:
 
 @dataclasses.dataclass(frozen=True)
 class JointPath:
-    """All pieces, over joints of all arms side by side; ``deviation`` [m] is the greatest distance of a TCP on the
-    splines from the straight lines between targets."""
+    """All pieces, over joints of all arms side by side; ``deviation`` [m] is the greatest distance of a TCP
+    on the splines from the straight lines between targets."""
 
     count: int
     pieces: tuple[Piece, ...]
@@ -89,7 +91,8 @@ def dense(
 
 
 def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
-    """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and in space."""
+    """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
+    in space."""
     q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
     places = [scene.chains[arm].pose(samples.q[arm])[:, :3, 3] for arm in targets.arms]
     way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
@@ -109,7 +112,8 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
 def _deviation(
     scene: Scene, targets: Targets, spline: CubicSpline, way: FloatArray, places: list[FloatArray]
 ) -> float:
-    """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the samples."""
+    """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the
+    samples."""
     middle = spline(0.5 * (way[1:] + way[:-1]))
     worst = 0.0
     for k, (arm, place) in enumerate(zip(targets.arms, places, strict=True)):

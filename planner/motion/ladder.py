@@ -1,8 +1,8 @@
 """Ladder: the shortest path over freedom samples and turns, for fixed branches, by dynamic programming.
 
-The cost of a step is its time at the joint speed limits of the slowest joint, plus a small share of all joints' times
-so that ties are broken toward little motion; the cost of a state is its penalty. A joint with more than one turn keeps
-its turn: each step has exactly one turn state that it can come from.
+The cost of a step is its time at the joint speed limits of the slowest joint, plus a small share of all
+joints' times so that ties are broken toward little motion; the cost of a state is its penalty. A joint with
+more than one turn keeps its turn: each step has exactly one turn state that it can come from.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 LARGEST_STEP = np.deg2rad(100.0)
-"""A joint that would move more than this in one linear move has changed its branch, whatever its number says."""
+"""A joint that would move more than this in one linear move has changed its branch, whatever its number says.
+"""
 
 TIE_SHARE = 0.02
 
@@ -75,7 +76,7 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
 
 
 def _previous_turn(turns: FloatArray, whole: FloatArray) -> IntArray:
-    """Index (M, N-1, S, T) of the turn state that is ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
+    """Index (M, N-1, S, T) of the turn state ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
     counts = np.round(turns / TWO_PI).astype(np.int64)
     out = np.full((*whole.shape[:-1], len(turns)), -1, dtype=np.intp)
     stay = ~np.nan_to_num(whole).any(axis=-1)
@@ -88,7 +89,8 @@ def _previous_turn(turns: FloatArray, whole: FloatArray) -> IntArray:
 
 
 class Ladder:
-    """The layered graph of one choice of branches; :meth:`shortest` may be asked again with more states blocked."""
+    """The layered graph of one choice of branches; :meth:`shortest` may be asked again with more states
+    blocked."""
 
     def __init__(
         self,
@@ -97,7 +99,8 @@ class Ladder:
         moves: Sequence[Steps],
         extra: FloatArray | None = None,
     ) -> None:
-        """``extra`` (N, S) [s] is a cost of samples for all arms, such as the distance from a preferred value."""
+        """``extra`` (N, S) [s] is a cost of samples for all arms, such as the distance from a preferred
+        value."""
         self._arms = tuple(r.arm for r in rungs)
         self._branches = tuple(r.branch for r in rungs)
         self._grid = grid
@@ -124,7 +127,7 @@ class Ladder:
         self.viable = bool(np.isfinite(node).any(axis=(1, 2)).all())
 
     def shortest(self, blocked: FloatArray | None = None) -> Path | None:
-        """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids one."""
+        """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids."""
         costs, choice = self._forward(blocked)
         last = costs[-1]
         if not np.isfinite(last).any():
@@ -146,7 +149,7 @@ class Ladder:
     def furthest(self, blocked: FloatArray | None = None) -> int:
         """Index of the first target that no path reaches; N if there is none."""
         costs, _ = self._forward(blocked)
-        reached = np.isfinite(costs).any(axis=1)
+        reached = np.asarray(np.isfinite(costs).any(axis=1))
         return int(np.argmin(reached)) if not reached.all() else len(reached)
 
     def _forward(self, blocked: FloatArray | None) -> tuple[FloatArray, NDArray[np.int8]]:

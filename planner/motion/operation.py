@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
-from planner.cell.edge import edge as edge_clearance
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnose, entry, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path
-from planner.motion.reach import sample
-from planner.motion.scene import SKIP_ENDS, Scene
-from planner.motion.search import Found, search, speed_limits
-from planner.motion.timing import Clock, Limits, TimingFailed, clock, least_times
+from planner.motion.reach import SLIDES, Grid, sample, slides_only
+from planner.motion.scene import Scene
+from planner.motion.search import Blocked, Found, search, speed_limits
+from planner.motion.timing import Clock, Limits, TimingError, clock, least_times
 from planner.motion.trajopt import Improved, improve, path_cost
 from planner.plan import OperationPlan
 from planner.problem import Cell, Settings
-from planner.targets import Targets, segment_kind
+from planner.targets import Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -44,11 +43,12 @@ def plan_operation(
 ) -> OperationPlan:
     """The plan of one operation named ``name`` with the stock at ``stock_pose`` (4, 4) in the world.
 
-    ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions, which only
-    benchmarks and tests want. Raises :class:`TandemError` with the reasons when there is no plan.
+    ``model`` is the cell's collision model at that placement; without it nothing is checked for collisions,
+    which only benchmarks and tests want. Raises :class:`TandemError` with the reasons when there is no plan.
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
+    entry.require_home(scene, targets)
     targets, found = _path(scene, targets, watch)
     better, kept = _improve(scene, targets, found, watch)
     samples = dense(scene, targets, found.path.branch, better.q)
@@ -105,8 +105,7 @@ class _Watch:
 
 def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found]:
     """The ladder's path, transit moves mended where they collide."""
-    grid = sample(targets)
-    found = search(scene, targets, grid)
+    grid, found = _search(scene, targets)
     watch.lap("ladder")
     if not isinstance(found, Found):
         raise TandemError(diagnose.no_path(scene, targets, grid, found))
@@ -114,12 +113,21 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
     watch.lap("transit")
     if mended is None:
         return targets, found
-    targets, grid = mended, sample(mended)
-    again = search(scene, targets, grid)
+    grid, again = _search(scene, mended)
     watch.lap("ladder")
     if not isinstance(again, Found):
-        raise TandemError(diagnose.no_path(scene, targets, grid, again))
-    return targets, again
+        raise TandemError(diagnose.no_path(scene, mended, grid, again))
+    return mended, again
+
+
+def _search(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
+    """Searches with slides and tables at their middle first, at more places only where that has no path."""
+    for slides in (1, SLIDES):
+        grid = sample(targets, slides=slides)
+        found = search(scene, targets, grid)
+        if isinstance(found, Found) or not any(slides_only(f) for f in targets.freedoms):
+            break
+    return grid, found
 
 
 def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:
@@ -158,7 +166,7 @@ def _clock(
     path = joint_path(scene, targets, samples, speed)
     try:
         ticks = clock(path, Limits(speed, settings.acceleration_fraction * strength, least))
-    except TimingFailed as failure:
+    except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"
         raise TandemError(Issue("motion.timing", message, index=failure.index, hint=hint)) from failure
@@ -169,20 +177,21 @@ def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:
     """Moves that the arms cannot make as fast as the process wants."""
     out = []
     speed = targets.travel[1:] / np.maximum(np.diff(clock_time), 1e-12)
-    for i in np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1:
+    slow = np.flatnonzero(speed < targets.feed_min[1:] * (1.0 - 1e-6)) + 1
+    for i in slow.tolist():
         got, least = float(speed[i - 1]) / MM, float(targets.feed_min[i]) / MM
         out.append(
             Issue(
                 "motion.feed_min",
                 f"the move to {targets.name(i)} runs at {got:.3g} mm/s, allowed is {least:.3g} mm/s at least",
                 severity=Severity.WARNING,
-                index=int(i),
+                index=i,
                 target=targets.name(i),
                 time=float(clock_time[i]),
                 value=got,
                 limit=least,
                 unit="mm/s",
-                hint="let the run-up lie outside the stock, lower feed_min, or raise the fractions of joint speed",
+                hint="let the run-up lie outside the stock, lower feed_min, or raise speed_fraction",
             )
         )
     return out
@@ -207,22 +216,12 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
 
 
 def _edge_margin(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict[str, Any]:
-    if targets.edge is None or scene.model is None:
+    if targets.edge is None:
         return {}
-    points = scene.edge(targets, np.arange(targets.count))
-    if points is None:
-        return {}
-    cuts = np.array([segment_kind(label) == "cut" for label in targets.segment])
-    best = (np.inf, 0, ("", ""))
-    for against, rows in (("no_stock", np.flatnonzero(cuts)), ("all", np.flatnonzero(~cuts))):
-        if len(rows):
-            part = {arm: angles[rows] for arm, angles in q.items()}
-            found = edge_clearance(scene.model, part, points[rows], targets.edge.radius, SKIP_ENDS, against)
-            k = found.worst()
-            if found.distance[k] < best[0]:
-                best = (float(found.distance[k]), int(rows[k]), found.pair[k])
+    distance, pairs = scene.edge_clearance(targets, q, np.arange(targets.count))
+    worst = int(np.argmin(distance))
     return {
-        "edge_clearance_mm": best[0] / MM,
-        "edge_clearance_pair": list(best[2]),
-        "edge_clearance_index": best[1],
+        "edge_clearance_mm": float(distance[worst]) / MM,
+        "edge_clearance_pair": list(pairs[worst]),
+        "edge_clearance_index": worst,
     }

@@ -1,8 +1,8 @@
 """Closed-form inverse kinematics of ortho-parallel arms with spherical wrists, batched over poses.
 
-Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem of industrial
-serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One branch of a thousand poses costs
-about half a millisecond, so that an optimiser may call it in every step.
+Formulas: Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem of
+industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One branch of a
+thousand poses costs about half a millisecond, so that an optimiser may call it in every step.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ BRANCHES: Final = 8
 
 
 def inverse(opw: OpwParameters, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)) -> FloatArray:
-    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none exists.
+    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none
+    exists.
 
-    Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the arm does
-    not pass a singularity.
+    Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
+    arm does not pass a singularity.
     """
     r = flange[..., :3, :3]
     centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]

@@ -1,13 +1,15 @@
-"""Where to put the stock, and bases that may be moved, so that the whole job is reachable with the best margin.
+"""Where to put the stock, and bases that may be moved, so that the whole job is reachable with the best
+margin.
 
 A seeded search from coarse to fine over few targets and few spins, batched over candidates: random places and
-heuristic ones, then generations of shrinking steps around the best. What collides is sorted out afterwards on the best ones.
+heuristic ones, then generations of shrinking steps around the best. What collides is sorted out afterwards on
+the best ones.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -34,7 +36,7 @@ LAST: Final = 12
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
 SPIN_STEP: Final = np.deg2rad(30.0)
-ENOUGH: Final = np.deg2rad(30.0)
+ENOUGH: Final = np.deg2rad(40.0)
 """Margins wider than this count no more."""
 
 APART: Final = 0.08
@@ -43,7 +45,8 @@ APART: Final = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """A candidate: stock pose (4, 4) and base poses {arm: (4, 4)} in the world; ``score`` [rad] is the least margin."""
+    """A candidate: stock pose (4, 4) and base poses {arm: (4, 4)} in the world; ``score`` [rad] is the least
+    margin."""
 
     stock: FloatArray
     bases: dict[str, FloatArray]
@@ -82,7 +85,7 @@ class Search:
         start: FloatArray | None = None,
         seed: int | None = None,
     ) -> None:
-        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which a part of the candidates lies."""
+        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some candidates lie."""
         self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
@@ -102,7 +105,7 @@ class Search:
             points, scores = points[best], scores[best]
             size = spread * 0.55**generation
             steps = self._rng.normal(size=(len(points), CHILDREN, points.shape[1])) * size
-            children = self._legal((points[:, None] + steps).reshape(-1, points.shape[1]))
+            children = (points[:, None] + steps).reshape(-1, points.shape[1])
             offered = self._score(children, self._coarse)
             seen.append(children)
             known.append(offered)
@@ -140,20 +143,16 @@ class Search:
                 place[near] = self._start[:3] + 0.1 * self._rng.normal(size=place[near].shape)
                 yaw[near] = self._start[3]
             columns = [np.column_stack([place, yaw])]
-        for arm in self._movable:
+        for _ in self._movable:
             shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
             turn = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
             columns.append(np.column_stack([shift, turn + 0.2 * self._rng.normal(size=count)]))
             columns[-1][: count // 6] = 0.0
-            del arm
-        return self._legal(np.concatenate(columns, axis=1))
+        return np.concatenate(columns, axis=1)
 
     def _spread(self) -> FloatArray:
         stock = [0.0] * 4 if self._fixed else [0.2, 0.2, 0.15, 0.4]
         return np.array(stock + [0.2, 0.2, 0.3] * len(self._movable))
-
-    def _legal(self, points: FloatArray) -> FloatArray:
-        return points
 
     def _stock_pose(self, point: FloatArray) -> FloatArray:
         if self._stock.place is not None:
@@ -173,7 +172,8 @@ class Search:
         return out
 
     def _score(self, points: FloatArray, few: Sequence[_Few]) -> FloatArray:
-        """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0: not reachable."""
+        """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0:
+        not reachable."""
         out = np.empty(len(points))
         for first in range(0, len(points), 64):
             part = points[first : first + 64]
@@ -244,10 +244,11 @@ def margin(
     bases: Mapping[str, FloatArray],
     settings: Settings,
 ) -> FloatArray:
-    """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best branches."""
+    """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best
+    branches."""
     scene = Scene.of(cell, targets.arms, stock, settings, None, bases)
     margins, _ = margins_at(scene, targets, values, index, stock, settings)
-    return _combined(margins, index).max(axis=1)
+    return np.asarray(_combined(margins, index).max(axis=1))
 
 
 def margins_at(
@@ -258,7 +259,8 @@ def margins_at(
     stock: FloatArray,
     settings: Settings,
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Margins {arm: (K, M, 8)} beyond the hard ones, capped, and joints {arm: (K, M, 8, 6)}, for M sampled states.
+    """Margins {arm: (K, M, 8)} beyond the hard ones, capped, and joints {arm: (K, M, 8, 6)}, for M sampled
+    states.
 
     Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
     """
@@ -288,7 +290,8 @@ def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
     radial = np.hypot(centre[..., 0], centre[..., 1]) - p.a1
     distance = np.hypot(radial, centre[..., 2] - p.c1)
     forearm = np.hypot(p.a2, p.c3)
-    return np.maximum(np.maximum(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance), 0.0)
+    gap = np.maximum(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance)
+    return np.asarray(np.maximum(gap, 0.0))
 
 
 def best_branches(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -297,7 +300,8 @@ def best_branches(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) ->
 
 
 def _combined(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> FloatArray:
-    """Score (K, 8 ** arms) of each choice of branches: least over targets of the best sample, and a little of the mean."""
+    """Score (K, 8 ** arms) of each choice of branches: least over targets of the best sample, and a little of
+    the mean."""
     total: FloatArray | None = None
     for value in margins.values():
         if total is None:
@@ -309,13 +313,5 @@ def _combined(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> Flo
     starts = np.flatnonzero(np.append(True, np.diff(index) > 0))
     best = np.maximum.reduceat(total, starts, axis=1)
     least = best.min(axis=1)
-    return np.where(
-        least > 0.0,
-        least * (1.0 + 0.0) + 0.02 * best.mean(axis=1),
-        least + 0.02 * np.minimum(best.mean(axis=1), 0.0),
-    )
-
-
-def tried(places: Sequence[Place]) -> Iterator[Place]:
-    """Places to plan in, best first."""
-    yield from places
+    mean = best.mean(axis=1)
+    return np.asarray(least + 0.02 * np.where(least > 0.0, mean, np.minimum(mean, 0.0)))

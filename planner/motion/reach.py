@@ -34,8 +34,8 @@ PREFER = 0.5
 class Grid:
     """S samples of the freedoms at each target: ``values`` (N, S, F).
 
-    ``before`` (M, S): for each of M kinds of step, the sample that a sample is reached from, -1 for none. Samples of
-    a full turn are a ring, others a line; one step changes each freedom by one sample at most.
+    ``before`` (M, S): for each of M kinds of step, the sample that a sample is reached from, -1 for none.
+    Samples of a full turn are a ring, others a line; one step changes each freedom by one sample at most.
     """
 
     values: FloatArray
@@ -44,15 +44,16 @@ class Grid:
     @property
     def samples(self) -> int:
         """Number of samples S."""
-        return self.values.shape[1]
+        return int(self.values.shape[1])
 
 
 @dataclasses.dataclass(frozen=True)
 class Rungs:
     """What one arm can do on one branch at every target and sample.
 
-    ``q`` (N, S, 6) principal angles, NaN out of reach; ``turns`` (T, 6) [rad] whole turns to add; ``ok`` (N, S, T)
-    whether limits with their margin and singularities allow the state; ``penalty`` (N, S, T) [s], inf if not.
+    ``q`` (N, S, 6) principal angles, NaN out of reach; ``turns`` (T, 6) [rad] whole turns to add; ``ok`` (N,
+    S, T) whether limits with their margin and singularities allow the state; ``penalty`` (N, S, T) [s], inf
+    if not.
     """
 
     arm: str
@@ -68,7 +69,7 @@ class Rungs:
         return dataclasses.replace(
             self,
             turns=np.zeros((1, 6)),
-            ok=self.ok.any(axis=-1, keepdims=True),
+            ok=np.asarray(self.ok.any(axis=-1, keepdims=True)),
             penalty=self.penalty.min(axis=-1, keepdims=True),
             turns_matter=False,
         )
@@ -76,8 +77,8 @@ class Rungs:
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """All branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (8, N) says where each has
-    one, ``solved`` (8, N) where it has a solution regardless of limits."""
+    """All branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (8, N) says
+    where each has one, ``solved`` (8, N) where it has a solution regardless of limits."""
 
     arm: str
     branches: dict[int, Rungs]
@@ -92,8 +93,14 @@ def full_turn(freedom: Freedom) -> bool:
     return bool(np.all(freedom.upper - freedom.lower >= TWO_PI - 1e-9))
 
 
+def slides_only(freedom: Freedom) -> bool:
+    """Whether a freedom turns nothing: a slide or a table, sampled at few places."""
+    return not (isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values()))
+
+
 def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES) -> Grid:
-    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at ``slides`` places.
+    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at
+    ``slides`` places.
 
     Bounded freedoms are sampled between their bounds at each target, so that a narrow window is never missed.
     """
@@ -117,8 +124,7 @@ def _count(freedom: Freedom, spin_step: float, slides: int) -> int:
     width = float(np.max(freedom.upper - freedom.lower))
     if width <= 0.0:
         return 1
-    spins = isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values())
-    if not spins:
+    if slides_only(freedom):
         return slides
     if full_turn(freedom):
         return max(4, round(TWO_PI / spin_step))
@@ -164,16 +170,16 @@ def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
 def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:
     angles = chain.inverse(pose).reshape(*shape, BRANCHES, 6)
     found: dict[int, Rungs] = {}
-    exists = np.zeros((BRANCHES, shape[0]), dtype=bool)
-    solved = np.zeros((BRANCHES, shape[0]), dtype=bool)
+    exists = []
+    solved: BoolArray = np.zeros((BRANCHES, shape[0]), dtype=bool)
     for branch in range(BRANCHES):
         q = angles[:, :, branch]
         solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
         rungs = rungs_of(scene, chain, branch, q)
-        exists[branch] = rungs.ok.any(axis=(1, 2))
+        exists.append(np.asarray(rungs.ok.any(axis=(1, 2))))
         if exists[branch].all():
             found[branch] = rungs
-    return Reach(chain.name, found, exists, solved)
+    return Reach(chain.name, found, np.stack(exists), solved)
 
 
 def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:

@@ -1,7 +1,7 @@
 """A free way between two points: the straight line, or a tree from either end, shortened.
 
-Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so the same
-question has the same answer.
+Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so
+the same question has the same answer.
 """
 
 from __future__ import annotations
@@ -31,10 +31,12 @@ def connect(
     seed: int,
     rounds: int = ROUNDS,
 ) -> FloatArray | None:
-    """Waypoints (M, D) from ``start`` to ``goal`` (D,), both included, straight lines between them being free.
+    """Waypoints (M, D) from ``start`` to ``goal`` (D,), both included, straight lines between them being
+    free.
 
-    ``free`` tells of points (B, D) whether they are; lines are checked every ``step`` of the largest coordinate. Random points
-    lie between ``lower`` and ``upper``. None if an end is not free or no way was found within ``rounds``.
+    ``free`` tells of points (B, D) whether they are; lines are checked every ``step`` of the largest
+    coordinate. Random points lie between ``lower`` and ``upper``. None if an end is not free or no way was
+    found within ``rounds``.
     """
     if not free(np.stack([start, goal])).all():
         return None
@@ -65,7 +67,8 @@ class _Tree:
         self.parent = [-1]
 
     def grow(self, toward: FloatArray, free: Free, step: float) -> int | None:
-        """Adds a point on the free part of the line toward a point; its index, or None if there is no free part."""
+        """Adds a point on the free part of the line toward a point; its index, or None if there is no free
+        part."""
         away = np.abs(np.array(self.points) - toward).max(axis=1)
         near = int(np.argmin(away))
         if away[near] < 1e-12:

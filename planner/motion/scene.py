@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
+from planner.cell.edge import Against
 from planner.cell.edge import edge as edge_clearance
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import transform
@@ -70,7 +71,8 @@ class Scene:
         return self.world(targets, targets.poses(values, index))
 
     def edge(self, targets: Targets, index: IndexArray) -> FloatArray | None:
-        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), or None without an edge."""
+        """Points (B, P, 3) of the flexible edge in the world at targets ``index`` (B,), or None without an
+        edge."""
         if targets.edge is None:
             return None
         frame = targets.frame.get(targets.arms[0], "stock")
@@ -78,19 +80,39 @@ class Scene:
         return points if frame == "world" else transform(self.stock, points)
 
     def free(self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray) -> NDArray[np.bool_]:
-        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edge included."""
+        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edge
+        included."""
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
         ok = np.asarray(clearance.free(self.model, q, self.settings.clearance), dtype=bool)
+        rows = np.flatnonzero(ok)
+        distance, _ = self.edge_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
+        ok[rows] = distance >= self.settings.clearance
+        return ok
+
+    def edge_clearance(
+        self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
+    ) -> tuple[FloatArray, list[tuple[str, str]]]:
+        """Least distances (B,) [m] of the flexible edge to what it may not touch, and the pairs.
+
+        The stock counts except in cut segments. Infinite without an edge.
+        """
+        distance, pairs = np.full(len(index), np.inf), [("", "")] * len(index)
         points = self.edge(targets, index)
-        if points is None or targets.edge is None:
-            return ok
-        cuts = np.array([segment_kind(targets.segment[i]) == CUTTING for i in index])
-        for against, rows in (("no_stock", np.flatnonzero(ok & cuts)), ("all", np.flatnonzero(ok & ~cuts))):
+        if points is None or targets.edge is None or self.model is None:
+            return distance, pairs
+        cuts = np.array([segment_kind(targets.segment[i]) == CUTTING for i in index], dtype=bool)
+        choices: tuple[tuple[Against, NDArray[np.intp]], ...] = (
+            ("no_stock", np.flatnonzero(cuts)),
+            ("all", np.flatnonzero(~cuts)),
+        )
+        for against, rows in choices:
             if len(rows):
-                part = {arm: angles[rows] for arm, angles in q.items()}
+                part = {arm: q[arm][rows] for arm in targets.arms}
                 found = edge_clearance(
                     self.model, part, points[rows], targets.edge.radius, SKIP_ENDS, against
                 )
-                ok[rows] = found.distance >= self.settings.clearance
-        return ok
+                distance[rows] = found.distance
+                for row, pair in zip(rows, found.pair, strict=True):
+                    pairs[row] = pair
+        return distance, pairs

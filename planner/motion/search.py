@@ -1,4 +1,4 @@
-"""Chooses branches for all arms together, and feeds collisions back into the ladder until its path is free."""
+"""Chooses branches for all arms together; feeds collisions back to the ladder until its path is free."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ FloatArray = NDArray[np.float64]
 ROUNDS = 60
 MOST_CHOICES = 6
 TOLERATED = 1e-3
-"""Share of its cost by which a path may be dearer than the bound that ignores turns before turns are searched too."""
+"""Share of its cost by which a path may be dearer than the bound that ignores turns before turns are searched
+too."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +41,9 @@ class Found:
 class Blocked:
     """Why there is no path, and what is known of it.
 
-    ``reach`` is the table of all arms; ``common`` the first target that no choice of branches passes, N if it is
-    collisions that are in the way; then ``path`` is the last path tried and ``collided`` (N, S) what collides.
+    ``reach`` is the table of all arms; ``common`` the first target that no choice of branches passes, N if it
+    is collisions that are in the way; then ``path`` is the last path tried and ``collided`` (N, S) what
+    collides.
     """
 
     reach: Mapping[str, Reach]
@@ -53,8 +55,8 @@ class Blocked:
 def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
     """The path of least cost over branches, samples and turns that keeps clearance at every target.
 
-    Branches stay the same over the whole run. Choices of branches are tried in the order of their cost without
-    collisions, which bounds their cost with collisions from below.
+    Branches stay the same over the whole run. Choices of branches are tried in the order of their cost
+    without collisions, which bounds their cost with collisions from below.
     """
     table = reach(scene, targets, grid)
     choices, common = _choices(scene, targets, grid, table)
@@ -77,7 +79,8 @@ def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
 
 
 class Choice:
-    """One branch for each arm. Turns are searched only where forgetting them gives a path that cannot be lifted."""
+    """One branch for each arm. Turns are searched only where forgetting them gives a path that cannot be
+    lifted."""
 
     def __init__(
         self,
@@ -140,7 +143,7 @@ class Choice:
 def _choices(
     scene: Scene, targets: Targets, grid: Grid, table: Mapping[str, Reach]
 ) -> tuple[list[Choice], int]:
-    """Choices of branches with a common sample at every target, and the farthest target that others fail at."""
+    """Choices of branches with a common sample at every target; the farthest target where others fail."""
     extra = _preference(targets, grid)
     flat = {
         (arm, b): (r.modulo(), _moves(scene, r.modulo(), grid))
@@ -184,7 +187,8 @@ def _preference(targets: Targets, grid: Grid) -> FloatArray | None:
 
 
 def _free_path(choice: Choice, check: Checker) -> tuple[Found | None, Found | None]:
-    """Shortest path, check it, block what collides, again. The free path if there is one, and the last one tried."""
+    """Shortest path, check it, block what collides, again. The free path if there is one, and the last one
+    tried."""
     found, last = choice.shortest(), None
     suspect: FloatArray | None = None
     for count in range(ROUNDS):

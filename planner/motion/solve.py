@@ -15,7 +15,7 @@ from planner.cell import plant
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate
-from planner.motion import diagnose
+from planner.motion import diagnose, entry
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.reach import sample
@@ -29,6 +29,7 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
+AWAY: Final = 50.0
 PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
 
 
@@ -48,6 +49,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
         place = Place(fixed, {}, 0.0, 0)
         operations = _plan(problem, targets, model, place, tell)
     else:
+        _require_home(problem, targets, model)
         tell("placement", 0.0)
         lap = time.perf_counter()
         places, trace = Search(problem.cell, problem.stock, targets, problem.settings).run(model)
@@ -129,6 +131,15 @@ def _first_that_works(
     raise TandemError([_unplaced(trace), *reasons])
 
 
+def _require_home(problem: Problem, targets: Sequence[Targets], model: CellModel) -> None:
+    """Homes that are not free wherever the stock is need no search for its place."""
+    away = from_parts(np.eye(3), np.array([0.0, 0.0, AWAY]))
+    for job in targets:
+        entry.require_home(
+            Scene.of(problem.cell, job.arms, away, problem.settings, model.with_stock(away)), job
+        )
+
+
 def _no_path(problem: Problem, targets: Sequence[Targets], model: CellModel, place: Place) -> list[Issue]:
     placed = model.with_stock(place.stock).with_bases(place.bases)
     out: list[Issue] = []
@@ -147,7 +158,8 @@ def _unplaced(trace: Trace) -> Issue:
     reachable = int((trace.score > 0).sum())
     return Issue(
         "motion.no_placement",
-        f"no place of the stock was found for the whole job: {len(trace.score)} places tried, {reachable} of them "
+        f"no place of the stock was found for the whole job: {len(trace.score)} places tried, "
+        f"{reachable} of them "
         f"reachable with all margins, the best at {x:.0f}, {y:.0f}, {z:.0f} mm",
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,

@@ -1,7 +1,8 @@
 """Timing: the clock for all arms at once, by TOPPRA over the joint path between stops.
 
-Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis", IEEE T-RO 2018
-(package ``toppra``). Where it fails, Drake's implementation with relaxed constraints takes over; the result says so.
+Pham and Pham, "A new approach to time-optimal path parameterization based on reachability analysis", IEEE
+T-RO 2018 (package ``toppra``). Where it fails, Drake's implementation with relaxed constraints takes over;
+the result says so.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ from toppra.constraint import DiscretizationType, JointAccelerationConstraint, L
 from toppra.interpolator import AbstractGeometricPath
 
 from planner.motion.joints import JointPath
+from planner.motion.timing_drake import parameterise_drake
 
 FloatArray = NDArray[np.float64]
 
 RESERVE: Final = 0.97
-"""Share of speeds and accelerations that the clock uses: the rest covers grid points and blending at the corners."""
+RESERVE_ACCELERATION: Final = 0.74
+"""Share of speeds and accelerations that the clock uses: the rest covers grid points and blending at the
+corners."""
 
 GRID_PER_KNOT: Final = 2
 LEAST_GRID: Final = 24
@@ -30,7 +34,8 @@ LEAST_GRID: Final = 24
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Joint speeds and accelerations (J,) and the least time (N,) [s] that feeds allow for the move to each target."""
+    """Joint speeds and accelerations (J,) and the least time (N,) [s] that feeds allow for the move to each
+    target."""
 
     speed: FloatArray
     acceleration: FloatArray
@@ -48,7 +53,7 @@ class Clock:
     peak_acceleration: float
 
 
-class TimingFailed(ArithmeticError):
+class TimingError(ArithmeticError):
     """No solver could time the piece that ends at target ``index``."""
 
     def __init__(self, index: int) -> None:
@@ -57,7 +62,7 @@ class TimingFailed(ArithmeticError):
 
 
 def clock(path: JointPath, limits: Limits) -> Clock:
-    """Times of all targets, at rest at stops. Raises :class:`TimingFailed`."""
+    """Times of all targets, at rest at stops. Raises :class:`TimingError`."""
     pieces = [_piece(piece.spline, piece.knots, limits, piece.first, piece.last) for piece in path.pieces]
     time = np.zeros(path.count)
     speeds, accelerations = [0.0], [0.0]
@@ -108,9 +113,11 @@ def _piece(
     bound = top[inner]
     on_knot = np.flatnonzero(np.isin(grid, knots[1:-1]))
     bound[on_knot] = np.minimum(top[inner[on_knot]], top[inner[on_knot] - 1])
-    profile, used = parameterise(spline, grid, bound, RESERVE * limits.speed, RESERVE * limits.acceleration)
+    profile, used = parameterise(
+        spline, grid, bound, RESERVE * limits.speed, RESERVE_ACCELERATION * limits.acceleration
+    )
     if profile is None:
-        raise TimingFailed(last)
+        raise TimingError(last)
     return np.interp(knots, grid, profile.time), profile, used
 
 
@@ -140,8 +147,6 @@ def parameterise(
     _, found, _ = solver.compute_parameterization(0.0, 0.0)
     if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
         return Profile(spline, grid, np.asarray(found)), "toppra"
-    from planner.motion.timing_drake import parameterise_drake
-
     again = parameterise_drake(spline, grid, limit, acceleration)
     return (None if again is None else Profile(spline, grid, again)), "drake"
 
@@ -183,7 +188,8 @@ class _Bound(LinearConstraint):  # type: ignore[misc]
 def least_times(
     travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float
 ) -> FloatArray:
-    """Least time (N,) [s] of the move to each target: its guarded point within ``feed``, every TCP within ``tcp`` m/s.
+    """Least time (N,) [s] of the move to each target: its guarded point within ``feed``, every TCP within
+    ``tcp`` m/s.
 
     ``lengths`` {arm: (N,)} are the ways of the TCPs [m].
     """

@@ -25,7 +25,8 @@ def parameterise_drake(
 ) -> FloatArray | None:
     """Path speeds (G,) at the grid points, or None.
 
-    ``limit`` (G,) bounds the path speed: it enters as one more joint whose slope over the path is the bound's inverse.
+    ``limit`` (G,) bounds the path speed: it enters as one more joint whose slope over the path is the bound's
+    inverse.
     """
     joints = spline.c.shape[2]
     plant = _sliders(joints + 1)

@@ -1,8 +1,9 @@
 """Trajectory optimisation in which the freedoms are the only variables.
 
-Poses stay exact, because joints follow from the freedoms by closed-form inverse kinematics on the chosen branch in every
-trial step. The cost is smooth motion at the joints plus hinges (limits, singularities, clearance, preferred values);
-Gauss-Newton steps on it are a banded system, since a target meets only its two neighbours on either side.
+Poses stay exact, because joints follow from the freedoms by closed-form inverse kinematics on the chosen
+branch in every trial step. The cost is smooth motion at the joints plus hinges (limits, singularities,
+clearance, preferred values); Gauss-Newton steps on it are a banded system, since a target meets only its two
+neighbours on either side.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ CURVATURE: Final = 64.0
 """Weight of second differences against first ones: changes are spread over some eight targets."""
 
 ITERATIONS: Final = 30
-SMALL_GAIN: Final = 1e-4
+SMALL_GAIN: Final = 3e-3
+BOUND_ROUNDS: Final = 4
 STEP: Final = 1e-4
 
 
@@ -61,7 +63,7 @@ def improve(
     q: Mapping[str, FloatArray],
     obstacles: Obstacles | None = None,
 ) -> Improved:
-    """Smooths a path given as freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
+    """Smooths a path of freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
     problem = _Problem(scene, targets, branch, obstacles)
     values = problem.unwrapped(values)
     joints = problem.stack(q)
@@ -178,7 +180,7 @@ class _Problem:
 
     def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
         """Gauss-Newton step (N, F) and the gain that its model expects."""
-        rows, free = values.shape
+        rows = len(values)
         rates = self.rates(values, joints)
         scaled = rates / self.speed[:, None]
         blocks = [
@@ -194,12 +196,39 @@ class _Problem:
         for hinge in preference_rows(self.targets, values, self.rings):
             np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", hinge.slope, hinge.slope))
             np.add.at(gradient, hinge.index, hinge.slope * hinge.value[:, None])
+        step = self._bounded(blocks, gradient, values, damping)
+        return step, float(-np.sum(step * gradient))
+
+    def _bounded(
+        self, blocks: Sequence[FloatArray], gradient: FloatArray, values: FloatArray, damping: float
+    ) -> FloatArray:
+        """The Gauss-Newton step within the bounds: what would leave them goes to its bound, the rest is
+        solved again."""
         held = (self.upper <= self.lower) | ((values <= self.lower) & (gradient > 0))
         held |= (values >= self.upper) & (gradient < 0)
-        banded = _banded(blocks, held, damping)
-        gradient = np.where(held, 0.0, gradient)
-        step = -solveh_banded(banded, gradient.ravel(), lower=True).reshape(rows, free)
-        return step, float(-np.sum(step * gradient))
+        fixed = np.zeros_like(values)
+        step = fixed
+        for _ in range(BOUND_ROUNDS):
+            right = np.where(held, 0.0, gradient + _blocks_times(blocks, fixed))
+            banded = _banded(blocks, held, damping)
+            step = -solveh_banded(banded, right.ravel(), lower=True).reshape(values.shape) + fixed
+            target = np.clip(values + step, self.lower, self.upper) - values
+            out = ~held & (np.abs(target - step) > 1e-12)
+            if not out.any():
+                break
+            held |= out
+            fixed = np.where(out, target, fixed)
+        return np.clip(values + step, self.lower, self.upper) - values
+
+
+def _blocks_times(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """The symmetric block-banded matrix times x (N, F)."""
+    out = np.einsum("nfg,ng->nf", blocks[0], x)
+    for d in (1, 2):
+        if len(x) > d:
+            out[:-d] += np.einsum("nfg,ng->nf", blocks[d], x[d:])
+            out[d:] += np.einsum("nfg,nf->ng", blocks[d], x[:-d])
+    return np.asarray(out)
 
 
 def _banded(blocks: Sequence[FloatArray], held: NDArray[np.bool_], damping: float) -> FloatArray:
@@ -227,7 +256,7 @@ def _banded(blocks: Sequence[FloatArray], held: NDArray[np.bool_], damping: floa
 
 
 def _stencil(targets: Targets) -> list[FloatArray]:
-    """Diagonals of the pentadiagonal matrix K with q' K q = N (sum of weighted first and second differences)."""
+    """Diagonals of the pentadiagonal K with q' K q = N (sum of weighted first and second differences)."""
     rows = targets.count
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]

@@ -1,4 +1,5 @@
-"""Mends transit moves: where the straight move of joined TCPs collides, another way that keeps their relative pose."""
+"""Mends transit moves: where the straight move of joined TCPs collides, another way that keeps their relative
+pose."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ SAME_SHAPE: Final = 1e-6
 
 LIFTS: Final = (0.1, 0.2, 0.3, 0.45, 0.6)
 TURN: Final = np.deg2rad(1.0)
-"""A turn of the pair is cut into moves of at most this angle, since straight moves of both ends shorten the pair."""
+"""A turn of the pair is cut into moves of at most this angle, since straight moves of both ends shorten the
+pair."""
 
 SPACING: Final = 0.02
 """Distance [m] between checks along a transit move."""
@@ -49,7 +51,8 @@ def mend(scene: Scene, targets: Targets, found: Found) -> Targets | None:
 
 
 class _Transit:
-    """The move to target ``i``: motions of the pair are rigid motions (4, 4) of target i - 1 in the work frame."""
+    """The move to target ``i``: motions of the pair are rigid motions (4, 4) of target i - 1 in the work
+    frame."""
 
     def __init__(self, scene: Scene, targets: Targets, found: Found, i: int) -> None:
         self.scene, self.targets, self.found, self.i = scene, targets, found, i
@@ -101,7 +104,7 @@ class _Transit:
         return out
 
     def _free(self, corners: list[FloatArray]) -> bool:
-        """Whether the moves between corners are free, the freedoms going linearly from one end to the other."""
+        """Whether moves between corners are free, the freedoms going linearly from one end to the other."""
         points = []
         for a, b in itertools.pairwise(corners):
             shift = float(
