@@ -130,13 +130,7 @@ def minimise(
             active = i[(error > tolerance) & np.isfinite(error) & (np.abs(force[i]).max(axis=1) < 1e6)]
             if active.size == 0:
                 break
-    terms = _terms(first, last, weight, a, force)
-    residual = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(chord - terms.chord).max(axis=1))
-    residual = np.where(np.isfinite(residual), residual, np.inf)
-    good = np.isfinite(terms.form).all(axis=(1, 2)) & np.isfinite(residual)
-    margin = np.full(batch, -np.inf)
-    margin[good] = constrained_smallest(terms.form[good], terms.normal[good])
-    return Clamped(a, force, margin, residual)
+    return _judge(first, last, chord, weight, a, force)
 
 
 def newton(
@@ -155,9 +149,18 @@ def newton(
         share = np.minimum(1.0, _LIMIT / np.maximum(moved, 1e-300))
         a += share[:, None] * da
         f += share[:, None] * df
+    return _judge(first, last, chord, weight, a, f)
+
+
+def _judge(first: Array, last: Array, chord: Array, weight: Array, a: Array, f: Array) -> Clamped:
+    """Margins and residuals; items that ran away get -inf and inf."""
     terms = _terms(first, last, weight, a, f)
     residual = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(chord - terms.chord).max(axis=1))
-    return Clamped(a, f, constrained_smallest(terms.form, terms.normal), residual)
+    residual = np.where(np.isfinite(residual), residual, np.inf)
+    good = np.isfinite(terms.form).all(axis=(1, 2)) & np.isfinite(residual)
+    margin = np.full(residual.shape, -np.inf)
+    margin[good] = constrained_smallest(terms.form[good], terms.normal[good])
+    return Clamped(a, f, margin, residual)
 
 
 def amplitudes_of(sigma_theta: Array, sigma: Array, weight: Array, modes: int = MODES) -> Array:

@@ -18,6 +18,7 @@ from planner.hotwire.stability import Section
 from planner.issues import Issue, TandemError
 
 _ACCEPT = 1e-9  # of the length
+_STEPS = 12  # from a guess to clamps that Newton does not reach at once
 
 
 @dataclass(frozen=True)
@@ -153,20 +154,10 @@ def solve(
 
     Raises `TandemError` with code wire.no_equilibrium where Newton fails; with strict=False these rows
     are NaN."""
-    guess = flow(guess_params, length, weight, anchor=0.0)
-    grid = nodes(guess.count)
-    amplitude = clamped.amplitudes_of(guess.theta, grid.sigma, grid.weight)
-    force = guess_params[:, 4:] * (length**2)[:, None]
-    chord = (end[:, :2] - start[:, :2]) / length[:, None]
-    load = weight * (length**3)[:, None]
-    found = clamped.newton(start[:, 2], end[:, 2], chord, load, amplitude, force)
-    settled = found.residual < 1e-6
-    middle = np.full((length.size, 6), np.nan)
-    r = np.flatnonzero(settled)
-    if r.size:
-        state = middle_state(start[r], end[r], length[r], weight[r], found.amplitude[r], found.force[r])
-        state, miss = polish(state, start[r], end[r], length[r], weight[r])
-        middle[r[miss < _ACCEPT]] = state[miss < _ACCEPT]
+    middle = _follow(length, start, end, weight, guess_params, steps=1)
+    late = np.flatnonzero(np.isnan(middle[:, 0]))
+    if late.size:
+        middle[late] = _follow(length[late], start[late], end[late], weight[late], guess_params[late], _STEPS)
     ok = np.isfinite(middle[:, 0])
     shape = _with_gaps(middle, length, weight, n, ok)
     if strict and not ok.all():
@@ -174,6 +165,44 @@ def solve(
             [_no_equilibrium(int(i), float(length[i])) for i in np.flatnonzero(~ok)], partial=shape
         )
     return shape
+
+
+def _follow(length: Array, start: Array, end: Array, weight: Array, params: Array, steps: int) -> Array:
+    """Middle states (B, 6), NaN where there is none, on the way from the guess's own end poses to the
+    wanted ones.
+
+    A guess that meets the wanted end better without weight is taken for a wire without weight, and its
+    weight grows on the way."""
+    nothing = np.zeros_like(weight)
+    wires = [flow(params, length, load, anchor=0.0) for load in (weight, nothing)]
+    gaps = [np.hypot(*(wire.at(np.array([1.0]))[:, 0, :2] - end[:, :2]).T) for wire in wires]
+    light = gaps[1] < gaps[0]
+    pick = light[:, None]
+    states = []
+    for wire in wires:
+        grid = nodes(wire.count)
+        states.append(clamped.amplitudes_of(wire.theta, grid.sigma, grid.weight))
+    amplitude = np.where(pick, states[1], states[0])
+    force = params[:, 4:] * (length**2)[:, None]
+    own = np.where(pick, *(wire.at(np.array([1.0]))[:, 0, :3] for wire in reversed(wires)))
+    begin = np.where(pick, nothing, weight)
+    found = None
+    for i in range(1, steps + 1):
+        t = i / steps
+        a, b = params[:, :3] + t * (start - params[:, :3]), own + t * (end - own)
+        chord = (b[:, :2] - a[:, :2]) / length[:, None]
+        load = (begin + t * (weight - begin)) * (length**3)[:, None]
+        found = clamped.newton(a[:, 2], b[:, 2], chord, load, amplitude, force)
+        settled = found.residual < 1e-6
+        amplitude = np.where(settled[:, None], found.amplitude, amplitude)
+        force = np.where(settled[:, None], found.force, force)
+    middle = np.full((length.size, 6), np.nan)
+    r = np.flatnonzero(found.residual < 1e-6) if found is not None else np.empty(0, dtype=np.int64)
+    if r.size:
+        state = middle_state(start[r], end[r], length[r], weight[r], amplitude[r], force[r])
+        state, miss = polish(state, start[r], end[r], length[r], weight[r])
+        middle[r[miss < _ACCEPT]] = state[miss < _ACCEPT]
+    return middle
 
 
 def _with_gaps(middle: Array, length: Array, weight: Array, n: int, ok: Mask) -> HeavyShape:

@@ -207,3 +207,20 @@ def test_level_thin_wire_sags_by_a_centimetre():
     largest, profile = heavy.sag_out_of_plane(straight, np.array([-(0.31**-3)]), elastica.round(0.3), n=5)
     assert largest[0] == pytest.approx(0.6**4 / 384 / 0.31**3, rel=1e-9)
     assert profile[0, 2] == -largest[0]
+
+
+def test_weight_moves_s_shapes_by_centimetres_and_arcs_hardly():
+    # thin wire with (EI / w)^(1/3) = 0.31 m in a vertical plane. A discrete rod gave 5-28 mm for
+    # stable S shapes of 0.60-0.75 m and under 0.25 mm for single arcs of that kind
+    q = np.array([[0.0, -(0.31**-3)]])
+    length = np.array([0.6])
+    for turn in (0.5, 1.0, 2.5):
+        chord = np.sinc(turn / 2 / np.pi) * 0.6
+        start, end = np.array([[0.0, 0.0, turn / 2]]), np.array([[chord, 0.0, -turn / 2]])
+        arc = elastica.solve(length, start, end)
+        assert response.weight_deviation(heavy.solve(length, start, end, q, arc.params))[0] < 2.5e-4
+    start, end = np.array([[0.0, 0.0, 0.6]]), np.array([[0.57, 0.0, 0.6]])
+    s_shape = elastica.solve(length, start, end)
+    assert s_shape.inflections[0] == 1
+    moved = response.weight_deviation(heavy.solve(length, start, end, q, s_shape.params))[0]
+    assert 5e-3 < moved < 28e-3
