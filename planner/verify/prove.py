@@ -167,7 +167,7 @@ class Prover:
         outcome, run.faces, run.part = rules_surface.surface(context, sweeps)
         run.add("verify.surface", outcome)
         yield
-        run.add("verify.ridge", rules_surface.ridges(run.faces))
+        run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield
         model = self.model(context)
         run.add("verify.kinematics", rules_cell.kinematics(context, model))

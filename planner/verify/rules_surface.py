@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
 from planner.verify.surface import cut_face, part_obj
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
-
-_NEIGHBOURS = 48
 
 
 def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[FloatArray, ...]:
@@ -78,33 +76,55 @@ def surface(context: Context, rows: tuple[FloatArray, ...]) -> tuple[Outcome, tu
     return outcome, faces, part_obj(context.surfaces, rows)
 
 
-def ridges(faces: tuple[CutFace, ...]) -> Outcome:
-    """No ridge or groove stands out of the cut surface around it by more than the tolerance."""
-    issues, worst, limit = [], 0.0, None
-    for face in faces:
-        known = np.flatnonzero(np.isfinite(face.deviation))
-        if len(known) <= _NEIGHBOURS:
-            continue
-        points, deviation = face.points[known], face.deviation[known]
-        _, near = cKDTree(points).query(points, k=_NEIGHBOURS)
-        out = np.abs(deviation - np.median(deviation[near], axis=1))
-        k = int(np.argmax(out))
-        if limit is None or out[k] > worst:
-            worst, limit = float(out[k]), mm(face.tolerance)
-        if out[k] > face.tolerance:
-            at = ", ".join(f"{value:.1f}" for value in points[k] * 1e3)
-            message = (
-                f"a ridge or groove of {mm(out[k]):.3f} mm stands out of {face.segment} at ({at}) mm; "
-                f"allowed: {mm(face.tolerance):g} mm"
-            )
-            issues.append(
-                Issue(
-                    "verify.ridge",
-                    message,
-                    field=face.segment,
-                    value=mm(out[k]),
-                    limit=mm(face.tolerance),
-                    unit="mm",
+def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """No target stands out of the smooth surface that its neighbours make by more than the tolerance."""
+    issues, worst, limit, where = [], 0.0, None, ""
+    nodes = context.motion.node_sample
+    for claim in context.surfaces:
+        for wire in wires:
+            rows = np.flatnonzero((wire.labels == claim.segment) & np.isin(wire.sample, nodes))
+            if wire.path is None or len(rows) < 5:
+                continue
+            out = _standing_out(wire.points[rows], wire.inside[rows])
+            k = int(np.argmax(out))
+            if limit is None or out[k] > worst:
+                worst, limit, where = float(out[k]), mm(claim.tolerance), claim.segment
+            for i in np.flatnonzero(out > claim.tolerance)[:50]:
+                message = (
+                    f"the wire is {mm(out[i]):.3f} mm off the surface between its neighbours: a ridge or groove; "
+                    f"allowed: {mm(claim.tolerance):g} mm"
                 )
-            )
-    return Outcome(tuple(issues), mm(worst), limit, "mm", "" if faces else "no face is claimed")
+                measure = (mm(float(out[i])), mm(claim.tolerance), "mm")
+                sample = int(wire.sample[rows[i]])
+                arm = wire.phase.claim.arms[0]
+                issues.append(at_sample("verify.ridge", message, context.motion, arm, sample, measure))
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no face is claimed")
+
+
+def _standing_out(points: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+    """How far (T,) [m] each wire is off the cubic through the two wires before and the two behind it.
+
+    ``points`` (T, P, 3) at equal arc lengths; measured across the wire and its way, at points ``inside`` (T,
+    P).
+    """
+    out = np.zeros(len(points))
+    step = np.linalg.norm(np.diff(points, axis=0), axis=2)
+    way = np.concatenate([np.zeros((1, points.shape[1])), np.cumsum(step, axis=0)])
+    at = np.stack([way[k : len(way) - 4 + k] for k in range(5)])
+    near = (0, 1, 3, 4)
+    guess = np.zeros_like(points[2:-2])
+    for i in near:
+        weight = np.ones_like(at[2])
+        for j in near:
+            if j != i:
+                weight = (
+                    weight * (at[2] - at[j]) / np.where(np.abs(at[i] - at[j]) > 1e-9, at[i] - at[j], np.inf)
+                )
+        guess += weight[..., None] * points[i : len(points) - 4 + i]
+    tangent = np.gradient(points[2:-2], axis=1)
+    forward = points[3:-1] - points[1:-3]
+    normal = np.cross(tangent, forward)
+    normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15)
+    off = np.abs(np.einsum("tpi,tpi->tp", points[2:-2] - guess, normal))
+    out[2:-2] = np.where(inside[2:-2], off, 0.0).max(axis=1)
+    return out

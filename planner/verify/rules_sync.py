@@ -10,7 +10,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
-from planner.verify.rapid_steps import MoveStep, SettingStep, Step
+from planner.verify.rapid_steps import MoveStep, SettingStep, SignalStep, Step
 from planner.verify.rapid_values import RobTarget
 
 _TIME_TOLERANCE = 1e-9
@@ -199,21 +199,36 @@ def arms_alone(context: Context) -> Outcome:
 
 
 def wire_alone(context: Context) -> Outcome:
-    """No arm moves alone while a wire is mounted: each wire has one run of synchronised stages."""
+    """No arm moves alone while a wire is mounted or powered: each wire has one run of synchronised stages."""
+    issues = _moves_with_power(context)
     runs, wires = len(context.runs), len(context.wires)
-    if not wires or runs == wires:
-        return Outcome()
-    lone = [
-        (task, moves[0])
-        for number, stage, task, moves in context.moves()
-        if not stage.synchronised and context.runs and context.runs[0][0] < number < context.runs[-1][-1]
-    ]
-    message = f"{wires} wires are mounted, and there are {runs} runs of synchronised moves between lone ones"
-    if lone:
-        return Outcome((at_step("verify.wire_alone", message, *lone[0]),))
-    return Outcome(
-        (Issue("verify.wire_alone", message, hint="move both arms together while a wire is mounted"),)
-    )
+    if wires and runs != wires:
+        message = (
+            f"{wires} wires are mounted, and there are {runs} runs of synchronised moves between lone ones"
+        )
+        hint = "move both arms together while a wire is mounted"
+        lone = [
+            at_step("verify.wire_alone", message, task, moves[0], hint)
+            for number, stage, task, moves in context.moves()
+            if not stage.synchronised and context.runs and context.runs[0][0] < number < context.runs[-1][-1]
+        ]
+        issues += lone[:1] or [Issue("verify.wire_alone", message, hint=hint)]
+    return Outcome(tuple(issues))
+
+
+def _moves_with_power(context: Context) -> list[Issue]:
+    """Lone moves while a signal that powers a wire is on."""
+    signals = {claim.signal.lower() for claim in context.contacts}
+    issues, on = [], set[str]()
+    for stage in context.job.stages:
+        for task in context.job.tasks:
+            for step in stage.steps[task.name]:
+                if isinstance(step, SignalStep) and step.signal.lower() in signals:
+                    on = on | {step.signal} if step.value else on - {step.signal}
+                elif isinstance(step, MoveStep) and on and not stage.synchronised:
+                    message = f"an arm moves alone while {', '.join(sorted(on))} is on"
+                    issues.append(at_step("verify.wire_alone", message, task, step))
+    return issues
 
 
 def stop_before_logic(context: Context) -> Outcome:

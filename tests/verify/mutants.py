@@ -1,5 +1,5 @@
-"""Faults put into program texts, by kind. Each mutator takes a generator of random numbers and the texts and returns
-changed texts; it never returns texts that mean the same.
+"""Faults put into program texts, by kind. Each mutator takes a generator of random numbers and the texts and
+returns changed texts; it never returns texts that mean the same.
 
 Geometric faults are twice the tolerance that they violate.
 """
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tests.verify.small_job import SIGNAL, TOLERANCE
+from tests.verify.small_job import SIGNAL, TOLERANCE, ends, joints_at, problem
 
 Texts = dict[str, str]
 Mutator = Callable[[np.random.Generator, Texts], Texts]
@@ -120,7 +120,7 @@ def one(rng: np.random.Generator) -> int:
 def cutting(rng: np.random.Generator, texts: Texts) -> int:
     """A move that is well inside the block."""
     inside = segment(texts, pick(rng, ["cut_front", "cut_back"]))
-    return pick(rng, inside[4:-4])
+    return pick(rng, [k for k in inside if abs(float(field(texts, 1, k, "pos").split(",")[1])) < 32.0])
 
 
 # ---- text -----------------------------------------------------------------------------------------------------
@@ -168,7 +168,11 @@ def undeclared(rng, texts):
 def lost_declaration(rng, texts):
     task = one(rng)
     rows = lines(texts, task, "Data")
-    known = [i for i, row in enumerate(rows) if re.search(r"(CONST jointtarget|PERS wobj|PERS tool|VAR syncident)", row)]
+    known = [
+        i
+        for i, row in enumerate(rows)
+        if re.search(r"(CONST jointtarget|PERS wobj|PERS tool|VAR syncident)", row)
+    ]
     rows.pop(pick(rng, known))
     return put(texts, task, rows, "Data")
 
@@ -223,8 +227,12 @@ def huge(rng, texts):
 def coarse(rng, texts):
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
     if rng.random() < 0.5:
-        return change(texts, task, k, pos=",".join(f"{float(v):.3f}" for v in field(texts, task, k, "pos").split(",")))
-    return change(texts, task, k, orient=",".join(f"{float(v):.6f}" for v in field(texts, task, k, "orient").split(",")))
+        return change(
+            texts, task, k, pos=",".join(f"{float(v):.3f}" for v in field(texts, task, k, "pos").split(","))
+        )
+    return change(
+        texts, task, k, orient=",".join(f"{float(v):.6f}" for v in field(texts, task, k, "orient").split(","))
+    )
 
 
 @mutator("verify.decimals")
@@ -285,7 +293,9 @@ def lone_task(rng, texts):
 
 
 def _sync_rows(texts: Texts, task: int) -> list[int]:
-    return [i for i, row in enumerate(lines(texts, task, "Main")) if re.search(r"WaitSyncTask|SyncMoveO", row)]
+    return [
+        i for i, row in enumerate(lines(texts, task, "Main")) if re.search(r"WaitSyncTask|SyncMoveO", row)
+    ]
 
 
 @mutator("verify.sync_order")
@@ -405,7 +415,9 @@ def dropped_pair(rng, texts):
 def wrong_id(rng, texts):
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
     ident = int(field(texts, task, k, "id"))
-    return change(texts, task, k, id=str(max(1, ident + pick(rng, [-2, -1, 1, 2, 1000])) if ident > 2 else ident + 1000))
+    return change(
+        texts, task, k, id=str(max(1, ident + pick(rng, [-2, -1, 1, 2, 1000])) if ident > 2 else ident + 1000)
+    )
 
 
 @mutator("verify.move_ids")
@@ -531,7 +543,8 @@ def flies_into_logic(rng, texts):
         return both(texts, last, lambda t, task, k: change(t, task, k, zone="z0"))
     task = one(rng)
     rows = lines(texts, task, "Main")
-    i = pick(rng, [i for i, row in enumerate(rows) if "MoveAbsJ" in row and "WaitSync" in rows[i + 1]])
+    alone = [i for i, row in enumerate(rows) if "MoveAbsJ" in row and "MoveAbsJ" not in rows[i + 1]]
+    i = pick(rng, alone)
     rows[i] = rows[i].replace("fine", "z10")
     return put(texts, task, rows, "Main")
 
@@ -680,7 +693,9 @@ def beyond_limits(rng, texts):
     task = one(rng)
     rows, i = _data_row(texts, task, "j_1_entry_1")
     values = [float(v) for v in re.search(r"\[\[([^\]]*)\]", rows[i]).group(1).split(",")]
-    axis, value = pick(rng, [(0, 182.0), (1, 112.0), (2, 52.0), (3, 202.0), (4, 117.0), (4, -117.0), (5, 402.0)])
+    axis, value = pick(
+        rng, [(0, 182.0), (1, 112.0), (2, 52.0), (3, 202.0), (4, 117.0), (4, -117.0), (5, 402.0)]
+    )
     values[axis] = value + rng.uniform(0.0, 20.0) * np.sign(value)
     rows[i] = re.sub(r"\[\[[^\]]*\]", "[[" + ",".join(f"{v:.6f}" for v in values) + "]", rows[i], count=1)
     return put(texts, task, rows, "Data")
@@ -698,7 +713,10 @@ def entry_through_block(rng, texts):
     """A waypoint of the entry that leads an arm through the block."""
     task = one(rng)
     rows, i = _data_row(texts, task, "j_1_entry_1")
-    into = [rng.uniform(-3.0, 3.0), 60.0, rng.uniform(-6.0, 0.0), 0.0, 20.0, 0.0]
+    arm = problem().cell.arms[task - 1]
+    pose = ends(np.array([rng.uniform(-0.02, 0.02)]), False)[arm.name]
+    pose[:, :3, 3] = [rng.uniform(-0.03, 0.03), rng.uniform(-0.02, 0.02), rng.uniform(0.03, 0.07)]
+    into = np.rad2deg(joints_at(arm, pose)[0])
     rows[i] = re.sub(r"\[\[[^\]]*\]", "[[" + ",".join(f"{v:.6f}" for v in into) + "]", rows[i], count=1)
     return put(texts, task, rows, "Data")
 
@@ -743,7 +761,7 @@ def never_on(rng, texts):
 @mutator("verify.wire_power")
 def no_heat_up(rng, texts):
     rows, i = _main_row(texts, "WaitTime 10;")
-    rows[i] = f"    WaitTime {rng.uniform(0.5, 5.0):.2f};"
+    rows[i] = f"    WaitTime {rng.uniform(0.2, 2.0):.2f};"
     return put(texts, 1, rows, "Main")
 
 
@@ -767,7 +785,11 @@ def cuts_in_transit(rng, texts):
     old = pick(rng, ["cut_front", "cut_back"])
     for task in TASKS:
         for kind in ("Main", "Cut1"):
-            text = texts[name(kind, task)].replace(f"PROC {old}()", "PROC transit()").replace(f"{old};", "transit;")
+            text = (
+                texts[name(kind, task)]
+                .replace(f"PROC {old}()", "PROC transit()")
+                .replace(f"{old};", "transit;")
+            )
             texts = {**texts, name(kind, task): text}
     return texts
 
@@ -818,10 +840,11 @@ def moved_face(rng, texts):
 
 @mutator("verify.ridge")
 def turned_end(rng, texts):
-    """One end turned at one target by so much that the middle of the wire moves by twice the tolerance or more."""
+    """One end turned at one target by so much that the middle of the wire moves by twice the tolerance or
+    more."""
     k, task = cutting(rng, texts), one(rng)
-    # an end turned by d about the section's normal moves the middle of a clamped wire by about d L / 8
-    angle = 8.0 * 3.0 * TOLERANCE / 0.5 * pick(rng, [-1.0, 1.0])
+    # an end turned by 0.024 rad about the section normal moves this wire by 0.53 mm inside the block
+    angle = 48.0 * 2.0 * TOLERANCE * pick(rng, [-1.0, 1.0])
     w, x, y, z = (float(v) for v in field(texts, task, k, "orient").split(","))
     c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
     q = np.array([w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s])

@@ -29,7 +29,7 @@ LENGTH = 0.5
 KERF = 0.002
 TOLERANCE = 0.0005
 DIGEST = "ab12" * 16
-SIZE = np.array([0.16, 0.12, 0.1])
+SIZE = np.array([0.16, 0.08, 0.1])
 STOCK = from_rpy([0.0, 0.0, 0.45], [0.0, 0.0, 0.0])
 BASES = {
     "left": from_rpy([-0.8, 0.0, 0.0], [0.0, 0.0, 0.0]),
@@ -37,7 +37,8 @@ BASES = {
 }
 SIGNAL = "doWirePower"
 HOME = np.deg2rad([0.0, -20.0, 20.0, 0.0, 70.0, 0.0])
-OUT = 0.09
+OUT = 0.07
+AWAY = 0.12
 FEED = 0.008
 AIR = 0.05
 
@@ -120,20 +121,31 @@ def claims():
 
 def way(count=24):
     """Sections of the job: y, whether low, lift, speed, label, stop."""
-    rows = [(0.14, False, 0.0, AIR, "mount", True)]
+    rows = [(AWAY, False, 0.0, AIR, "mount", True)]
 
     def go(ys, low, speed, label, lift=0.0):
         rows.extend((y, low, lift, speed, label, False) for y in ys)
         rows[-1] = (*rows[-1][:5], True)
 
-    go(np.linspace(0.14, OUT, 6)[1:], False, AIR, "approach")
+    go(np.linspace(AWAY, OUT, 6)[1:], False, AIR, "approach")
     go(np.linspace(OUT, -OUT, count + 1)[1:], False, FEED, "cut/front")
     go([-OUT - 0.01, -OUT - 0.02], False, AIR, "link")
     go([-OUT - 0.02], True, AIR, "link")
     go([-OUT - 0.01, -OUT], True, AIR, "link")
     go(np.linspace(-OUT, OUT, count + 1)[1:], True, FEED, "cut/back")
-    go(np.linspace(OUT, 0.14, 6)[1:], True, AIR, "retreat")
+    go(np.linspace(OUT, AWAY, 6)[1:], True, AIR, "retreat")
     return rows
+
+
+def joints_at(arm, pose):
+    """Joints (N, 6) of TCP poses (N, 4, 4) in the stock frame, in the posture of home."""
+    machine = robot(arm.robot)
+    flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
+    branch = np.full(len(pose), int(arm_ik.branch_of(machine, arm.home)))
+    q = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
+    assert np.isfinite(q).all(), arm.name
+    assert np.abs(forward(machine, q) - flange).max() < 1e-9
+    return q
 
 
 def plan(count=24):
@@ -149,12 +161,7 @@ def plan(count=24):
     job = problem()
     q, travel = {}, np.zeros(len(y))
     for arm in job.cell.arms:
-        machine = robot(arm.robot)
-        flange = inverse(arm.base) @ STOCK @ pose[arm.name] @ inverse(arm.tool.tcp)
-        branch = np.full(len(y), int(arm_ik.branch_of(machine, arm.home)))
-        q[arm.name] = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
-        assert np.isfinite(q[arm.name]).all(), arm.name
-        assert np.abs(forward(machine, q[arm.name]) - flange).max() < 1e-9
+        q[arm.name] = joints_at(arm, pose[arm.name])
         step = np.linalg.norm(np.diff(pose[arm.name][:, :3, 3], axis=0), axis=1)
         travel[1:] = np.maximum(travel[1:], step)
     duration = np.maximum(travel / speed, 0.2)
