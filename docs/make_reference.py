@@ -1,0 +1,122 @@
+"""Writes the field tables of ``docs/problem_file.md`` from the schemas that read problem files.
+
+Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this writes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from planner import cell_file, part_file, posed, problem_file
+from planner.hotwire import operation
+
+PAGE = Path(__file__).parent / "problem_file.md"
+START, END = "<!-- fields: written by make_reference.py -->", "<!-- end of fields -->"
+
+CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
+    ("The whole file", "", problem_file.ProblemFile),
+    ("`stock`", "", problem_file.StockFile),
+    ("`settings`", "", problem_file.SettingsFile),
+    ("`part`", "", part_file.PartFile),
+    ("`part.front`", "", part_file.FrontFile),
+    ("`part.front.loft`", "", part_file.LoftFile),
+    ("`part.front.loft.rail`", "", part_file.RailFile),
+    ("`part.front.loft.profiles` and `sections`, each", "", part_file.CurveFile),
+    ("`part.front.loft.region`", "", part_file.RegionFile),
+    ("`part.front.mesh`, `part.back.mesh`", "", part_file.FaceMeshFile),
+    ("`part.back`", "", part_file.BackFile),
+    ("Process `elastic_wire`", "elastic_wire", operation.ElasticWire),
+    ("`wire` of `elastic_wire`", "", operation.WireFile),
+    ("Process `targets`", "process-targets", posed.Posed),
+    ("`free` of `targets`, each", "", posed.FreeAxis),
+    ("`cell`, or the file that it names", "cell", cell_file.CellFile),
+    ("`cell.arms`, each", "", cell_file.ArmFile),
+    ("Tool `wire_holder`", "", cell_file.WireHolderFile),
+    ("Tool `plain`", "", cell_file.PlainToolFile),
+    ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
+    ("`cell.controller`", "", cell_file.ControllerFile),
+    ("Shape `box`", "", cell_file.BoxFile),
+    ("Shapes `cylinder` and `capsule`", "", cell_file.RoundFile),
+    ("Shape `sphere`", "", cell_file.SphereFile),
+    ("Shape `mesh`", "", cell_file.MeshFile),
+    ("A pose", "", cell_file.PoseFile),
+)
+
+
+def reference() -> str:
+    """The tables of all chapters as Markdown."""
+    return "\n".join(_chapter(title, anchor, model) for title, anchor, model in CHAPTERS)
+
+
+def page(old: str) -> str:
+    """The page with its tables replaced."""
+    before, rest = old.split(START)
+    _, after = rest.split(END)
+    return f"{before}{START}\n\n{reference()}\n{END}{after}"
+
+
+def _chapter(title: str, anchor: str, model: type[BaseModel]) -> str:
+    schema = model.model_json_schema()
+    mark = f'<a id="{anchor}"></a>\n\n' if anchor else ""
+    text = " ".join((model.__doc__ or "").split())
+    required = set(schema.get("required", ()))
+    lines = [f"{mark}### {title}", "", text, "", "| field | what | default |", "|---|---|---|"]
+    for name, field in schema.get("properties", {}).items():
+        shown = _plain(field.get("default"))
+        default = "required" if name in required else shown if shown == "see below" else f"`{shown}`"
+        what = "; ".join(part for part in (field.get("description", ""), _kind(field, schema)) if part)
+        lines.append(f"| `{name}` | {what} | {default} |")
+    return "\n".join([*lines, ""])
+
+
+def _kind(field: dict[str, Any], schema: dict[str, Any]) -> str:
+    if "const" in field:
+        return f"`{field['const']}`"
+    if "enum" in field:
+        return ", ".join(f"`{v}`" for v in field["enum"])
+    if "$ref" in field:
+        name = field["$ref"].rsplit("/", 1)[1]
+        return _kind(schema["$defs"][name], schema) if "enum" in schema["$defs"][name] else "mapping, see below"
+    for key in ("anyOf", "oneOf"):
+        if key in field:
+            kinds = [_kind(option, schema) for option in field[key] if option.get("type") != "null"]
+            return " or ".join(dict.fromkeys(kinds))
+    if field.get("type") == "array":
+        if "prefixItems" in field:
+            return f"list of {len(field['prefixItems'])}"
+        inner = _kind(field.get("items", {}), schema)
+        return f"list, each: {inner}" if inner else "list"
+    return _range(field)
+
+
+def _range(field: dict[str, Any]) -> str:
+    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
+    kind = words.get(str(field.get("type", "")), "mapping" if field.get("type") == "object" else "")
+    bounds = [
+        f"{sign} {field[key]:g}"
+        for key, sign in (
+            ("exclusiveMinimum", "above"),
+            ("minimum", "at least"),
+            ("exclusiveMaximum", "below"),
+            ("maximum", "at most"),
+        )
+        if key in field
+    ]
+    return " ".join([kind, ", ".join(bounds)]).strip()
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, dict):
+        return "see below"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "none" if value is None else str(value).replace("'", "")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")
+    sys.exit(0)

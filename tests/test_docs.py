@@ -1,0 +1,107 @@
+"""README and docs do what they say: commands and code blocks run, links lead somewhere, tables match the code."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\[[^\]]*\]\(([^)#]*)(?:#([\w-]*))?\)")
+
+
+def blocks(language: str) -> Iterator[tuple[str, str]]:
+    for page in PAGES:
+        for found in BLOCK.finditer(page.read_text("utf-8")):
+            if found.group(1) == language:
+                yield page.name, found.group(2)
+
+
+def reference() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_reference", ROOT / "docs" / "make_reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``pip install .`` puts into site-packages, apart from the dependencies that are there already."""
+    folder = tmp_path_factory.mktemp("installed")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def run(command: list[str], site: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=600
+    )
+
+
+def test_the_commands_of_the_readme_run_from_any_folder(site: Path, tmp_path: Path) -> None:
+    where = run([sys.executable, "-c", "import planner; print(planner.__file__)"], site, tmp_path)
+    assert Path(where.stdout.strip()).is_relative_to(site), where.stderr
+    lines = [line for name, text in blocks("sh") if name == "README.md" for line in text.splitlines()]
+    assert lines[:2] == ["pip install .", "tandem plan column_capital -o out"]
+    for line in lines[1:]:
+        words = shlex.split(line)
+        assert words[0] == "tandem"
+        done = run([sys.executable, "-m", "planner", *words[1:]], site, tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stdout}{done.stderr}"
+    made = {path.name for path in (tmp_path / "out").iterdir()}
+    table = re.findall(r"^\| `([^`]+)`(?:, `([^`]+)`)? \|", (ROOT / "README.md").read_text(), re.MULTILINE)
+    named = {name.split("/")[0] for row in table for name in row if name}
+    assert named == made
+
+
+def test_the_python_of_the_readme_runs(site: Path, tmp_path: Path) -> None:
+    code = [text for _, text in blocks("python")]
+    assert code
+    for text in code:
+        done = run([sys.executable, "-c", text], site, tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.startswith("True ")
+
+
+def test_the_problem_of_the_reference_page_reads(tmp_path: Path) -> None:
+    from planner.pipeline import load
+
+    (example,) = [text for name, text in blocks("yaml") if name == "problem_file.md"]
+    path = tmp_path / "problem.yaml"
+    path.write_text(example.replace("../cells/", f"{ROOT}/problems/cells/"))
+    assert load(path).name == "my_panel"
+
+
+def test_the_reference_tables_are_those_of_the_code() -> None:
+    module = reference()
+    text = module.PAGE.read_text("utf-8")
+    assert module.page(text) == text, "run python docs/make_reference.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target, anchor in LINK.findall(page.read_text("utf-8")):
+        if target.startswith("http"):
+            continue
+        path = (page.parent / target) if target else page
+        assert path.exists(), f"{page.name}: {target}"
+        if anchor:
+            text = path.read_text("utf-8")
+            headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+            slugs = {re.sub(r"[^\w -]", "", h).strip().lower().replace(" ", "-") for h in headings}
+            assert anchor in slugs or f'id="{anchor}"' in text, f"{page.name}: #{anchor}"
