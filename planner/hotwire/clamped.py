@@ -157,10 +157,7 @@ def _judge(first: Array, last: Array, chord: Array, weight: Array, a: Array, f: 
     terms = _terms(first, last, weight, a, f)
     residual = np.maximum(np.abs(terms.gradient).max(axis=1), np.abs(chord - terms.chord).max(axis=1))
     residual = np.where(np.isfinite(residual), residual, np.inf)
-    good = np.isfinite(terms.form).all(axis=(1, 2)) & np.isfinite(residual)
-    margin = np.full(residual.shape, -np.inf)
-    margin[good] = constrained_smallest(terms.form[good], terms.normal[good])
-    return Clamped(a, f, margin, residual)
+    return Clamped(a, f, constrained_smallest(terms.form, terms.normal), residual)
 
 
 def amplitudes_of(sigma_theta: Array, sigma: Array, weight: Array, modes: int = MODES) -> Array:

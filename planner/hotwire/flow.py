@@ -71,7 +71,8 @@ def node_counts(
     """
     force = np.hypot(state[:, 4], state[:, 5]) + 0.5 * np.hypot(weight[:, 0], weight[:, 1]) * length
     waves = np.sqrt(force + 0.25 * state[:, 3] ** 2) * length
-    need = 16 * np.ceil((base + per_wave * np.minimum(waves, 100.0)) / 16.0)
+    waves = np.nan_to_num(np.minimum(waves, 100.0))
+    need = 16 * np.ceil((base + per_wave * waves) / 16.0)
     return np.asarray(np.clip(need, 32, 192), dtype=np.int64)
 
 
@@ -79,14 +80,14 @@ def _settle(theta: Array, line: Array, square: Array, force: tuple[Array, Array]
     """Picard's iteration: its error falls like (w L)^(2j) / (2j)! and it costs no linear solve; Newton
     for the rest."""
     fx, fy = force
-    change = np.inf
+    change = np.zeros(theta.shape[0])
     for _ in range(_PICARD):
         last = theta
         theta = line + square * ((fx * np.sin(theta) - fy * np.cos(theta)) @ twice.T)
-        change = float(np.max(np.abs(theta - last), initial=0.0))
-        if not change > _SETTLED:
+        change = np.max(np.abs(theta - last), axis=1, initial=0.0)
+        if not (change > _SETTLED).any():  # rows that are not numbers stay so and hold nobody up
             return theta
-    late = ~(np.max(np.abs(theta - last), axis=1) <= _SETTLED)
+    late = change > _SETTLED
     fx, fy, line, square, part = fx[late], fy[late], line[late], square[late], theta[late]
     for _ in range(10):
         sin, cos = np.sin(part), np.cos(part)

@@ -66,9 +66,11 @@ def end_sensitivity(shape: HeavyShape, window: Array | None = None) -> EndSensit
     system[:, size:, :size] = rows
     right = np.concatenate([gradient, chord], axis=1)
     gram = rows @ np.swapaxes(rows, 1, 2)
-    singular = np.linalg.eigvalsh(gram)[:, 0] < 1e-16
+    determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2  # 0 where the wire is straight
+    singular = ~(determinant > 1e-16 * (gram[:, 0, 0] + gram[:, 1, 1]))
     bad = singular | (constrained_smallest(form, rows) <= STABLE)
     system[bad] = np.eye(size + 2)
+    right[bad] = 0.0
     change = np.linalg.solve(system, right)[:, :size]
     d_theta = base.value @ change + lift.T
     path = nodes(_QUADRATURE).start

@@ -65,11 +65,15 @@ def quadrature() -> Array:
 def constrained_smallest(form: Array, constraints: Array, barrier: float = 2.0) -> Array:
     """Smallest eigenvalue (B,) of forms (B, n, n) on the space orthogonal to constraints (B, c, n), c <= 2.
 
-    A constraint that vanishes (the second one of a straight wire) is left out.
+    A constraint that vanishes (the second one of a straight wire) is left out. Forms that are not finite, those of
+    wires that do not exist, give -inf.
     """
-    projected, basis = project(form, constraints)
+    good = np.isfinite(form).all(axis=(1, 2)) & np.isfinite(constraints).all(axis=(1, 2))
+    projected, basis = project(form[good], constraints[good])
     fill = barrier * (np.swapaxes(basis, 1, 2) @ basis)
-    return np.asarray(np.linalg.eigvalsh(projected + fill)[:, 0], dtype=np.float64)
+    out = np.full(form.shape[0], -np.inf)
+    out[good] = np.linalg.eigvalsh(projected + fill)[:, 0]
+    return out
 
 
 def project(form: Array, constraints: Array) -> tuple[Array, Array]:
@@ -152,6 +156,7 @@ def out_of_plane_sag(
     right[:, _MODES_OUT:size] = -(load * length**3)[:, None] * (arm @ base.value)
     stable = constrained_smallest(form, rows) > STABLE
     system[~stable] = np.eye(size + 1)
+    right[~stable] = 0.0
     wn = np.linalg.solve(system, right[..., None])[:, _MODES_OUT:size, 0]
     x, w = np.polynomial.legendre.leggauss(_MODES_OUT + 2)
     part = 0.5 * (x + 1.0) * sigma[:, None]

@@ -105,3 +105,13 @@ def test_sensitivities_are_the_differences():
         np.testing.assert_allclose(exact[:, :, :2, j], (plus.points - minus.points) / 2e-5, atol=2e-7)
         np.testing.assert_allclose(exact[:, :, 2, j], (plus.theta - minus.theta) / 2e-5, atol=2e-6)
         np.testing.assert_allclose(exact[:, :, 3, j], (plus.curvature - minus.curvature) / 2e-5, atol=2e-5)
+
+
+def test_a_wire_that_is_not_a_number_does_not_spoil_its_neighbours():
+    params = np.array([[0.0, 0.0, 0.3, 2.0, -30.0, 20.0], [np.nan] * 6, [0.0, 0.0, 1.0, -4.0, 50.0, 5.0]])
+    weight = np.tile([0.0, -9.0], (3, 1))
+    together = heavy.integrate(params, np.ones(3), weight, n=4)
+    for i in (0, 2):
+        alone = heavy.integrate(params[i : i + 1], np.ones(1), weight[:1], n=4)
+        np.testing.assert_allclose(together.points[i], alone.points[0], atol=1e-10)
+    assert np.isnan(together.points[1]).all()

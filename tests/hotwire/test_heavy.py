@@ -51,6 +51,11 @@ def test_solve_says_where_there_is_no_equilibrium(light):
     assert [(i.code, i.index) for i in caught.value.issues] == [("wire.no_equilibrium", 2)]
     partial = heavy.solve(LENGTH, START, end, WEIGHT, light.params, strict=False)
     assert np.isnan(partial.points).any(axis=(1, 2)).tolist() == [False, False, True, False]
+    assert partial.stable_in_plane.tolist() == [True, True, False, True]
+    assert partial.stable_out_of_plane(elastica.strip(9.0, 0.3)).tolist() == [True, True, False, True]
+    assert np.isinf(response.end_sensitivity(partial).position).tolist() == [False, False, True, False]
+    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), elastica.strip(9.0, 0.3))
+    assert np.isinf(sag).tolist() == [False, False, True, False]
 
 
 def test_weightless_margins_agree_with_the_closed_forms_shape(light):
