@@ -65,9 +65,8 @@ def quadrature() -> Array:
 def constrained_smallest(form: Array, constraints: Array, barrier: float = 2.0) -> Array:
     """Smallest eigenvalue (B,) of forms (B, n, n) on the space orthogonal to constraints (B, c, n), c <= 2.
 
-    A constraint that vanishes (the second one of a straight wire) is left out. Forms that are not finite, those of
-    wires that do not exist, give -inf.
-    """
+    A constraint that vanishes (the second one of a straight wire) is left out. Forms that are not finite,
+    those of wires that do not exist, give -inf."""
     good = np.isfinite(form).all(axis=(1, 2)) & np.isfinite(constraints).all(axis=(1, 2))
     projected, basis = project(form[good], constraints[good])
     fill = barrier * (np.swapaxes(basis, 1, 2) @ basis)
