@@ -26,11 +26,11 @@ SAMPLES: Final = 5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bounds:
-    """Solids as capsules and as blunt cylinders about the same axis.
+    """Solids as capsules, and by their support.
 
-    Capsules: centre (S, 3), unit axis (S, 3) in their body; half lengths and radii (S,), outer and inner.
-    ``round`` (S, 3) are a half length, the radius of flat ends and that of a rounding around all, which
-    hold the solid too.
+    Centre (S, 3) and unit axis (S, 3) of the capsules are in their body, which is ``bodies[part]``; half
+    lengths and radii (S,) are outer and inner. ``frame`` (S, 3, 3) are the shapes' axes in their body,
+    ``support`` (S, 5) is what :func:`_support` says.
 
     ``boxes`` (K,) are boxes of fixed bodies, of half size (K, 3), or stand for meshes within them where not
     ``exact``. ``pairs`` (M, 2) are pairs of capsules,
@@ -38,11 +38,14 @@ class Bounds:
     """
 
     solids: tuple[Solid, ...]
+    bodies: tuple[str, ...]
+    part: IntArray
     centre: FloatArray
     axis: FloatArray
     outer: tuple[FloatArray, FloatArray]
     inner: tuple[FloatArray, FloatArray]
-    round: FloatArray
+    frame: FloatArray
+    support: FloatArray
     boxes: tuple[Solid, ...]
     half: FloatArray
     exact: NDArray[np.bool_]
@@ -60,77 +63,101 @@ class Bounds:
         keep = np.array(first, dtype=bool).reshape(-1), np.array(second, dtype=bool).reshape(-1)
         return dataclasses.replace(self, pairs=self.pairs[keep[0]], box_pairs=self.box_pairs[keep[1]])
 
-    def least(self, poses: Mapping[str, FloatArray], limit: float) -> tuple[FloatArray, FloatArray]:
+    def least(
+        self, poses: Mapping[str, FloatArray], limit: float, settled: float = -np.inf
+    ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (B,) [m] of the least distance, for body poses (B | 1, 4, 4).
 
         Where bodies overlap the bounds only have the true sign, and no meaning as depths. Distances above
-        ``limit`` are not worked out: both bounds are then infinite or above it.
+        ``limit`` are not worked out: both bounds are then infinite or above it. Where the upper bound is
+        below
+        ``settled`` the lower one is not worked out, and -inf.
         """
         rows = max(len(pose) for pose in poses.values())
-        centre = np.empty((rows, len(self.solids), 3))
-        axis = np.empty((rows, len(self.solids), 3))
-        for k, solid in enumerate(self.solids):
-            pose = poses[solid.body]
-            centre[:, k] = pose[:, :3, :3] @ self.centre[k] + pose[:, :3, 3]
-            axis[:, k] = pose[:, :3, :3] @ self.axis[k]
+        turns = np.empty((rows, len(self.bodies), 3, 3))
+        places = np.empty((rows, len(self.bodies), 3))
+        for k, body in enumerate(self.bodies):
+            turns[:, k], places[:, k] = poses[body][:, :3, :3], poses[body][:, :3, 3]
+        each = turns[:, self.part]
+        centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
+        axis = (each @ self.axis[..., None])[..., 0]
         lower, upper = np.full(rows, np.inf), np.full(rows, np.inf)
-        self._capsules(centre, axis, limit, lower, upper)
-        self._boxes(centre, axis, poses, limit, lower, upper)
+        boxes = [self._near_box(k, centre, axis, poses, limit) for k in range(len(self.boxes))]
+        for k, near in enumerate(boxes):
+            if self.exact[k]:
+                value = self._on_axis(near, self.inner[0], k).min(axis=1) - self.inner[1][near.solid]
+                np.minimum.at(upper, near.row, value)
+        row, a, b = self._near(centre, limit, upper > settled)
+        w, da, db = centre[row, a] - centre[row, b], axis[row, a], axis[row, b]
+        dots = (_dot(da, db), _dot(da, w), _dot(db, w))
+        between = _segments(w, da, db, dots, self.inner[0][a], self.inner[0][b])
+        np.minimum.at(upper, row, np.sqrt(_dot(between, between)) - self.inner[1][a] - self.inner[1][b])
+
+        lower[upper <= settled] = -np.inf
+        live = upper[row] > settled
+        row, a, b, w, da, db = row[live], a[live], b[live], w[live], da[live], db[live]
+        dots = dots[0][live], dots[1][live], dots[2][live]
+        between = _segments(w, da, db, dots, self.outer[0][a], self.outer[0][b])
+        gap = np.sqrt(_dot(between, between)) - self.outer[1][a] - self.outer[1][b]
+        k = np.flatnonzero(gap < limit)
+        one = turns[row[k], self.part[a[k]]] @ self.frame[a[k]], self.support[a[k]]
+        two = turns[row[k], self.part[b[k]]] @ self.frame[b[k]], self.support[b[k]]
+        gap[k] = np.maximum(gap[k], _separation(w[k], between[k], one, two))
+        np.minimum.at(lower, row, gap)
+        for k, near in enumerate(boxes):
+            np.minimum.at(lower, near.row, self._below(near, k))
         return lower, upper
 
-    def _capsules(
-        self, centre: FloatArray, axis: FloatArray, limit: float, lower: FloatArray, upper: FloatArray
-    ) -> None:
+    def _near(
+        self, centre: FloatArray, limit: float, rows: NDArray[np.bool_]
+    ) -> tuple[IntArray, IntArray, IntArray]:
+        """Row and both capsules of the pairs whose bounding spheres come within ``limit``, in the rows
+        named."""
         reach = self.outer[0] + self.outer[1]
         count = len(reach)
         near = np.full((count, count), -np.inf)
         first, second = self.pairs[:, 0], self.pairs[:, 1]
         near[first, second] = (reach[first] + reach[second] + limit) ** 2
-        square = np.einsum("rsc,rsc->rs", centre, centre)
-        apart = square[:, :, None] + square[:, None, :] - 2.0 * (centre @ np.swapaxes(centre, 1, 2))
+        which = np.flatnonzero(rows)
+        some = centre[which]
+        square = np.einsum("rsc,rsc->rs", some, some)
+        apart = square[:, :, None] + square[:, None, :] - 2.0 * (some @ np.swapaxes(some, 1, 2))
         row, code = np.divmod(np.flatnonzero(apart < near), count * count)
-        a, b = np.divmod(code, count)
-        w, da, db = centre[row, a] - centre[row, b], axis[row, a], axis[row, b]
-        cosine, ca, cb = _dot(da, db), _dot(da, w), _dot(db, w)
-        dots = (cosine, ca, cb)
-        for (length, radius), out in ((self.outer, lower), (self.inner, upper)):
-            gap = _segments(w, da, db, dots, length[a], length[b]) - radius[a] - radius[b]
-            if out is lower:
-                k = np.flatnonzero(gap < limit)
-                shadow = _separation(w[k], da[k], db[k], self.round[a[k]], self.round[b[k]])
-                gap[k] = np.maximum(gap[k], shadow)
-            np.minimum.at(out, row, gap)
+        return which[row], code // count, code % count
 
-    def _boxes(
-        self,
-        centre: FloatArray,
-        axis: FloatArray,
-        poses: Mapping[str, FloatArray],
-        limit: float,
-        lower: FloatArray,
-        upper: FloatArray,
-    ) -> None:
-        reach = self.outer[0] + self.outer[1]
-        for k, box in enumerate(self.boxes):
-            a = self.box_pairs[self.box_pairs[:, 1] == k, 0]
-            pose = poses[box.body][0] @ box.shape.pose
-            local = (centre[:, a] - pose[:3, 3]) @ pose[:3, :3]
-            row, which = np.nonzero(_box(local, self.half[k]) < reach[a] + limit)
-            place, along = local[row, which], axis[row, a[which]] @ pose[:3, :3]
-            length, radius = self.outer[0][a[which]], self.outer[1][a[which]]
-            value = self._on_axis(place, along, length, k)
-            step = 2.0 * length / (SAMPLES - 1)
-            low = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-            np.minimum.at(lower, row, np.minimum(low.min(axis=1), value.min(axis=1)) - radius)
-            if not self.exact[k]:
-                continue
-            length, radius = self.inner[0][a[which]], self.inner[1][a[which]]
-            np.minimum.at(upper, row, self._on_axis(place, along, length, k).min(axis=1) - radius)
+    def _near_box(
+        self, k: int, centre: FloatArray, axis: FloatArray, poses: Mapping[str, FloatArray], limit: float
+    ) -> _NearBox:
+        box = self.boxes[k]
+        a = self.box_pairs[self.box_pairs[:, 1] == k, 0]
+        pose = poses[box.body][0] @ box.shape.pose
+        local = (centre[:, a] - pose[:3, 3]) @ pose[:3, :3]
+        reach = self.outer[0][a] + self.outer[1][a]
+        row, which = np.nonzero(_box(local, self.half[k]) < reach + limit)
+        return _NearBox(row, a[which], local[row, which], axis[row, a[which]] @ pose[:3, :3])
 
-    def _on_axis(self, place: FloatArray, along: FloatArray, length: FloatArray, k: int) -> FloatArray:
-        t = np.linspace(-1.0, 1.0, SAMPLES)
-        points = place[:, None] + (length[:, None] * t)[..., None] * along[:, None]
-        return _box(points, self.half[k])
+    def _below(self, near: _NearBox, k: int) -> FloatArray:
+        """Lower bounds of the distances of outer capsules to box k: distance changes by at most the way."""
+        value = self._on_axis(near, self.outer[0], k)
+        step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
+        low = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
+        return np.asarray(np.minimum(low.min(axis=1), value.min(axis=1)) - self.outer[1][near.solid])
+
+    def _on_axis(self, near: _NearBox, length: FloatArray, k: int) -> FloatArray:
+        """Distances (M, SAMPLES) to box k of points along the axes, out to the half lengths ``length``
+        (S,)."""
+        t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, SAMPLES)
+        return _box(near.place[:, None] + t[..., None] * near.along[:, None], self.half[k])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _NearBox:
+    """Capsules near a box: row and solid (M,), centre and axis (M, 3) in the box's frame."""
+
+    row: IntArray
+    solid: IntArray
+    place: FloatArray
+    along: FloatArray
 
 
 def prepare(solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]]) -> Bounds:
@@ -152,14 +179,18 @@ def prepare(solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]]) -
         for b, other in enumerate(boxes)
         if one.body != other.body and frozenset((one.body, other.body)) not in skip
     ]
+    bodies = tuple(dict.fromkeys(s.body for s in capsules))
     ready = [_as_box(s) for s in boxes]
     return Bounds(
         solids=capsules,
+        bodies=bodies,
+        part=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),
         centre=np.array([s.shape.pose[:3, 3] for s in capsules]),
         axis=np.array([s.shape.pose[:3, :3] @ row[0] for s, row in zip(capsules, rows, strict=True)]),
         outer=(np.array([r[1] for r in rows]), np.array([r[2] for r in rows])),
         inner=(np.array([r[3] for r in rows]), np.array([r[4] for r in rows])),
-        round=np.array([_blunt(s) for s in capsules]),
+        frame=np.array([s.shape.pose[:3, :3] for s in capsules]),
+        support=np.array([_support(s) for s in capsules]),
         boxes=tuple(ready),
         exact=np.array([s.shape.kind == "box" for s in boxes], dtype=bool),
         half=np.array([0.5 * np.asarray(s.shape.size) for s in ready]).reshape(-1, 3),
@@ -207,36 +238,39 @@ def _capsule(solid: Solid) -> tuple[FloatArray, float, float, float, float]:
     return axis, around, float(np.hypot(radius, half - around)), max(0.0, half - max(thin, 0.0)), thin
 
 
-def _blunt(solid: Solid) -> tuple[float, float, float]:
-    """Half length, flat radius and rounding of the cylinder or capsule around a solid, about the axis of
-    _capsule."""
+def _support(solid: Solid) -> tuple[float, float, float, float, float]:
+    """Half sizes along the shape's axes, the radius of flat ends about its z, and a rounding around all."""
     size = solid.shape.size
     if solid.shape.kind == "sphere":
-        return 0.0, 0.0, size[0]
+        return 0.0, 0.0, 0.0, 0.0, size[0]
     if solid.shape.kind == "capsule":
-        return 0.5 * size[1], 0.0, size[0]
+        return 0.0, 0.0, 0.5 * size[1], 0.0, size[0]
     if solid.shape.kind == "cylinder":
-        return 0.5 * size[1], size[0], 0.0
-    half = np.sort(0.5 * extent(solid))
-    return float(half[2]), float(np.hypot(half[0], half[1])), 0.0
+        return 0.0, 0.0, 0.5 * size[1], size[0], 0.0
+    x, y, z = (0.5 * float(v) for v in extent(solid))
+    return x, y, z, 0.0, 0.0
 
 
 def _separation(
-    w: FloatArray, da: FloatArray, db: FloatArray, one: FloatArray, two: FloatArray
+    w: FloatArray, gap: FloatArray, one: tuple[FloatArray, FloatArray], two: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Lower bounds (M,) of distances: the gap between the shadows of two blunt cylinders on the best of
-    four lines."""
-    best = np.full(len(w), -np.inf)
-    turned = np.cross(da, np.cross(da, w))
-    for line in (da, db, w, turned):
-        norm = np.sqrt(_dot(line, line))
-        n = line / np.where(norm > 1e-12, norm, 1.0)[:, None]
-        gap = np.abs(_dot(n, w))
-        for axis, (length, radius, rounding) in ((da, one.T), (db, two.T)):
-            c = np.abs(_dot(n, axis))
-            gap -= length * c + radius * np.sqrt(np.maximum(1.0 - c * c, 0.0)) + rounding
-        best = np.where(norm > 1e-12, np.maximum(best, gap), best)
-    return best
+    """Lower bounds (M,) of distances: the gap between the shadows of two solids on the best of eight lines.
+
+    ``w`` (M, 3) leads from centre to centre, ``gap`` (M, 3) from axis to axis; each solid is given by its
+    frame (M, 3, 3) and its support (M, 5). The lines are the axes of both, w and gap.
+    """
+    lines = np.concatenate(
+        [np.swapaxes(one[0], 1, 2), np.swapaxes(two[0], 1, 2), w[:, None], gap[:, None]], axis=1
+    )
+    norm = np.sqrt(np.einsum("mlc,mlc->ml", lines, lines))
+    lines = lines / np.maximum(norm, 1e-12)[..., None]
+    shadow = np.abs(np.einsum("mlc,mc->ml", lines, w))
+    for frame, support in (one, two):
+        cosines = np.abs(lines @ frame)
+        shadow -= np.einsum("mla,ma->ml", cosines, support[:, :3])
+        shadow -= support[:, 3, None] * np.sqrt(np.maximum(1.0 - cosines[..., 2] ** 2, 0.0))
+        shadow -= support[:, 4, None]
+    return np.asarray(np.where(norm > 1e-12, shadow, -np.inf).max(axis=1))
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -251,8 +285,8 @@ def _segments(
     ha: FloatArray,
     hb: FloatArray,
 ) -> FloatArray:
-    """Distances (M,) of segments by centre difference w, unit axes and half lengths (Ericson 2005, section
-    5.1.9)."""
+    """Shortest ways (M, 3) between segments by centre difference w, unit axes and half lengths (Ericson
+    2005, section 5.1.9)."""
     cosine, ca, cb = dots
     sine2 = 1.0 - cosine * cosine
     level = sine2 < 1e-9
@@ -260,8 +294,7 @@ def _segments(
     s = np.clip(s, -ha, ha)
     t = np.clip(cosine * s + cb, -hb, hb)
     s = np.clip(cosine * t - ca, -ha, ha)
-    gap = w + s[:, None] * da - t[:, None] * db
-    return np.asarray(np.sqrt(_dot(gap, gap)))
+    return np.asarray(w + s[:, None] * da - t[:, None] * db)
 
 
 def _box(points: FloatArray, half: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ def free(
     rows = model.stack(q)
     good = np.asarray(np.isfinite(rows).all(axis=1))
     if len(rows) >= FEW:
-        lower, upper = _bounds(model, rows, padding, ignore)
+        lower, upper = _bounds(model, rows, padding, ignore, padding - TOUCH)
         settled = good & (lower > padding)
         unsettled = good & (lower <= padding) & (upper > padding)
         return np.asarray(settled | _asked(model, rows, unsettled, padding, ignore))
@@ -68,14 +68,16 @@ def _asked(
     return good
 
 
-def _bounds(model: CellModel, rows: FloatArray, limit: float, ignore: Pairs) -> tuple[FloatArray, FloatArray]:
+def _bounds(
+    model: CellModel, rows: FloatArray, limit: float, ignore: Pairs, settled: float = -np.inf
+) -> tuple[FloatArray, FloatArray]:
     """Bounds (B,) of the least distances, widened by TOUCH; those above ``limit`` may be infinite."""
     bounds = model.bounds.among(ignore)
     lower, upper = np.empty(len(rows)), np.empty(len(rows))
     for start in range(0, len(rows), CHUNK):
         part = slice(start, start + CHUNK)
         q = {arm: rows[part, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
-        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH)
+        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH, settled)
     return lower - TOUCH, upper + TOUCH
 
 

@@ -16,7 +16,7 @@ WIDE = np.deg2rad([120.0, 60.0, 50.0, 150.0, 100.0, 150.0])
 
 def facing(robot: str = "irb140", half: float = 0.85) -> Cell:
     """Two arms that face each other, with wire holders and a table between them."""
-    home = np.deg2rad([0.0, -30.0, 30.0, 0.0, 90.0, 0.0])
+    home = np.deg2rad([0.0, -10.0, 10.0, 0.0, 90.0, 0.0])
     arms = (
         Arm("left", robot, from_rpy((-half, 0.0, 0.0), UP), wire_holder("across", "start"), home),
         Arm(

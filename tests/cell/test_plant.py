@@ -57,8 +57,8 @@ def test_poses_of_all_bodies_are_drakes(model: plant.CellModel) -> None:
 def test_tcps_meet_where_the_bases_and_tools_say(model: plant.CellModel) -> None:
     """At home the hands look down: the TCP is c4 + 100 mm below the wrist, x along the world's x, y up."""
     tcp = model.tcp({a: model.cell.arm(a).home[None] for a in model.arms})
-    wrist = 0.07 - 0.36 * np.sin(np.deg2rad(30.0)) + 0.38
-    height = 0.352 + 0.36 * np.cos(np.deg2rad(30.0)) - 0.065 - 0.100
+    wrist = 0.07 - 0.36 * np.sin(np.deg2rad(10.0)) + 0.38
+    height = 0.352 + 0.36 * np.cos(np.deg2rad(10.0)) - 0.065 - 0.100
     np.testing.assert_allclose(tcp["left"][0, :3, 3], [-0.85 + wrist, 0.0, height], atol=1e-9)
     np.testing.assert_allclose(tcp["right"][0, :3, 3], [0.85 - wrist, 0.0, height], atol=1e-9)
     for arm in model.arms:
