@@ -28,7 +28,9 @@ def machine() -> dict[str, str]:
     """What the figures were measured on."""
     cpu = Path("/proc/cpuinfo")
     lines = cpu.read_text().splitlines() if cpu.exists() else []
-    model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+    model = next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown"
+    )
     return {"cpu": model, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
 
 
@@ -45,7 +47,9 @@ def main(arguments: list[str]) -> int:
     for name in chosen:
         rows: list[dict[str, Any]] = importlib.import_module(f"bench.{name}{SUFFIX}").run()
         for row in rows:
-            table.add_row(*(_cell(row.get(key)) for key in ("name", "median_s", "p99_s", "spread", "ratio", "note")))
+            table.add_row(
+                *(_cell(row.get(key)) for key in ("name", "median_s", "p99_s", "spread", "ratio", "note"))
+            )
         data = {"machine": machine(), "rows": rows}
         (results / f"{name}.json").write_text(json.dumps(data, indent=1) + "\n")
     Console(width=160).print(table)

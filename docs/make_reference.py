@@ -1,6 +1,7 @@
 """Writes the field tables of ``docs/problem_file.md`` from the schemas that read problem files.
 
-Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this writes.
+Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
+writes.
 """
 
 from __future__ import annotations
@@ -80,7 +81,9 @@ def _kind(field: dict[str, Any], schema: dict[str, Any]) -> str:
         return ", ".join(f"`{v}`" for v in field["enum"])
     if "$ref" in field:
         name = field["$ref"].rsplit("/", 1)[1]
-        return _kind(schema["$defs"][name], schema) if "enum" in schema["$defs"][name] else "mapping, see below"
+        return (
+            _kind(schema["$defs"][name], schema) if "enum" in schema["$defs"][name] else "mapping, see below"
+        )
     for key in ("anyOf", "oneOf"):
         if key in field:
             kinds = [_kind(option, schema) for option in field[key] if option.get("type") != "null"]

@@ -17,7 +17,9 @@ from planner.units import DEG, LENGTH_UNITS, MM
 
 Vector = tuple[float, float, float]
 Unit = Literal["mm", "cm", "m", "in", "ft"]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")]
+Name = Annotated[
+    str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
+]
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -131,16 +133,16 @@ class CellFile(Strict):
 
 
 def build(spec: CellFile, folder: Path) -> Cell:
-    """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and robots."""
+    """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and
+    robots.
+    """
     from planner.catalogue import robot
 
     arms = []
     for arm in spec.arms:
         data = robot(arm.robot)
         home = data.from_controller(np.array(arm.home_deg) * DEG)
-        arms.append(
-            Arm(arm.name, arm.robot, arm.base.matrix(), _tool(arm.tool, folder), home, arm.base_auto)
-        )
+        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), _tool(arm.tool, folder), home, arm.base_auto))
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )

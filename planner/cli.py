@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,8 @@ from planner.issues import Issue, Severity, TandemError, has_errors
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+
+logging.getLogger("drake").setLevel(logging.WARNING)
 
 app = tyro.extras.SubcommandApp()
 out = Console()
@@ -89,7 +92,9 @@ def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> i
         return _refused(error, BAD_INPUT)
     _print_issues(proof.issues)
     passed = sum(rule.passed for rule in proof.rules)
-    out.print(f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}")
+    out.print(
+        f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
+    )
     return DONE if proof.ok else NOT_PROVEN
 
 
@@ -102,7 +107,12 @@ def robots() -> int:
     for name in robot_names():
         data = robot(name)
         table.add_row(
-            name, data.title, f"{data.reach * 1000:.0f}", f"{data.payload:g}", data.controller, "; ".join(data.assumed)
+            name,
+            data.title,
+            f"{data.reach * 1000:.0f}",
+            f"{data.payload:g}",
+            data.controller,
+            "; ".join(data.assumed),
         )
     out.print(table)
     return DONE
@@ -114,9 +124,11 @@ def materials() -> int:
     from planner.materials import foams, wire_materials
 
     table = Table("name", "material", "figure", "source")
-    for item in (*wire_materials().values(), *foams().values()):
-        for figure, source in item.sources.items():
-            table.add_row(item.name, item.title, figure.replace("_", " "), source)
+    known = [(m.name, m.title, m.sources) for m in wire_materials().values()]
+    known += [(f.name, f.title, f.sources) for f in foams().values()]
+    for name, title, sources in known:
+        for figure, source in sources.items():
+            table.add_row(name, title, figure.replace("_", " "), source)
     out.print(table)
     return DONE
 
@@ -136,7 +148,11 @@ def issues() -> int:
 def main() -> None:
     """Entry point of the command ``tandem``."""
     try:
-        sys.exit(app.cli(prog="tandem", description="Plan two robots that share one job, and prove their programs."))
+        sys.exit(
+            app.cli(
+                prog="tandem", description="Plan two robots that share one job, and prove their programs."
+            )
+        )
     except Exception as error:
         err.print_exception()
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
@@ -148,7 +164,9 @@ def main() -> None:
 
 
 def _infeasible_code(error: TandemError) -> int:
-    bad_input = all(issue.code.split(".")[0] in {"problem", "part", "targets", "mesh"} for issue in error.issues)
+    bad_input = all(
+        issue.code.split(".")[0] in {"problem", "part", "targets", "mesh"} for issue in error.issues
+    )
     return BAD_INPUT if bad_input else NO_PLAN
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file through a temporary name in its folder, then rename: readers see the old file or the new one."""
+    """Write a file through a temporary name in its folder, then rename: readers see the old file or the new
+    one.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     data = content.encode("utf-8") if isinstance(content, str) else content
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -29,8 +31,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
 def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[str, ...]) -> None:
     """Make ``folder`` hold exactly ``files`` among the names ``owned`` (files or subfolders at its top).
 
-    Everything is first written to a hidden sibling inside ``folder``; only then are the old owned entries replaced, one
-    rename each, so that an interruption leaves no half-written file. Other people's files in the folder stay.
+    Everything is first written to a hidden sibling inside ``folder``; only then are the old owned entries
+    replaced, one rename each, so that an interruption leaves no half-written file. Other people's files in
+    the folder stay.
     """
     folder.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=".tandem-", dir=folder))

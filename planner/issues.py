@@ -92,7 +92,8 @@ def has_errors(issues: Iterable[Issue]) -> bool:
 
 
 def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:
-    """Issues of the same code, severity, arm, field, file and bodies as one, which counts them and keeps the worst.
+    """Issues of the same code, severity, arm, field, file and bodies as one, which counts them and keeps the
+    worst.
 
     The kept issue is the first one (its index, time and message), unless a later one has a value farther
     beyond the limit. Order of first appearance is kept.

@@ -1,4 +1,6 @@
-"""The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in one page."""
+"""The whole way through: problem -> targets -> plan -> programs -> proof -> files. This file is the house in
+one page.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +119,9 @@ def load_result(folder: str | Path) -> Problem:
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
-    """Write the report alone, for a problem that was refused or has no plan; removes what an older run left."""
+    """Write the report alone, for a problem that was refused or has no plan; removes what an older run
+    left.
+    """
     write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, OWNED)
 
 
@@ -145,7 +149,9 @@ def _with_margins(
     final = write.programs(made, problem, margins.text(proof))
     if not margins.same_program(programs, final):
         raise TandemError(
-            Issue("internal.error", "the header changed more than comments of the proven programs; report this")
+            Issue(
+                "internal.error", "the header changed more than comments of the proven programs; report this"
+            )
         )
     return final
 

@@ -1,4 +1,6 @@
-"""A plan: joint paths on one clock, with what is needed to write programs and reports; saved and loaded whole."""
+"""A plan: joint paths on one clock, with what is needed to write programs and reports; saved and loaded
+whole.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,11 @@ FloatArray = NDArray[np.float64]
 class OperationPlan:
     """The motion of one operation.
 
-    ``targets`` include the transit moves that motion added. ``q`` {arm: (N, 6)} serial joint angles [rad], ``values``
-    (N, F) of the freedoms, ``time`` (N,) [s] from the first target. ``entry`` and ``exit`` {arm: (M, 6)} are joint
-    waypoints from home to the first target and from the last one back home; arms run them one after the other in the
-    order ``order`` (entry) and its reverse (exit), each with the others standing still.
-    ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
+    ``targets`` include the transit moves that motion added. ``q`` {arm: (N, 6)} serial joint angles [rad],
+    ``values`` (N, F) of the freedoms, ``time`` (N,) [s] from the first target. ``entry`` and ``exit`` {arm:
+    (M, 6)} are joint waypoints from home to the first target and from the last one back home; arms run them
+    one after the other in the order ``order`` (entry) and its reverse (exit), each with the others standing
+    still. ``metrics``: figures by name (costs, margins, clearances, stage times), for reports.
     """
 
     name: str
@@ -40,7 +42,9 @@ class OperationPlan:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Plans of all operations of a problem. ``stock_pose`` (4, 4) and ``bases`` {arm: (4, 4)} are in the world."""
+    """Plans of all operations of a problem. ``stock_pose`` (4, 4) and ``bases`` {arm: (4, 4)} are in the
+    world.
+    """
 
     problem_name: str
     digest: str

@@ -28,7 +28,9 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 class FreeAxis(BaseModel):
-    """A free turn about or slide along an axis of the tool frame; with two arms in ``arms`` both share its value."""
+    """A free turn about or slide along an axis of the tool frame; with two arms in ``arms`` both share its
+    value.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     name: str
@@ -41,8 +43,8 @@ class FreeAxis(BaseModel):
 class Posed(BaseModel):
     """Poses from a file.
 
-    CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if wanted,
-    ``segment`` and ``stop``. JSON: a list of objects with the same keys.
+    CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if
+    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -60,15 +62,20 @@ class Posed(BaseModel):
     @field_validator("file")
     @classmethod
     def _from_the_problem_file(cls, value: Path, info: ValidationInfo) -> Path:
-        return (info.context or {}).get("folder", Path()) / value
+        folder: Path = (info.context or {}).get("folder", Path())
+        return folder / value
 
 
 def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
-    """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and column."""
+    """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
+    column.
+    """
     rows = _rows(operation)
     poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
     count = len(rows)
-    feed = np.array([_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)])
+    feed = np.array(
+        [_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)]
+    )
     if (feed <= 0).any():
         first = int(np.argmax(feed <= 0))
         raise TandemError(
@@ -151,13 +158,19 @@ def _rows(operation: Posed) -> list[Mapping[str, Any]]:
         )
     if path.stat().st_size > MAX_BYTES:
         raise TandemError(
-            Issue("problem.too_large", f"{path}: over {MAX_BYTES // 1_000_000} MB; split the job", file=str(path))
+            Issue(
+                "problem.too_large",
+                f"{path}: over {MAX_BYTES // 1_000_000} MB; split the job",
+                file=str(path),
+            )
         )
     text = path.read_text("utf-8", errors="replace")
     try:
         rows = json.loads(text) if path.suffix.lower() == ".json" else list(csv.DictReader(io.StringIO(text)))
     except (json.JSONDecodeError, csv.Error) as error:
-        raise TandemError(_fault(operation, None, f"cannot be read: {error}; expected CSV or JSON")) from error
+        raise TandemError(
+            _fault(operation, None, f"cannot be read: {error}; expected CSV or JSON")
+        ) from error
     if not isinstance(rows, list) or len(rows) < 2 or not all(isinstance(row, dict) for row in rows):
         raise TandemError(_fault(operation, None, "expected a list of at least 2 targets"))
     return rows
@@ -165,7 +178,10 @@ def _rows(operation: Posed) -> list[Mapping[str, Any]]:
 
 def _poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> FloatArray:
     table = np.array(
-        [[_number(row, f"{arm}.{column}", i, operation) for column in POSE_COLUMNS] for i, row in enumerate(rows)]
+        [
+            [_number(row, f"{arm}.{column}", i, operation) for column in POSE_COLUMNS]
+            for i, row in enumerate(rows)
+        ]
     )
     norm = np.linalg.norm(table[:, 3:], axis=1)
     wrong = np.abs(norm - 1.0) > 1e-3

@@ -22,8 +22,9 @@ ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
 class Shape:
     """A rigid shape at ``pose`` (4, 4) in the frame of the thing that it belongs to.
 
-    ``size`` [m]: box (x, y, z); cylinder and capsule (radius, length along z, a capsule's without its caps); sphere
-    (radius,); mesh () with ``vertices`` (V, 3) and ``faces`` (F, 3), its collision shape being the convex hull.
+    ``size`` [m]: box (x, y, z); cylinder and capsule (radius, length along z, a capsule's without its caps);
+    sphere (radius,); mesh () with ``vertices`` (V, 3) and ``faces`` (F, 3), its collision shape being the
+    convex hull.
     """
 
     kind: ShapeKind
@@ -35,7 +36,9 @@ class Shape:
 
 @dataclasses.dataclass(frozen=True)
 class Tool:
-    """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity (3,) [m]."""
+    """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity
+    (3,) [m].
+    """
 
     name: str
     tcp: FloatArray
@@ -86,7 +89,9 @@ class Cell:
 
 @dataclasses.dataclass(frozen=True)
 class Controller:
-    """How the programs address the controller: task and mechanical unit per arm, signals, limits of a module."""
+    """How the programs address the controller: task and mechanical unit per arm, signals, limits of a
+    module.
+    """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
     units: tuple[str, ...] = ("ROB_1", "ROB_2")
@@ -105,7 +110,9 @@ class Mesh:
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from the part."""
+    """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from
+    the part.
+    """
 
     front: Mesh
     back: Mesh | None
@@ -116,8 +123,8 @@ class Stock:
     """The raw block: ``size`` (3,) [m]; frame at the centre of its bottom face, z up through the block.
 
     ``place`` (4, 4) is its pose in the world, or None where the placement search is to find it, with
-    ``attitude`` (3, 3), its rotation up to a yaw about the world's vertical. ``support``: shapes in the stock frame that
-    stand under the block and move with it (a pedestal).
+    ``attitude`` (3, 3), its rotation up to a yaw about the world's vertical. ``support``: shapes in the stock
+    frame that stand under the block and move with it (a pedestal).
     """
 
     size: FloatArray
@@ -142,7 +149,9 @@ class Operation(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins [rad]."""
+    """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins
+    [rad].
+    """
 
     clearance: float = 0.010
     speed_fraction: float = 0.9
@@ -157,7 +166,8 @@ class Settings:
 class Problem:
     """A whole problem: ``path`` is the file it came from, ``digest`` the SHA-256 over its values and files.
 
-    ``source`` is what the file said, with the cell inside and file names made absolute, so that it can be carried along.
+    ``source`` is what the file said, with the cell inside and file names made absolute, so that it can be
+    carried along.
     """
 
     name: str

@@ -82,9 +82,11 @@ class ProblemFile(Strict):
 
 
 def read(path: Path, models: OperationModels) -> Problem:
-    """Read, validate and convert the problem file at ``path``; ``models`` maps a process to its operation's schema.
+    """Read, validate and convert the problem file at ``path``; ``models`` maps a process to its operation's
+    schema.
 
-    Raises ``TandemError`` with every fault that was found, each with its field and, where the format gives it, its line.
+    Raises ``TandemError`` with every fault that was found, each with its field and, where the format gives
+    it, its line.
     """
     document = yaml_lines.read(path)
     spec, issues = _validate(ProblemFile, document.data, document, ())
@@ -159,7 +161,9 @@ def _field_issue(
 
 
 def _as_written(location: tuple[str | int, ...], data: Any) -> Iterator[str | int]:
-    """The steps of ``location`` that the file has; pydantic puts the names of chosen alternatives between them."""
+    """The steps of ``location`` that the file has; pydantic puts the names of chosen alternatives between
+    them.
+    """
     for number, step in enumerate(location):
         last = number == len(location) - 1
         if isinstance(data, dict) and (step in data or (last and isinstance(step, str))):
@@ -253,9 +257,11 @@ def _stock(spec: StockFile, folder: Path) -> Stock:
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:
-    """The problem as files that stand alone: ``problem.yaml`` with the cell inside, and what it names in ``files/``.
+    """The problem as files that stand alone: ``problem.yaml`` with the cell inside, and what it names in
+    ``files/``.
 
-    Reading the bundle gives a problem with the same digest, so a result folder can be proven wherever it is carried.
+    Reading the bundle gives a problem with the same digest, so a result folder can be proven wherever it is
+    carried.
     """
     files: dict[str, bytes] = {}
 
@@ -279,7 +285,9 @@ def _resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _digest(source: Mapping[str, Any]) -> str:
-    """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not matter."""
+    """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not
+    matter.
+    """
 
     def content(path: Path) -> str:
         return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"

@@ -1,4 +1,6 @@
-"""The registry of processes: one line each. A process turns an operation on a stock into Targets and states its claims."""
+"""The registry of processes: one line each. A process turns an operation on a stock into Targets and states
+its claims.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from planner.targets import Targets
 
 
 class Process(NamedTuple):
-    """Schema of the operation, and the two functions that a process exports: (operation, stock, part) -> ..."""
+    """Schema of the operation, and the two functions that a process exports: (operation, stock, part) ->
+    ...
+    """
 
     schema: type[BaseModel]
     make_targets: Callable[[Any, Stock, Part | None], Targets]

@@ -26,10 +26,11 @@ ActionKind = Literal["message", "confirm", "on", "off", "wait"]
 class ScrewFreedom:
     """Moves a tool along a screw: ``pose @ exp(value * axis)``.
 
-    ``axis`` maps an arm to a twist (6,) in its tool frame, angular part first [-] then linear part [m per unit
-    of value]; an arm that is not named stays. More than one arm means that both share one value.
+    ``axis`` maps an arm to a twist (6,) in its tool frame, angular part first [-] then linear part [m per
+    unit of value]; an arm that is not named stays. More than one arm means that both share one value.
     ``lower``, ``upper`` are (N,) bounds of the value, which is in rad for a spin and in m for a slide.
-    ``prefer`` is a wanted value (N,), or None. ``periodic`` says that the value wraps at 2 pi, whatever the bounds.
+    ``prefer`` is a wanted value (N,), or None. ``periodic`` says that the value wraps at 2 pi, whatever the
+    bounds.
     """
 
     name: str
@@ -44,9 +45,10 @@ class ScrewFreedom:
 class TableFreedom:
     """Replaces the nominal poses by those of a table over one value that all its arms share.
 
-    ``nodes`` is (K,), ascending; ``pose`` maps an arm to (N, K, 4, 4). Between nodes the pose is the polynomial
-    through all nodes in the logarithm of the pose relative to the middle node, in Lagrange form. That polynomial
-    IS the freedom, so a pose "at a value" is exact, not approximate. ``lower``, ``upper`` are (N,) bounds of the value.
+    ``nodes`` is (K,), ascending; ``pose`` maps an arm to (N, K, 4, 4). Between nodes the pose is the
+    polynomial through all nodes in the logarithm of the pose relative to the middle node, in Lagrange form.
+    That polynomial IS the freedom, so a pose "at a value" is exact, not approximate. ``lower``, ``upper`` are
+    (N,) bounds of the value.
     """
 
     name: str
@@ -56,10 +58,11 @@ class TableFreedom:
     upper: FloatArray
     prefer: FloatArray | None = None
 
-
     @functools.cached_property
     def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, worked out once."""
+        """{arm: (middle nodes (N, 4, 4), twists (N, K, 6) of all nodes relative to them)}, worked out
+        once.
+        """
         out = {}
         for arm, table in self.pose.items():
             middle = table[:, len(self.nodes) // 2]
@@ -74,8 +77,8 @@ Freedom = ScrewFreedom | TableFreedom
 class Action:
     """Something that happens at a stop at target ``at``, in the order given.
 
-    ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the signal
-    ``signal``, ``wait`` waits ``seconds``.
+    ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the
+    signal ``signal``, ``wait`` waits ``seconds``.
     """
 
     at: int
@@ -103,11 +106,11 @@ class Targets:
 
     ``pose``: {arm: (N, 4, 4)} nominal TCP pose in the arm's work ``frame``: "stock", "world" or "held:<arm>".
     ``freedoms``: value j of a target belongs to ``freedoms[j]``; tables apply first, then screws in order.
-    ``feed`` (N,) m/s: upper limit of the speed of the fastest guarded point on the way TO target i, 0-th unused;
-    ``feed_min`` (N,) m/s: its lower limit, 0 for none. ``travel`` (N,) m: how far that point moves on the way to
-    target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there (fine point).
-    ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move keeps the relation that
-    the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
+    ``feed`` (N,) m/s: upper limit of the speed of the fastest guarded point on the way TO target i, 0-th
+    unused; ``feed_min`` (N,) m/s: its lower limit, 0 for none. ``travel`` (N,) m: how far that point moves on
+    the way to target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there
+    (fine point). ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move
+    keeps the relation that the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
     ``segment`` (N,): label of the segment that the move to target i belongs to, ``kind`` or ``kind/name``.
     ``exhibits`` is named data for the report, by kind of picture.
     """
@@ -152,8 +155,8 @@ class Targets:
     def poses(self, values: FloatArray, index: NDArray[np.intp] | None = None) -> dict[str, FloatArray]:
         """Exact TCP poses {arm: (..., 4, 4)} in the work frames for freedom values (..., F).
 
-        Without ``index`` the leading axis of ``values`` is the N targets; with it, ``index`` (...,) says which target
-        each row of values belongs to, so that many samples of one target go through one call.
+        Without ``index`` the leading axis of ``values`` is the N targets; with it, ``index`` (...,) says
+        which target each row of values belongs to, so that many samples of one target go through one call.
         """
         rows = np.arange(self.count) if index is None else index
         return {arm: self._pose(arm, values, rows) for arm in self.arms}

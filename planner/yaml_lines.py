@@ -52,9 +52,7 @@ def read(path: Path) -> Document:
     """
     name = str(path)
     if not path.is_file():
-        raise TandemError(
-            Issue("problem.missing_file", f"{name}: no such file; check the path", file=name)
-        )
+        raise TandemError(Issue("problem.missing_file", f"{name}: no such file; check the path", file=name))
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise TandemError(

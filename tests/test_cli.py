@@ -80,7 +80,9 @@ def test_what_cannot_be_planned_is_told_from_what_was_given_wrong(codes: list[st
     assert cli._infeasible_code(error) == expected
 
 
-def test_a_failure_of_tandem_itself_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_of_tandem_itself_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def fail(**_: object) -> int:
         raise RuntimeError("unexpected")
 

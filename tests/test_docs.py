@@ -1,4 +1,6 @@
-"""README and docs do what they say: commands and code blocks run, links lead somewhere, tables match the code."""
+"""README and docs do what they say: commands and code blocks run, links lead somewhere, tables match the
+code.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,17 @@ def reference() -> ModuleType:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What ``pip install .`` puts into site-packages, apart from the dependencies that are there already."""
     folder = tmp_path_factory.mktemp("installed")
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), str(ROOT)]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(folder),
+        str(ROOT),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return folder

@@ -19,7 +19,15 @@ def test_an_undeclared_code_is_refused() -> None:
 
 def test_issues_round_trip_through_plain_data() -> None:
     issue = Issue(
-        "problem.field", "x: got 1", Severity.WARNING, "p.yaml", 3, "x", bodies=("a", "b"), value=1.0, limit=0.5
+        "problem.field",
+        "x: got 1",
+        Severity.WARNING,
+        "p.yaml",
+        3,
+        "x",
+        bodies=("a", "b"),
+        value=1.0,
+        limit=0.5,
     )
     assert Issue.from_dict(issue.to_dict()) == issue
 
@@ -47,7 +55,9 @@ def test_other_arms_and_codes_stay_apart() -> None:
 
 
 def test_only_errors_count_as_errors() -> None:
-    assert not has_errors([Issue("problem.field", "m", Severity.WARNING), Issue("problem.field", "m", Severity.NOTE)])
+    assert not has_errors(
+        [Issue("problem.field", "m", Severity.WARNING), Issue("problem.field", "m", Severity.NOTE)]
+    )
     assert has_errors([Issue("problem.field", "m")])
 
 

@@ -11,15 +11,17 @@ import pytest
 from pydantic import ValidationError
 
 from planner.issues import TandemError
-from planner.posed import Posed, make_targets
+from planner.posed import POSE_COLUMNS, Posed, make_targets
 from planner.problem import Stock
 
 STOCK = Stock(np.array([0.1, 0.1, 0.1]), np.eye(4), np.eye(3))
+LEFT = dict(zip(POSE_COLUMNS, (1, 2, 3, 1, 0, 0, 0), strict=True))
+RIGHT = dict(zip(POSE_COLUMNS, (9, 2, 3, 0, 1, 0, 0), strict=True))
 ROW = {
-    **{f"left.{c}": v for c, v in zip(("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"), (1, 2, 3, 1, 0, 0, 0), strict=True)},
-    **{f"right.{c}": v for c, v in zip(("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"), (9, 2, 3, 0, 1, 0, 0), strict=True)},
+    **{f"left.{column}": value for column, value in LEFT.items()},
+    **{f"right.{column}": value for column, value in RIGHT.items()},
     "feed_mm_s": 20,
-}  # fmt: skip
+}
 
 
 def operation(folder: Path, name: str = "targets.csv", **more: Any) -> Posed:

@@ -87,20 +87,22 @@ def test_all_faults_come_at_once_with_their_lines(tmp_path: Path) -> None:
     assert "known are elastic_wire, targets" in messages
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "code", "words"),
-    [
-        ("robot: irb140\n      base: {xyz_mm: [-8", "robot: irb9\n      base: {xyz_mm: [-8", "problem.unknown_robot", "irb140"),
-        ("arms: [left, right]", "arms: [left, middle]", "problem.unknown_arm", "middle"),
-        ("- name: right", "- name: Left", "problem.duplicate_name", "Left"),
-        ("    file: targets.csv", "    arm: left\n    file: targets.csv", "problem.field", "operations.0.arm"),
-        ("tandem: 1", "tandem: 2", "problem.field", "tandem"),
-        ("name: small", "name: 9lives", "problem.field", "name"),
-        ("clearance_mm: 15", "clearance_mm: -1", "problem.field", "clearance_mm"),
-        ("kind: box, size_mm: [500, 500, 20]", "kind: mesh, file: no.stl, unit: mm", "problem.missing_file", "no.stl"),
-        ("kind: box, size_mm: [500, 500, 20]", "kind: mesh, file: no.stl", "problem.field", "cell.obstacles.0.shapes.0.unit"),
-    ],
-)  # fmt: skip
+FIRST_ROBOT = "robot: irb140\n      base: {xyz_mm: [-8"
+BOX = "kind: box, size_mm: [500, 500, 20]"
+FAULTS = [
+    (FIRST_ROBOT, FIRST_ROBOT.replace("140", "9"), "problem.unknown_robot", "irb140"),
+    ("arms: [left, right]", "arms: [left, middle]", "problem.unknown_arm", "middle"),
+    ("- name: right", "- name: Left", "problem.duplicate_name", "Left"),
+    ("    file: targets", "    arm: left\n    file: targets", "problem.field", "operations.0.arm"),
+    ("tandem: 1", "tandem: 2", "problem.field", "tandem"),
+    ("name: small", "name: 9lives", "problem.field", "name"),
+    ("clearance_mm: 15", "clearance_mm: -1", "problem.field", "clearance_mm"),
+    (BOX, "kind: mesh, file: no.stl, unit: mm", "problem.missing_file", "no.stl"),
+    (BOX, "kind: mesh, file: no.stl", "problem.field", "cell.obstacles.0.shapes.0.unit"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "code", "words"), FAULTS)
 def test_each_fault_has_its_code(tmp_path: Path, old: str, new: str, code: str, words: str) -> None:
     assert old in GOOD
     issues = refused(tmp_path, GOOD.replace(old, new))

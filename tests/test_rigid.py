@@ -61,9 +61,7 @@ def test_roll_pitch_yaw_is_the_urdf_order() -> None:
 
 def test_inverse_undoes_a_batch_of_poses() -> None:
     pose = rigid.exp_twist(np.random.default_rng(1).normal(size=(5, 2, 6)))
-    np.testing.assert_allclose(
-        pose @ rigid.inverse(pose), np.broadcast_to(np.eye(4), pose.shape), atol=1e-14
-    )
+    np.testing.assert_allclose(pose @ rigid.inverse(pose), np.broadcast_to(np.eye(4), pose.shape), atol=1e-14)
 
 
 def test_interpolation_is_a_straight_line_at_a_constant_turning_rate() -> None:

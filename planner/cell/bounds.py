@@ -99,10 +99,11 @@ class Bounds:
         dots = dots[0][live], dots[1][live], dots[2][live]
         between = _segments(w, da, db, dots, self.outer[0][a], self.outer[0][b])
         gap = np.sqrt(_dot(between, between)) - self.outer[1][a] - self.outer[1][b]
-        k = np.flatnonzero(gap < limit)
-        one = turns[row[k], self.part[a[k]]] @ self.frame[a[k]], self.support[a[k]]
-        two = turns[row[k], self.part[b[k]]] @ self.frame[b[k]], self.support[b[k]]
-        gap[k] = np.maximum(gap[k], _separation(w[k], between[k], one, two))
+        touch = np.flatnonzero(gap < limit)
+        at, first, second = row[touch], a[touch], b[touch]
+        one = turns[at, self.part[first]] @ self.frame[first], self.support[first]
+        two = turns[at, self.part[second]] @ self.frame[second], self.support[second]
+        gap[touch] = np.maximum(gap[touch], _separation(w[touch], between[touch], one, two))
         np.minimum.at(lower, row, gap)
         for k, near in enumerate(boxes):
             np.minimum.at(lower, near.row, self._below(near, k))

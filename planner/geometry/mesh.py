@@ -131,7 +131,7 @@ def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> lis
         issues.append(
             Issue(
                 "mesh.closed",
-                f"the mesh is closed, one open face of the part is wanted; export that face alone",
+                "the mesh is closed, one open face of the part is wanted; export that face alone",
                 file=file,
                 field=name,
             )

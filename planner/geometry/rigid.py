@@ -71,7 +71,9 @@ def inverse(pose: FloatArray) -> FloatArray:
 
 
 def from_rpy(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
-    """Pose (4, 4) from a position [m] and roll, pitch, yaw [rad] about fixed x, then y, then z (as in URDF)."""
+    """Pose (4, 4) from a position [m] and roll, pitch, yaw [rad] about fixed x, then y, then z (as in
+    URDF).
+    """
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     rotation = (
         exp_rotation(np.array([0.0, 0.0, yaw]))

@@ -296,7 +296,7 @@ def best_split(points: FloatArray, length: float) -> tuple[float, float]:
     """Where along x [m] to split a section (m, 2) so that wires of ``length`` meet both parts best; and how
     well [m]."""
     count = len(points)
-    at = np.linspace(8, count - 9, 9).astype(np.intp)
+    at = np.linspace(8, count - 9, 7).astype(np.intp)
     parts = []
     for i in at:
         for part in (points[: i + 1], points[i:]):

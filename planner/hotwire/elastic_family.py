@@ -27,6 +27,7 @@ _ROUNDS = 25
 _STEADY = np.array([1e-4, 1e-4, 1e-4, 3e-5, 1e-5, 1e-5])
 _HOLD = np.array([0.0, 0.0, 3e-3, 1e-3, 3e-4, 3e-4])
 _CENTRE = 1e-4
+_TAIL = 0.3 * TAIL_WEIGHT  # less straight ends hold better against end errors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +79,7 @@ class FirstFit:
     fit: CurveFit
 
 
-def fit_first(sections: SectionSet, load: FloatArray, length: float, count: int = 13) -> FirstFit:
+def fit_first(sections: SectionSet, load: FloatArray, length: float, count: int = 9) -> FirstFit:
     """Fit up to ``count`` of the sections that cover the face well, each for itself."""
     good = np.nonzero(sections.length > 0.6 * np.median(sections.length[sections.length > 0.0]))[0]
     rows = good[np.unique(np.linspace(0, len(good) - 1, count).astype(np.intp))]
@@ -116,7 +117,7 @@ def fit_family(
         sections.points / length,
         share / share.sum(),
         load * length**3,
-        TAIL_WEIGHT**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * (share / share.sum()),
+        _TAIL**2 * (np.maximum(sections.length, 0.3 * long) / length) ** 3 * (share / share.sum()),
         np.zeros((len(sections.p), 2)),
         centre / length,
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),

@@ -72,11 +72,12 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         room = np.minimum(q[best] - chain.robot.lower, chain.robot.upper - q[best])
         joint = int(np.argmin(np.where(chain.many_turns, np.inf, room)))
         joint = joint if room[joint] < scene.settings.joint_margin else int(np.argmin(room))
+        low, high = chain.robot.lower[joint] / DEG, chain.robot.upper[joint] / DEG
+        got = float(q[best, joint]) / DEG
+        allowed = f"allowed {low:.0f} to {high:.0f} less {scene.settings.joint_margin / DEG:.1f} deg"
         return Issue(
             "motion.joint_limit",
-            f"arm {arm} passes the limit of axis {joint + 1} at target {name}: "
-            f"{q[best, joint] / DEG:.1f} deg, allowed {chain.robot.lower[joint] / DEG:.0f} to {chain.robot.upper[joint] / DEG:.0f} deg "
-            f"less the margin of {scene.settings.joint_margin / DEG:.1f} deg",
+            f"arm {arm} passes the limit of axis {joint + 1} at target {name}: {got:.1f} deg, {allowed}",
             bodies=(f"axis {joint + 1}",),
             value=float(limit[best]) / DEG,
             limit=scene.settings.joint_margin / DEG,

@@ -110,7 +110,7 @@ def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES)
         counts[largest] = max(2, counts[largest] // 2)
     rings = [full_turn(f) for f in targets.freedoms]
     picks = np.array(list(itertools.product(*(range(c) for c in counts))), dtype=np.intp)
-    picks = picks.reshape(-1, len(counts))
+    picks = picks.reshape(int(np.prod(counts)), len(counts))
     columns = [
         _values(f, picks[:, j], counts[j], ring)
         for j, (f, ring) in enumerate(zip(targets.freedoms, rings, strict=True))
@@ -189,8 +189,7 @@ def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
     turns = chain.turns
     limit = np.stack(chain.limit_margins(q, turns), axis=-1)
     ok = (limit >= hard) & (single >= bend)[..., None]
-    used = ok.any(axis=(0, 1))
-    used[0] = True
+    used = np.asarray(ok.any(axis=(0, 1))) | (np.arange(len(turns)) == 0)
     ok, limit, turns = ok[..., used], limit[..., used], turns[used]
     cost = _hinge(limit, hard, SOFT_LIMIT) + _hinge(single, bend, SOFT_SINGULARITY)[..., None]
     return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))

@@ -63,8 +63,13 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
     opaque += [Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
     if moment.wire is not None:
         opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
-    everything = np.concatenate([thing.solid.vertices for thing in (*opaque, *block)])
-    camera = raster.frame(everything, _direction(scene), 2 * width, 2 * height)
+    fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
+    subject = [
+        piece.solid.moved(poses[piece.body][0] @ piece.pose).vertices
+        for piece in scene.pieces
+        if piece.body not in fixed
+    ]
+    camera = raster.frame(np.concatenate(subject), _direction(scene), 2 * width, 2 * height)
     image = raster.draw(camera, opaque)
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
     color, alpha = _veil(camera, block, image.depth, color, alpha)

@@ -71,23 +71,42 @@ def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, 
     )
 
 
-def deviation_map(
-    points: FloatArray, deviation: FloatArray, tolerance: float, title: str, note: str = ""
-) -> Raw:
-    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut."""
+def laid(points: FloatArray) -> tuple[FloatArray, str]:
+    """Coordinates (M, 2) of points (M, 3) in the plane that lies best through them, the longer side across,
+    and words that say from where they are seen.
+    """
     across, up, normal = view(points)
-    finite = deviation[np.isfinite(deviation)]
-    largest = float(np.percentile(np.abs(finite), 99.5)) if len(finite) else tolerance
-    span = max(1.2 * tolerance, largest)
-    grid, extent = binned(points @ np.stack([across, up], axis=1), deviation)
+    uv = points @ np.stack([across, up], axis=1)
+    if np.ptp(uv[:, 1]) > 1.2 * np.ptp(uv[:, 0]):
+        across, up = up, -across
+        uv = points @ np.stack([across, up], axis=1)
+    words = f"seen from {_axis(normal)} of the stock frame, {_axis(across)} to the right, {_axis(up)} up; mm"
+    return uv, words
+
+
+def span_of(deviation: FloatArray, tolerance: float) -> float:
+    """What the colours reach to [m]: nearly all deviations, so that small ones can be seen too."""
+    finite = np.abs(deviation[np.isfinite(deviation)])
+    largest = float(np.percentile(finite, 99.5)) if len(finite) else tolerance
+    return max(1.15 * largest, 0.05 * tolerance)
+
+
+def deviation_map(points: FloatArray, deviation: FloatArray, tolerance: float, title: str) -> Raw:
+    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut."""
+    uv, words = laid(points)
+    span = span_of(deviation, tolerance)
+    grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
     color[missed] = _MISSED
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
-    axis = "xyz"[int(np.argmax(np.abs(normal)))]
-    side = "+" if normal[np.argmax(np.abs(normal))] > 0 else "−"
     body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()))
-    return markup.figure(title, body, note or f"seen from {side}{axis} of the stock frame; mm")
+    return markup.figure(title, body, words)
+
+
+def _axis(direction: FloatArray) -> str:
+    k = int(np.argmax(np.abs(direction)))
+    return ("+" if direction[k] > 0 else "−") + "xyz"[k]
 
 
 def histogram(deviation: FloatArray, tolerance: float) -> str:
@@ -95,7 +114,7 @@ def histogram(deviation: FloatArray, tolerance: float) -> str:
     finite = deviation[np.isfinite(deviation)] * 1e3
     if not len(finite):
         return '<p class="empty">no data</p>'
-    span = max(1.2 * tolerance * 1e3, float(np.percentile(np.abs(finite), 99.8)) * 1.05)
+    span = 1e3 * span_of(deviation, tolerance)
     counts, edges = np.histogram(np.clip(finite, -span, span), bins=60, range=(-span, span))
     share = 100.0 * counts / max(len(deviation), 1)
     x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
@@ -113,7 +132,7 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
     """A picture with ruled edges in mm, one scale for both axes."""
     u0, u1, v0, v1 = (e * 1e3 for e in extent)
     width = 440.0
-    scale = min((width - 60.0) / (u1 - u0), 420.0 / (v1 - v0))
+    scale = min((width - 60.0) / (u1 - u0), 330.0 / (v1 - v0))
     w, h = scale * (u1 - u0), scale * (v1 - v0)
     left = 46.0 + 0.5 * (width - 60.0 - w)
     parts = [
@@ -121,10 +140,10 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
         f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" '
         'preserveAspectRatio="none"/>'
     ]
-    for value in charts.ticks(u0, u1, 6):
+    for value in charts.ticks(u0, u1, int(np.clip(w / 60.0, 1, 7))):
         x = left + (value - u0) * scale
         parts.append(f'<text class="xtick" x="{x:.1f}" y="{h + 21:.1f}">{markup.number(float(value))}</text>')
-    for value in charts.ticks(v0, v1, 6):
+    for value in charts.ticks(v0, v1, int(np.clip(h / 40.0, 1, 6))):
         y = 6 + (v1 - value) * scale
         parts.append(
             f'<text class="ytick" x="{left - 6:.1f}" y="{y + 4:.1f}">{markup.number(float(value))}</text>'
@@ -141,7 +160,8 @@ def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
         '<svg class="plot" viewBox="0 0 440 30">',
         f'<image href="{image}" x="{left:g}" y="2" width="{width:g}" height="9" preserveAspectRatio="none"/>',
     ]
-    for value in (-span, -tolerance, 0.0, tolerance, span):
+    marks = (-span, -tolerance, 0.0, tolerance, span) if tolerance <= span else (-span, 0.0, span)
+    for value in marks:
         x = left + (value + span) / (2 * span) * width
         if abs(abs(value) - span) > 0.1 * span or abs(value) == span:
             parts.append(f'<text class="mid" x="{x:.1f}" y="24">{markup.number(value * 1e3, 2)}</text>')
@@ -150,6 +170,9 @@ def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
     parts.append("</svg>")
     words = [("#215cb2", "too much cut"), ("#c72e21", "left standing")]
     words += [("#592173", "the wire did not pass")] if missed else []
+    words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: off the scale")] * (
+        tolerance > span
+    )
     keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
     return "".join(parts) + f'<div class="legend">{keys}</div>'
 
@@ -158,8 +181,8 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
     """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
-    across, up, _ = view(points)
-    grid, extent = binned(points @ np.stack([across, up], axis=1), value)
+    uv, _ = laid(points)
+    grid, extent = binned(uv, value)
     inside = np.isfinite(grid)
     low, high = float(np.nanmin(value)), float(np.nanmax(value))
     if limit is not None:

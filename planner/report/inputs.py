@@ -1,8 +1,9 @@
 """What the report draws of a motion, on one clock: from the proof's replay or, without one, the plan.
 
-Names that are read from ``Proof.series``: ``time`` (T,) [s]; per arm ``q/<arm>``, ``speed/<arm>``,
-``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2]; ``clearance`` (T,) [m] with ``clearance_pair`` (T,)
-names of the closest pair; ``clearance_time`` (T',) where it has a clock of its own. All are optional.
+Names that are read from ``Proof.series``, all optional: ``time`` (T,) [s] and ``label`` (T,) of segments; per
+arm ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2];
+``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,); per wire n ``wire/<n>/time``,
+``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and ``stability`` [-], each (W,).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner import catalogue
 from planner.catalogue import RobotData
+from planner.claims import FeedWindow, WireJoins
 from planner.plan import Plan
 from planner.problem import Problem
 from planner.report.charts import Band
@@ -68,24 +70,41 @@ class Feed:
 
 
 @dataclasses.dataclass(frozen=True)
+class WireMotion:
+    """One wire over time (W,): clearance [m], curvature and its limit [1/m], least eigenvalue."""
+
+    time: FloatArray
+    clearance: FloatArray | None
+    curvature: FloatArray | None
+    stability: FloatArray | None
+    max_curvature: float | None
+
+
+@dataclasses.dataclass(frozen=True)
 class Motion:
     """All that is drawn over time; ``source`` says where it comes from."""
 
     arms: Mapping[str, ArmMotion]
     clearance: Clearance | None
     feed: Feed
+    wires: tuple[WireMotion, ...]
     bands: tuple[Band, ...]
     source: str
 
 
 def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
     """The motion of a plan, operations one after the other."""
+    series: Mapping[str, Any] = proof.series if proof is not None else {}
     starts = operation_starts(plan)
-    arms, source = _proven(problem, proof), "replayed from the programs' text"
-    if not arms:
-        arms, source = _planned(problem, plan, starts), "the plan's targets"
-    bands = [band for op, t0 in zip(plan.operations, starts, strict=True) for band in _bands(op, t0)]
-    return Motion(arms, _clearance(proof), _feed(plan, starts), tuple(bands), source)
+    arms = _proven(problem, series)
+    if arms:
+        bands = _bands(tuple(str(v) for v in series.get("label", ())), np.asarray(series["time"]))
+        feed = _proven_feed(plan, series)
+        source = "replayed from the programs' text, from home to home"
+        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source)
+    rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
+    bands = tuple(band for row in rows for band in row)
+    return Motion(_planned(problem, plan, starts), None, _feed(plan, starts), (), bands, "the plan's targets")
 
 
 def operation_starts(plan: Plan) -> list[float]:
@@ -94,21 +113,17 @@ def operation_starts(plan: Plan) -> list[float]:
     return [float(sum(lengths[:i])) for i in range(len(lengths))]
 
 
-def _proven(problem: Problem, proof: Proof | None) -> dict[str, ArmMotion]:
-    series: Mapping[str, Any] = proof.series if proof is not None else {}
-    if "time" not in series:
-        return {}
-    time = np.asarray(series["time"], dtype=np.float64)
+def _proven(problem: Problem, series: Mapping[str, Any]) -> dict[str, ArmMotion]:
     out = {}
     for arm in problem.cell.arms:
-        q = series.get(f"q/{arm.name}")
-        if q is None or len(q) != len(time) or len(time) < 2:
+        q = series.get(f"joints/{arm.name}")
+        if q is None or len(q) < 2:
             continue
+        time = np.asarray(series["time"], dtype=np.float64)
         given = series.get(f"speed/{arm.name}")
         speed = np.gradient(q, time, axis=0) if given is None else np.asarray(given)
-        out[arm.name] = ArmMotion(
-            catalogue.robot(arm.robot), time, np.asarray(q), speed, series.get(f"acceleration/{arm.name}")
-        )
+        robot = catalogue.robot(arm.robot)
+        out[arm.name] = ArmMotion(robot, time, np.asarray(q), speed, series.get(f"acceleration/{arm.name}"))
     return out
 
 
@@ -127,21 +142,45 @@ def _planned(problem: Problem, plan: Plan, starts: list[float]) -> dict[str, Arm
     return out
 
 
-def _clearance(proof: Proof | None) -> Clearance | None:
-    series: Mapping[str, Any] = proof.series if proof is not None else {}
-    distance = series.get("clearance")
-    time = series.get("clearance_time", series.get("time"))
-    if distance is None or time is None or len(distance) != len(time):
+def _clearance(series: Mapping[str, Any]) -> Clearance | None:
+    time, distance = series.get("clearance/time"), series.get("clearance/distance")
+    if time is None or distance is None or not np.isfinite(distance).any():
         return None
-    pair = series.get("clearance_pair")
-    names = (
-        tuple(_pair(p) for p in pair) if pair is not None and len(pair) == len(time) else ("",) * len(time)
-    )
+    pair = series.get("clearance/pair", [""] * len(time))
+    names = tuple(str(p).replace(" - ", " – ") for p in pair)
     return Clearance(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
 
 
-def _pair(value: Any) -> str:
-    return value if isinstance(value, str) else " – ".join(str(v) for v in value)
+def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:
+    """The wires of the proof, in the order of the plan's claims."""
+    limits = [
+        c.max_curvature for op in plan.operations for c in op.targets.claims if isinstance(c, WireJoins)
+    ]
+    out = []
+    for n in range(1, len(limits) + 1):
+        time = series.get(f"wire/{n}/time")
+        if time is not None and len(time) > 1:
+            clear, bend, stable = (
+                series.get(f"wire/{n}/{k}") for k in ("clearance", "curvature", "stability")
+            )
+            out.append(WireMotion(np.asarray(time), clear, bend, stable, limits[n - 1]))
+    return tuple(out)
+
+
+def _proven_feed(plan: Plan, series: Mapping[str, Any]) -> Feed:
+    """Speeds of the wires' fastest points inside the stock, with the windows that the claims state."""
+    windows = {c.segment: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)}
+    rows = []
+    n = 1
+    while f"wire/{n}/feed" in series:
+        labels = [str(v) for v in series[f"wire/{n}/label"]]
+        lower = np.array([windows[v].lower if v in windows else np.nan for v in labels])
+        upper = np.array([windows[v].upper if v in windows else np.nan for v in labels])
+        rows.append(np.stack([series[f"wire/{n}/time"], series[f"wire/{n}/feed"], lower, upper]))
+        n += 1
+    if not rows or not np.isfinite(np.concatenate(rows, axis=1)[1]).any():
+        return _feed(plan, operation_starts(plan))
+    return Feed(*np.concatenate(rows, axis=1))
 
 
 def _feed(plan: Plan, starts: list[float]) -> Feed:
@@ -155,12 +194,12 @@ def _feed(plan: Plan, starts: list[float]) -> Feed:
     return Feed(*joined)
 
 
-def _bands(op: Any, start: float) -> list[Band]:
-    labels, time = op.targets.segment, op.time + start
+def _bands(labels: tuple[str, ...], time: FloatArray) -> tuple[Band, ...]:
+    """Runs of equal labels (T,); a label belongs to the way to its instant."""
     out: list[Band] = []
-    for i in range(1, len(labels)):
+    for i in range(1, min(len(labels), len(time))):
         if out and out[-1].name == labels[i]:
             out[-1] = dataclasses.replace(out[-1], end=float(time[i]))
         else:
             out.append(Band(float(time[i - 1]), float(time[i]), labels[i], segment_kind(labels[i])))
-    return out
+    return tuple(out)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planner.problem import Settings
 from planner.report import markup
 from planner.report.charts import Level, Line, chart
-from planner.report.inputs import ArmMotion, Clearance, Motion
+from planner.report.inputs import ArmMotion, Clearance, Motion, WireMotion
 from planner.report.markup import Raw
 from planner.units import DEG, MM
 
@@ -18,41 +18,76 @@ FloatArray = NDArray[np.float64]
 def feed(motion: Motion) -> Raw:
     """Speed of the fastest guarded point against the window that the process asks for [mm/s]."""
     f = motion.feed
-    cut = f.lower > 0.0
-    lines = [Line("speed", f.time, f.speed / MM, 0)]
-    lines.append(
-        Line("highest allowed", f.time, np.where(np.isfinite(f.upper), f.upper / MM, np.nan), 1, True)
-    )
-    if cut.any():
-        lines.append(Line("lowest allowed", f.time, np.where(cut, f.lower / MM, np.nan), 3, True))
+    cut = np.isfinite(f.lower) & (f.lower > 0.0)
+    lines = [
+        Line("speed", f.time, f.speed / MM, 0),
+        Line("highest allowed", f.time, np.where(np.isfinite(f.upper), f.upper / MM, np.nan), 1, True),
+        Line("lowest allowed", f.time, np.where(cut, f.lower / MM, np.nan), 3, True),
+    ]
+    fastest = float(np.nanmax(f.speed, initial=1e-3)) / MM
     work = np.isfinite(f.speed) & cut
-    top = (
-        2.2 * float(np.max(f.upper[work])) / MM
-        if work.any()
-        else float(np.nanmax(f.speed, initial=1e-3)) * 1.2 / MM
-    )
+    top = min(1.1 * fastest, 2.2 * float(np.max(f.upper[work])) / MM) if work.any() else 1.1 * fastest
+    top = max(top, 1.2 * float(np.max(f.upper[work])) / MM) if work.any() else top
     body = chart(lines, x_label="s", y_label="mm/s", bands=motion.bands, y_range=(0.0, top))
-    note = (
-        f"scaled to the work; moves outside it reach {markup.number(float(np.nanmax(f.speed)) / MM, 3)} mm/s"
+    note = f"scaled to the work; moves outside it reach {markup.number(fastest, 3)} mm/s"
+    return markup.figure(
+        "Speed of the fastest guarded point", body, note if fastest > top else "tinted strongest: cutting"
     )
-    fast = bool(np.nanmax(f.speed, initial=0.0) / MM > top)
-    return markup.figure("Speed of the fastest guarded point", body, note if fast else "tinted: cutting")
 
 
 def clearance(data: Clearance, motion: Motion, settings: Settings) -> Raw:
     """Least distance over time [mm] with the asked one, and the pairs that come closest."""
+    lines = [Line("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
+    for wire in motion.wires:
+        if wire.clearance is not None:
+            away = np.where(np.asarray(wire.clearance) > 0.0, wire.clearance, np.nan) / MM
+            lines.append(Line("wire", wire.time, away, 1))
+    top = max([float(np.nanmax(line.y)) for line in lines if np.isfinite(line.y).any()] or [100.0])
     body = chart(
-        [Line("clearance", data.time, data.distance / MM, 2)],
+        lines,
         x_label="s",
         y_label="mm",
         bands=motion.bands,
         levels=[Level(settings.clearance / MM, "asked for")],
-        y_range=(0.0, float(min(np.nanmax(data.distance), 0.15)) / MM * 1.1 + 1.0),
+        y_range=(0.0, min(top * 1.1, 150.0) + 1.0),
     )
     worst = int(np.nanargmin(data.distance))
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
     note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
     return markup.figure("Clearance of everything to everything", body, note)
+
+
+def wire(data: WireMotion, motion: Motion) -> list[Raw]:
+    """Curvature [1/m] and stability of a wire as the proof follows it."""
+    out = []
+    if data.curvature is not None:
+        most = data.max_curvature
+        levels = [Level(most, "elastic limit")] if most is not None else []
+        top = max(float(np.nanmax(data.curvature)), most or 0.0)
+        body = chart(
+            [Line("curvature", data.time, data.curvature, 4)],
+            x_label="s",
+            y_label="1/m",
+            bands=motion.bands,
+            levels=levels,
+            y_range=(0.0, 1.1 * top),
+        )
+        note = f"greatest: {markup.number(float(np.nanmax(data.curvature)), 3)} /m"
+        out.append(markup.figure("Greatest curvature of the wire", body, note))
+    if data.stability is not None:
+        body = chart(
+            [Line("least eigenvalue", data.time, data.stability, 6)],
+            x_label="s",
+            y_label="relative",
+            bands=motion.bands,
+            levels=[Level(0.0, "snaps")],
+            y_range=(
+                min(0.0, float(np.nanmin(data.stability))),
+                1.1 * float(np.nanmax(data.stability)) + 1e-9,
+            ),
+        )
+        out.append(markup.figure("Stability of the wire", body, "0 is where it snaps to another shape"))
+    return out
 
 
 def closest_pairs(data: Clearance, count: int = 6) -> Raw:

@@ -111,6 +111,7 @@ def _motion(problem: Problem, motion: Motion) -> list[Raw]:
     if motion.clearance is not None:
         figures.append(motion_charts.clearance(motion.clearance, motion, settings))
     figures += motion_charts.margins(motion, settings) if motion.arms else []
+    figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
     for name, arm in motion.arms.items():
         figures += motion_charts.speeds(name, arm, motion, settings)
     pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ""

@@ -148,7 +148,8 @@ def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
     filled = np.where(seen, depth, np.max(depth[seen]))
     blurred = ndimage.uniform_filter(ndimage.uniform_filter(filled, 31), 31)
     scale = 40.0 / camera.focal * float(np.median(depth[seen]))
-    return np.asarray(1.0 - np.clip((filled - blurred) / scale, 0.0, 1.0) * 0.45)
+    behind = np.clip((filled - blurred) / scale, 0.0, None)
+    return np.asarray(1.0 - 0.75 * behind * np.exp(-1.6 * behind))
 
 
 def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> FloatArray:

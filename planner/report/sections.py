@@ -46,7 +46,7 @@ def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray)
 
 
 def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: FloatArray) -> str:
-    """An SVG of the curves in their own planes [mm], chord along x, middle of the chord at 0, one scale.
+    """An SVG of the curves in their own planes [mm], chord along x, middle of the chord at 0.
 
     A curve's plane holds its chord and lies across the way from section to section.
     """
@@ -57,13 +57,17 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
         origin, axes = _plane(curve, sweep[i])
         turned = bool(frames) and float(axes[:, 1] @ frames[-1][1][:, 1]) < 0.0
         frames.append((origin, axes * [1.0, -1.0] if turned else axes))
+    pairs = zip(curves, frames, strict=True)
+    width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in pairs]), axis=0)
+    times = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
+    stretch = np.array([1e3, 1e3 * times])
     drawn: list[tuple[FloatArray, str]] = []
     colors = _colours(value)
     for i in _thin(len(curves)):
         origin, axes = frames[i]
-        drawn.append((((curves[i] - origin) @ axes) * 1e3, f"stroke:{colors[i]}"))
+        drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
         if len(wanted) == len(curves):
-            drawn.append((((wanted[i] - origin) @ axes) * 1e3, "stroke:var(--soft);stroke-dasharray:2 3"))
+            drawn.append((((wanted[i] - origin) @ axes) * stretch, "stroke:var(--soft);stroke-dasharray:2 3"))
     everything = np.concatenate([d for d, _ in drawn])
     low, high = everything.min(axis=0), everything.max(axis=0)
     pad = 0.05 * max(high - low)
@@ -77,17 +81,18 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
         parts.append(
             f'<text class="xtick" x="{x:.1f}" y="{height + 20:.1f}">{markup.number(float(v))}</text>'
         )
-    for v in charts.ticks(low[1], high[1], max(2, min(6, int(height / 40)))):
+    for v in times * charts.ticks(low[1] / times, high[1] / times, int(np.clip(height / 40, 2, 6))):
         y = 4 + (high[1] - v) * scale
         right = 52 + (high[0] - low[0]) * scale
         parts.append(f'<line class="grid" x1="52" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v))}</text>')
+        parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v) / times)}</text>')
+    words = "mm" if times == 1 else f"mm; heights drawn {times} times"
     for path, style in drawn:
         uv = np.stack([52 + (path[:, 0] - low[0]) * scale, 4 + (high[1] - path[:, 1]) * scale], axis=1)
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in uv)
         parts.append(f'<polyline class="thin" style="{style}" points="{points}"/>')
     parts.append(
-        f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" y="{height + 36:.0f}">mm</text>'
+        f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" y="{height + 36:.0f}">{words}</text>'
     )
     return "".join(parts) + "</svg>"
 

@@ -109,13 +109,16 @@ def _mount(problem: Problem, operation: OperationPlan, wire: WireJoins) -> list[
     gap = poses[1][:3, 3] - poses[0][:3, 3]
     distance = float(np.linalg.norm(gap))
     out: list[tuple[object, object]] = [
-        ("distance of the clamps at the mount pose", Raw(f"{markup.fixed(distance / MM, 2)} mm"))
+        ("as planned: distance of the TCPs at the mount", Raw(f"{markup.fixed(distance / MM, 2)} mm"))
     ]
     if distance > 1e-6:
         for arm, pose in zip(wire.arms, poses, strict=True):
             angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
             out.append(
-                (f"clamp of {arm} to the line between the clamps", Raw(f"{markup.fixed(float(angle), 2)}°"))
+                (
+                    f"as planned: TCP of {arm} to the line between them",
+                    Raw(f"{markup.fixed(float(angle), 2)}°"),
+                )
             )
     return out
 

@@ -77,6 +77,7 @@ background:var(--bad-bg)}
 .tag.warning{color:var(--warn);background:var(--warn-bg)}.tag.note,.tag.off{color:var(--soft);
 background:var(--note-bg)}
 code{font:12.5px ui-monospace,SFMono-Regular,Menlo,Consolas,monospace;overflow-wrap:anywhere}
+td code{font-size:11.5px;overflow-wrap:normal;white-space:nowrap}
 .facts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(330px,100%),1fr));gap:0 28px;margin:0}
 .facts div{display:flex;gap:14px;justify-content:space-between;padding:5px 0;
 border-bottom:1px solid var(--line)}

@@ -1,4 +1,6 @@
-"""The margins of a proof as short text for a program's header, and the check that a header changed nothing else."""
+"""The margins of a proof as short text for a program's header, and the check that a header changed nothing
+else.
+"""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 worst, limit, where = float(out[k]), mm(claim.tolerance), claim.segment
             for i in np.flatnonzero(out > claim.tolerance)[:50]:
                 message = (
-                    f"the wire is {mm(out[i]):.3f} mm off the surface between its neighbours: a ridge or groove; "
+                    f"the wire is {mm(out[i]):.3f} mm off the surface of its neighbours: a ridge or groove; "
                     f"allowed: {mm(claim.tolerance):g} mm"
                 )
                 measure = (mm(float(out[i])), mm(claim.tolerance), "mm")

@@ -1,4 +1,6 @@
-"""Writes hypar.obj: a hyperbolic paraboloid z = y^2 / (2 * 700) - x^2 / (2 * 380), 300 x 400 mm, in millimetres."""
+"""Writes hypar.obj: a hyperbolic paraboloid z = y^2 / (2 * 700) - x^2 / (2 * 380), 300 x 400 mm, in
+millimetres.
+"""
 
 from __future__ import annotations
 

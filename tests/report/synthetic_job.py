@@ -241,14 +241,22 @@ def proof(rows: int = 1500) -> Proof:
         q = np.stack([np.interp(time, made.time, made.q[arm][:, k]) for k in range(6)], axis=1)
         speed = np.gradient(q, time, axis=0)
         series |= {
-            f"q/{arm}": q,
+            f"joints/{arm}": q,
             f"speed/{arm}": speed,
             f"acceleration/{arm}": np.gradient(speed, time, axis=0),
         }
     wave = 0.03 + 0.012 * np.cos(time / 5.0)
-    series["clearance"] = wave
-    series["clearance_pair"] = tuple(
-        "left/tool – stock" if w < 0.03 else "right/link_5 – left/tool" for w in wave
+    series["label"] = np.array([made.targets.segment[i] for i in np.searchsorted(made.time, time)])
+    series["wire/1/time"] = time
+    series["wire/1/label"] = series["label"]
+    series["wire/1/feed"] = np.full(rows, 0.0054)
+    series["wire/1/clearance"] = wave + 0.01
+    series["wire/1/curvature"] = 10 + np.sin(time / 9.0)
+    series["wire/1/stability"] = 0.4 + 0.1 * np.sin(time / 7.0)
+    series["clearance/time"] = time
+    series["clearance/distance"] = wave
+    series["clearance/pair"] = tuple(
+        "left/tool - stock" if w < 0.03 else "right/link_5 - left/tool" for w in wave
     )
     rng = np.random.default_rng(2)
     faces = []

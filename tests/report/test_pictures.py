@@ -54,7 +54,7 @@ def test_solids_have_their_volume_and_face_outward() -> None:
 
 
 def test_a_ball_is_drawn_as_large_and_as_far_as_it_is() -> None:
-    """Outline of a sphere in perspective: a circle of radius f r / sqrt(d^2 - r^2) about the centre's image."""
+    """Outline of a sphere in perspective: a circle of radius f r / sqrt(d^2 - r^2)."""
     pose = np.eye(4)
     pose[:3, :3] = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # looks along world y, z is up
     camera = raster.Camera(pose, 900.0, 400, 300, (400, 300))

@@ -17,7 +17,8 @@ Texts = dict[str, str]
 Mutator = Callable[[np.random.Generator, Texts], Texts]
 TASKS = (1, 2)
 MOVE = re.compile(
-    r"MoveL \[\[(?P<pos>[^\]]*)\],\[(?P<orient>[^\]]*)\],\[(?P<conf>[^\]]*)\],\[(?P<ext>[^\]]*)\]\]\\ID:=(?P<id>\d+),"
+    r"MoveL \[\[(?P<pos>[^\]]*)\],\[(?P<orient>[^\]]*)\],\[(?P<conf>[^\]]*)\],\[(?P<ext>[^\]]*)\]\]"
+    r"\\ID:=(?P<id>\d+),"
     r"(?P<speed>\w+)\\T:=(?P<time>[\d.]+),(?P<zone>\w+),(?P<tool>\w+)\\WObj:=(?P<wobj>\w+);"
 )
 MUTATORS: dict[str, tuple[str, Mutator]] = {}
@@ -80,7 +81,8 @@ def change(texts: Texts, task: int, k: int, **fields: str) -> Texts:
     assert found is not None
     parts = {**found.groupdict(), **fields}
     rows[i] = (
-        f"    MoveL [[{parts['pos']}],[{parts['orient']}],[{parts['conf']}],[{parts['ext']}]]\\ID:={parts['id']},"
+        f"    MoveL [[{parts['pos']}],[{parts['orient']}],[{parts['conf']}],[{parts['ext']}]]"
+        f"\\ID:={parts['id']},"
         f"{parts['speed']}\\T:={parts['time']},{parts['zone']},{parts['tool']}\\WObj:={parts['wobj']};"
     )
     return put(texts, task, rows)
@@ -123,7 +125,7 @@ def cutting(rng: np.random.Generator, texts: Texts) -> int:
     return pick(rng, [k for k in inside if abs(float(field(texts, 1, k, "pos").split(",")[1])) < 32.0])
 
 
-# ---- text -----------------------------------------------------------------------------------------------------
+# ---- text ----------------------------------------
 
 
 @mutator("verify.syntax")
@@ -280,7 +282,7 @@ def other_problem(rng, texts):
     return put(texts, task, rows, "Data")
 
 
-# ---- tasks side by side ------------------------------------------------------------------------------------------
+# ---- tasks side by side ----------------------------------------
 
 
 @mutator("verify.task_list")
@@ -549,7 +551,7 @@ def flies_into_logic(rng, texts):
     return put(texts, task, rows, "Main")
 
 
-# ---- data --------------------------------------------------------------------------------------------------------
+# ---- data ----------------------------------------
 
 
 def _data_row(texts: Texts, task: int, what: str) -> tuple[list[str], int]:
@@ -660,7 +662,7 @@ def wide_zone(rng, texts):
     return both(texts, k, lambda t, task, i: change(t, task, i, zone=wide))
 
 
-# ---- motion ------------------------------------------------------------------------------------------------------
+# ---- motion ----------------------------------------
 
 
 @mutator("verify.confdata")
@@ -721,7 +723,7 @@ def entry_through_block(rng, texts):
     return put(texts, task, rows, "Data")
 
 
-# ---- process -----------------------------------------------------------------------------------------------------
+# ---- process ----------------------------------------
 
 
 def _main_row(texts: Texts, what: str, which: int = 0) -> tuple[list[str], int]:
@@ -767,8 +769,7 @@ def no_heat_up(rng, texts):
 
 @mutator("verify.wire_power")
 def never_off(rng, texts):
-    rows, i = _main_row(texts, f"SetDO {SIGNAL},0;", -1)
-    at = [j for j, row in enumerate(rows) if "SyncMoveOff" in row][0]
+    rows, at = _main_row(texts, "SyncMoveOff")
     i = next(j for j in range(at, len(rows)) if f"SetDO {SIGNAL},0;" in rows[j])
     rows.pop(i)
     return put(texts, 1, rows, "Main")
