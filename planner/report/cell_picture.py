@@ -74,6 +74,7 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
     color, alpha = _veil(camera, block, image.depth, color, alpha)
     color, alpha = _ground(camera, [*opaque, *block], color, alpha)
+    alpha = alpha * _fade(camera)
     labels = []
     for arm in scene.model.arms:
         base = f"{arm}/base_link"
@@ -166,6 +167,14 @@ def _scattered(solid: Solid) -> FloatArray:
     weights = rng.dirichlet(np.ones(3), int(often.sum()))
     inner = np.einsum("pk,pkc->pc", weights, np.repeat(corners, often, axis=0))
     return np.concatenate([solid.vertices, inner])
+
+
+def _fade(camera: Camera) -> FloatArray:
+    """Strength (h, w) that falls to 0 at the left, right and lower border, where only obstacles reach."""
+    x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    width = 0.028 * camera.width
+    side = np.clip(np.minimum(x, camera.width - x) / width, 0.0, 1.0)
+    return np.asarray(np.clip((camera.height - y) / width, 0.0, 1.0)[:, None] * side[None, :])
 
 
 def _halved(image: FloatArray) -> FloatArray:

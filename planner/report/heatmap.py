@@ -52,7 +52,7 @@ def binned(uv: FloatArray, value: FloatArray) -> tuple[FloatArray, tuple[float, 
     """
     low, high = uv.min(axis=0), uv.max(axis=0)
     size = np.maximum(high - low, 1e-6)
-    cell = max(float(np.sqrt(size[0] * size[1] / max(len(uv), 1))) * 1.5, float(size.max()) / 240.0)
+    cell = max(float(np.sqrt(size[0] * size[1] / max(len(uv), 1))) * 2.0, float(size.max()) / 240.0)
     shape = np.ceil(size / cell).astype(int) + 1
     column, row = ((uv - low) / cell).astype(int).T
     flat = (shape[1] - 1 - row) * shape[0] + column

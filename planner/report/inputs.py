@@ -82,7 +82,10 @@ class WireMotion:
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """All that is drawn over time; ``source`` says where it comes from."""
+    """All that is drawn over time; ``source`` says where it comes from.
+
+    ``work`` is the time from the first target to the last [s]: outside it arms move alone, by their joints.
+    """
 
     arms: Mapping[str, ArmMotion]
     clearance: Clearance | None
@@ -90,6 +93,13 @@ class Motion:
     wires: tuple[WireMotion, ...]
     bands: tuple[Band, ...]
     source: str
+    work: tuple[float, float]
+
+    def wrist(self, arm: str) -> float:
+        """Least wrist angle [rad] of an arm from its first target to its last."""
+        moved = self.arms[arm]
+        inside = (moved.time >= self.work[0]) & (moved.time <= self.work[1])
+        return float(np.min(moved.wrist_angle[inside if inside.any() else slice(None)]))
 
 
 def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
@@ -101,10 +111,14 @@ def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
         bands = _bands(tuple(str(v) for v in series.get("label", ())), np.asarray(series["time"]))
         feed = _proven_feed(plan, series)
         source = "replayed from the programs' text, from home to home"
-        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source)
+        named = {label for op in plan.operations for label in op.targets.segment}
+        inside = [band for band in bands if band.name in named] or list(bands)
+        work = (inside[0].start, inside[-1].end) if inside else (-np.inf, np.inf)
+        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work)
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
-    return Motion(_planned(problem, plan, starts), None, _feed(plan, starts), (), bands, "the plan's targets")
+    shown = _planned(problem, plan, starts)
+    return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets", (-np.inf, np.inf))
 
 
 def operation_starts(plan: Plan) -> list[float]:

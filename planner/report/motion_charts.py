@@ -121,6 +121,10 @@ def margins(motion: Motion, settings: Settings) -> list[Raw]:
             for i, (name, arm) in enumerate(motion.arms.items())
         ]
         least = min((float(np.min(line.y)) for line in lines), default=0.0)
+        note = f"least: {markup.fixed(least, 1)}°"
+        if attribute == "wrist_angle" and motion.arms:
+            at_work = min(motion.wrist(name) for name in motion.arms)
+            note = f"least between first and last target: {markup.fixed(at_work / DEG, 1)}°"
         body = chart(
             lines,
             x_label="s",
@@ -129,7 +133,7 @@ def margins(motion: Motion, settings: Settings) -> list[Raw]:
             levels=[Level(limit / DEG, "asked for")],
             y_range=(min(0.0, least), max([float(np.max(line.y)) for line in lines] or [1.0]) * 1.08),
         )
-        out.append(markup.figure(title, body, f"least: {markup.fixed(least, 1)}°"))
+        out.append(markup.figure(title, body, note))
     return out
 
 

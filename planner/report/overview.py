@@ -58,7 +58,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
         out.append(_tile("least clearance", f"{least / MM:.1f}", "mm", least < problem.settings.clearance))
     if motion.arms:
         margin = min(float(a.limit_margin.min()) for a in motion.arms.values())
-        wrist = min(float(a.wrist_angle.min()) for a in motion.arms.values())
+        wrist = min(motion.wrist(name) for name in motion.arms)
         speed = max(float(np.nanmax(np.abs(a.speed) / a.robot.velocity)) for a in motion.arms.values())
         out.append(
             _tile("to a joint limit", f"{margin / DEG:.1f}", "°", margin < problem.settings.joint_margin)

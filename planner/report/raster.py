@@ -141,15 +141,18 @@ def _shade(
 
 
 def _occlusion(depth: FloatArray, camera: Camera) -> FloatArray:
-    """Darkening of corners: by how much a pixel lies behind its blurred neighbourhood (Luft et al. 2006)."""
+    """Darkening of corners: by how much a pixel lies behind its blurred neighbourhood (Luft et al. 2006),
+    but not behind things that stand well before it.
+    """
     seen = np.isfinite(depth)
     if not seen.any():
         return np.ones_like(depth)
     filled = np.where(seen, depth, np.max(depth[seen]))
     blurred = ndimage.uniform_filter(ndimage.uniform_filter(filled, 31), 31)
     scale = 40.0 / camera.focal * float(np.median(depth[seen]))
-    behind = np.clip((filled - blurred) / scale, 0.0, None)
-    return np.asarray(1.0 - 0.75 * behind * np.exp(-1.6 * behind))
+    behind = np.clip((filled - blurred) / scale, 0.0, 1.0)
+    gap = (filled - ndimage.minimum_filter(filled, 61)) / scale
+    return np.asarray(1.0 - 0.45 * behind * np.clip(1.5 - gap / 4.0, 0.0, 1.0))
 
 
 def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> FloatArray:

@@ -92,7 +92,8 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in uv)
         parts.append(f'<polyline class="thin" style="{style}" points="{points}"/>')
     parts.append(
-        f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" y="{height + 36:.0f}">{words}</text>'
+        f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" '
+        f'y="{height + 36:.0f}">{words}</text>'
     )
     return "".join(parts) + "</svg>"
 
