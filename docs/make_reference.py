@@ -1,4 +1,4 @@
-"""Writes the field tables of ``docs/problem_file.md`` from the schemas that read problem files.
+"""Writes the tables of ``docs/problem_file.md`` (fields) and ``docs/proof.md`` (rules) from the code.
 
 Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
 writes.
@@ -6,7 +6,7 @@ writes.
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ from pydantic import BaseModel
 
 from planner import cell_file, part_file, posed, problem_file
 from planner.hotwire import operation
+from planner.verify import prove
 
-PAGE = Path(__file__).parent / "problem_file.md"
-START, END = "<!-- fields: written by make_reference.py -->", "<!-- end of fields -->"
+HERE = Path(__file__).parent
+START, END = "<!-- written by make_reference.py -->", "<!-- end of what make_reference.py writes -->"
 
 CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("The whole file", "", problem_file.ProblemFile),
@@ -48,16 +49,25 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
 )
 
 
-def reference() -> str:
+def fields() -> str:
     """The tables of all chapters as Markdown."""
     return "\n".join(_chapter(title, anchor, model) for title, anchor, model in CHAPTERS)
 
 
-def page(old: str) -> str:
+def rules() -> str:
+    """The table of the proof's rules."""
+    rows = [f"| `{code}` | {title} |" for code, title in prove.TITLES.items()]
+    return "\n".join(["| rule | what it asks |", "|---|---|", *rows, ""])
+
+
+PAGES: dict[str, Callable[[], str]] = {"problem_file.md": fields, "proof.md": rules}
+
+
+def page(name: str, old: str) -> str:
     """The page with its tables replaced."""
     before, rest = old.split(START)
     _, after = rest.split(END)
-    return f"{before}{START}\n\n{reference()}\n{END}{after}"
+    return f"{before}{START}\n\n{PAGES[name]()}\n{END}{after}"
 
 
 def _chapter(title: str, anchor: str, model: type[BaseModel]) -> str:
@@ -121,5 +131,6 @@ def _plain(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")
-    sys.exit(0)
+    for name in PAGES:
+        path = HERE / name
+        path.write_text(page(name, path.read_text("utf-8")), "utf-8")

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import tyro
@@ -19,8 +20,6 @@ from planner.issues import Issue, Severity, TandemError, has_errors
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
-
-logging.getLogger("drake").setLevel(logging.WARNING)
 
 app = tyro.extras.SubcommandApp()
 out = Console()
@@ -38,7 +37,7 @@ def plan(
         problem: the problem file, YAML.
         output: folder for programs, report, replay and plan.
     """
-    from planner import pipeline
+    pipeline = _pipeline()
 
     started = time.perf_counter()
     try:
@@ -61,7 +60,7 @@ def plan(
 @app.command
 def check(problem: tyro.conf.Positional[Path]) -> int:
     """Validate a problem file and test reach, without planning."""
-    from planner import pipeline
+    pipeline = _pipeline()
 
     try:
         loaded = pipeline.load(problem)
@@ -83,7 +82,7 @@ def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> i
         folder: a result folder; of it, only programs/ and problem/ are read.
         problem: the problem file to prove against, instead of the copy in the folder.
     """
-    from planner import pipeline
+    pipeline = _pipeline()
 
     try:
         loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
@@ -161,6 +160,14 @@ def main() -> None:
     except KeyboardInterrupt:
         err.print("stopped; nothing half-written was left")
         sys.exit(130)
+
+
+def _pipeline() -> ModuleType:
+    """The pipeline, imported when a command needs it: Drake takes a second, and tells of its contexts unasked."""
+    from planner import pipeline
+
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    return pipeline
 
 
 def _infeasible_code(error: TandemError) -> int:

@@ -102,11 +102,12 @@ RULES: tuple[str, ...] = tuple(
 )
 """Codes of all rules."""
 
-_TITLES = {
-    code: (rule.__doc__ or code).splitlines()[0].rstrip(".")
+TITLES: Mapping[str, str] = {
+    code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
     for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS)
     for code, rule in table
 }
+"""What each rule asks, by code."""
 
 
 @dataclasses.dataclass
@@ -205,12 +206,12 @@ class _Run:
     def add(self, code: str, outcome: Outcome) -> None:
         self.issues += outcome.issues
         self.results[code] = RuleResult(
-            code, _TITLES[code], not outcome.issues, outcome.worst, outcome.limit, outcome.unit, outcome.where
+            code, TITLES[code], not outcome.issues, outcome.worst, outcome.limit, outcome.unit, outcome.where
         )
 
     def proof(self) -> Proof:
         rules = tuple(
-            self.results.get(code) or RuleResult(code, _TITLES[code], False, where="not reached", ran=False)
+            self.results.get(code) or RuleResult(code, TITLES[code], False, where="not reached", ran=False)
             for code in RULES
         )
         series: dict[str, Any] = {}
