@@ -11,11 +11,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Issue", "Outcome", "TandemError", "__version__", "check", "load", "plan", "verify"]
+__all__ = ["Issue", "Outcome", "TandemError", "__version__", "check", "load", "plan"]
 
 if TYPE_CHECKING:
     from planner.issues import Issue, TandemError
-    from planner.pipeline import Outcome, check, load, plan, verify
+    from planner.pipeline import Outcome, check, load, plan
 
 _HOME = {
     "Issue": "planner.issues",
@@ -24,7 +24,6 @@ _HOME = {
     "check": "planner.pipeline",
     "load": "planner.pipeline",
     "plan": "planner.pipeline",
-    "verify": "planner.pipeline",
 }
 
 

@@ -13,7 +13,7 @@ from planner.catalogue import data_dir
 from planner.files import write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.motion import solve
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output

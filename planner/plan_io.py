@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planner.claims import Claim
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 
 FORMAT: Final = "tandem-plan"

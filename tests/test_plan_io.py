@@ -12,7 +12,7 @@ import pytest
 
 from planner import claims, plan_io
 from planner.issues import Issue, Severity, TandemError
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 
 RNG = np.random.default_rng(3)

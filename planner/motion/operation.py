@@ -21,7 +21,7 @@ from planner.motion.scene import Scene
 from planner.motion.search import Blocked, Found, search, speed_limits
 from planner.motion.timing import Clock, Limits, TimingError, clock, least_times
 from planner.motion.trajopt import Improved, improve, path_cost
-from planner.plan import OperationPlan
+from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
 from planner.targets import Targets
 from planner.units import DEG, MM

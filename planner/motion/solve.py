@@ -21,7 +21,7 @@ from planner.motion.placement import Place, Search, Trace
 from planner.motion.reach import sample
 from planner.motion.scene import Scene
 from planner.motion.search import Blocked, search
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.problem import Problem
 from planner.targets import Targets
 

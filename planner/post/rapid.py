@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner import __version__
 from planner.issues import Issue, TandemError
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.post.layout import Part, parts
 from planner.post.program import (
     Do,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.post.program import Job, Joints, TaskProgram
 from planner.post.rapid_format import identifier, jointtarget, number, pose, quoted, short, vector
 from planner.post.rapid_moves import own_zones

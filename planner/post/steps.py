@@ -10,7 +10,7 @@ import numpy as np
 from planner.catalogue import robot
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.post import corners
 from planner.post.program import (
     POSITION_DECIMALS,

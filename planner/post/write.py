@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from planner.issues import Issue, TandemError
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.post import rapid
 from planner.post.steps import build
 from planner.problem import Problem

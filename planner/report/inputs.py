@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner import catalogue
 from planner.catalogue import RobotData
 from planner.claims import FeedWindow, WireJoins
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report.charts import Band
 from planner.targets import segment_kind

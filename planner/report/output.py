@@ -13,7 +13,7 @@ from planner.cell import plant
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import transform
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import cell_picture, page, replay3d, scene
 from planner.report.cell_picture import Moment, Picture

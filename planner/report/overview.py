@@ -10,7 +10,7 @@ import numpy as np
 
 from planner import catalogue
 from planner.claims import CutsSurface, WireJoins
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import inputs, markup
 from planner.report.cell_picture import Picture

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.issues import Issue, aggregate, has_errors
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import exhibits, inputs, markup, motion_charts, overview, placement, setup_sheet, verdicts
 from planner.report.cell_picture import Picture

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.report import charts, heatmap, markup
 from planner.report.markup import Raw
 

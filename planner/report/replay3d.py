@@ -18,7 +18,7 @@ from planner.cell.plant import CellModel, rigid
 from planner.files import write_whole
 from planner.geometry.rigid import inverse, transform
 from planner.issues import Issue, TandemError
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import scene as scenes
 from planner.report.replay_bar import bar

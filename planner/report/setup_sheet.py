@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planner import catalogue
 from planner.claims import WireJoins
 from planner.geometry.rigid import to_quaternion, to_rpy
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem
 from planner.report import exhibits, markup
 from planner.report.inputs import operation_starts

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner import catalogue
 from planner.cell.robots import forward
 from planner.geometry.rigid import transform
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.problem import Problem
 from planner.targets import segment_kind
 

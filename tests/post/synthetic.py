@@ -9,7 +9,7 @@ import numpy as np
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import from_rpy, inverse
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock, Tool
 from planner.targets import Action, Targets
 

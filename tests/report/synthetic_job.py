@@ -12,7 +12,7 @@ from planner.cell import robots
 from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
 from planner.geometry.rigid import from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Shape, Stock, Tool
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.verify.result import CutFace, Proof, RuleResult

@@ -14,7 +14,7 @@ import synthetic_job as job
 from planner import catalogue
 from planner.cell import robots
 from planner.issues import Issue, Severity, TandemError
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import inputs, output, page, replay3d
 from planner.report.page import Extra

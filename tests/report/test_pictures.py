@@ -12,7 +12,7 @@ import trimesh
 
 from planner import catalogue
 from planner.cell import plant, robots
-from planner.plan import Plan
+from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import raster, replay3d, scene, solids
 from planner.report.scene import Scene

@@ -18,7 +18,7 @@ from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
 from planner.geometry.rigid import from_parts, from_rpy, inverse
-from planner.plan import OperationPlan, Plan
+from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.targets import Action, Targets
