@@ -118,13 +118,13 @@ class Prover:
     claims: Mapping[str, tuple[Claim, ...]]
     _model: CellModel | None = None
 
-    def prove(self, programs: Mapping[str, str], first_error: bool = False) -> Proof:
+    def prove(self, programs: Mapping[str, str], first_error: bool = False, last: str | None = None) -> Proof:
         """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
-        the same)."""
+        the same). ``last``: stop behind that rule; such a proof never holds."""
         context = Context(self.problem, self.claims, programs)
         run = _Run(context)
         for _ in self._steps(context, run):
-            if first_error and run.broken:
+            if (first_error and run.broken) or last in run.results:
                 break
         return run.proof()
 

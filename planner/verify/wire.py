@@ -75,6 +75,10 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
         return _lost(phase, rows[:0], fault)
+    farthest = float(held_lengths(context, phase).max())
+    if farthest >= claim.length:
+        fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
+        return _lost(phase, rows[:0], fault)
     at = stations(context, rows, claim.arms)
     start, end = (motion.tcp[arm][at] for arm in claim.arms)
     rod = make_rod(claim)

@@ -530,7 +530,7 @@ def _tool(texts: Texts, task: int) -> str:
 def lone_with_wire(rng, texts):
     """An arm moves alone while the operator is at the mounted wire."""
     rows = lines(texts, 1, "Main")
-    places = [i for i, row in enumerate(rows) if re.search(r"SetDO doWirePower,1;|WaitTime", row)]
+    places = [i for i, row in enumerate(rows) if "WaitTime 10;" in row]
     row = f"    MoveAbsJ j_home\\NoEOffs,v_entry,fine,{_tool(texts, 1)};"
     back = f"    MoveAbsJ j_1_start\\NoEOffs,v_entry,fine,{_tool(texts, 1)};"
     i = pick(rng, places)
@@ -608,7 +608,7 @@ def wrong_work_object(rng, texts):
     return texts
 
 
-@mutator("verify.work_object")
+@mutator("verify.continuity")
 def world_for_stock(rng, texts):
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
     return change(texts, task, k, wobj="wobj0")
@@ -703,7 +703,7 @@ def beyond_limits(rng, texts):
     return put(texts, task, rows, "Data")
 
 
-@mutator("verify.joint_speed")
+@mutator("verify.joint_acceleration")
 def too_quick(rng, texts):
     """Times so short that speed or acceleration cannot be had."""
     air = [k for proc in ("approach", "retreat", "link") for k in segment(texts, proc)]
@@ -736,7 +736,7 @@ def _box(rows: list[str], i: int) -> int:
     return next(j for j in range(i, len(rows)) if rows[j].rstrip().endswith(";")) - i + 1
 
 
-@mutator("verify.wire_mount")
+@mutator("verify.wire_power")
 def nobody_mounts(rng, texts):
     rows, i = _main_row(texts, '"Press OK when the wire is mounted."')
     del rows[i : i + _box(rows, i)]
