@@ -29,7 +29,7 @@ RESERVE_ACCELERATION: Final = 0.74
 corners."""
 
 GRID_PER_KNOT: Final = 2
-LEAST_GRID: Final = 24
+LEAST_GRID: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +122,7 @@ def _piece(
 
 
 def _grid(breaks: FloatArray) -> FloatArray:
-    """Grid points: the spline's own knots and points between them, at least 24 intervals in all."""
+    """Grid points: the spline's own knots and points between them, at least 100 intervals in all."""
     per = max(GRID_PER_KNOT, int(np.ceil(LEAST_GRID / (len(breaks) - 1))))
     share = np.arange(per) / per
     inner = breaks[:-1, None] + share * np.diff(breaks)[:, None]

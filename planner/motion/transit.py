@@ -57,7 +57,7 @@ class _Transit:
     def __init__(self, scene: Scene, targets: Targets, found: Found, i: int) -> None:
         self.scene, self.targets, self.found, self.i = scene, targets, found, i
         self.source = subset(targets, np.array([i - 1]))
-        ends = targets.poses(found.values[i - 1 : i + 1], np.array([i - 1, i]))
+        ends = {arm: pose[[i - 1, i]] for arm, pose in targets.pose.items()}  # as if no freedom were used
         arms = targets.arms
         self.total = ends[arms[0]][1] @ inverse(ends[arms[0]][0])
         gap = max(float(np.abs(ends[a][1] - self.total @ ends[a][0]).max()) for a in arms)

@@ -1,0 +1,150 @@
+"""Reach, ladder, trajectory optimisation and timing of whole jobs; the ladder against Tesseract where it is
+installed.
+
+Times are processor time of this process on one core, so that other work on the machine does not count; wall
+time is in the note. Run with OMP_NUM_THREADS=1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from py_opw_kinematics import KinematicModel, Robot
+from scipy.spatial.transform import RigidTransform
+
+from bench.motion_jobs import arc_wire, block, box, s_curve, two_arms
+from planner.catalogue import robot
+from planner.cell import plant
+from planner.cell.robots import forward
+from planner.geometry.rigid import from_parts
+from planner.motion import opw
+from planner.motion.operation import plan_operation
+from planner.motion.placement import Search
+from planner.problem import Obstacle, Settings
+
+REPEATS = 5
+CORE = ("ladder", "transit", "trajopt", "timing")
+HIGH = from_parts(np.eye(3), np.array([0.0, 0.0, 0.5]))
+SIZE = (0.16, 0.7, 0.1)
+
+
+def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, Any], Any]:
+    """Median and spread (largest less smallest) of processor time, and the last result."""
+    out = work()
+    cpu, wall = [], []
+    for _ in range(repeats):
+        start, clock = time.process_time(), time.perf_counter()
+        out = work()
+        cpu.append(time.process_time() - start)
+        wall.append(time.perf_counter() - clock)
+    row = {"median_s": float(np.median(cpu)), "spread": max(cpu) - min(cpu)}
+    return {**row, "note": f"wall {np.median(wall):.3f} s"}, out
+
+
+def run() -> list[dict[str, Any]]:
+    """All measurements of motion."""
+    return [inverse(), *jobs(), one_arm(), placement()]
+
+
+def inverse() -> dict[str, Any]:
+    """All eight branches of 10,000 poses of an IRB 140, against py-opw-kinematics."""
+    data = robot("irb140")
+    q = np.random.default_rng(0).uniform(data.lower, data.upper, (10_000, 6))
+    flange = forward(data, q)
+    ours, _ = timed(lambda: opw.inverse(data.opw, flange))
+    p = data.opw
+    model = KinematicModel(p.a1, p.a2, p.b, p.c1, p.c2, p.c3, p.c4, tuple(p.offsets), (False,) * 6)
+    peer = Robot(model, degrees=False)
+    poses = RigidTransform.from_matrix(flange)
+    theirs, _ = timed(lambda: peer.reach(poses, [(-20.0, 20.0)] * 6))
+    rate = 10_000 / ours["median_s"]
+    note = f"{rate:,.0f} poses/s; peer py-opw-kinematics reach (with its margins) {theirs['median_s']:.3f} s"
+    return {
+        "name": "IK, 8 branches, 10,000 poses",
+        **ours,
+        "ratio": ours["median_s"] / theirs["median_s"],
+        "note": note,
+    }
+
+
+def jobs() -> list[dict[str, Any]]:
+    """437 synchronised targets of two arms with a wire: in the open, and with beams that force changes of
+    spin."""
+    out = []
+    for name, beams in (("open", ()), ("beams", beams_in_the_way())):
+        cell, targets = two_arms(obstacles=beams), arc_wire()
+        model = plant.build(cell, block(SIZE, HIGH), HIGH)
+        stages: list[float] = []
+
+        def work(cell=cell, targets=targets, model=model, stages=stages) -> Any:  # type: ignore[no-untyped-def]
+            plan = plan_operation("job", cell, targets, Settings(), HIGH, model)
+            stages.append(sum(plan.metrics["stages"][key] for key in CORE))
+            return plan
+
+        row, plan = timed(work)
+        metrics = plan.metrics
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        spins = np.rad2deg(np.ptp(plan.values[:, 0]))
+        row["note"] += (
+            f"; reach to timing {np.median(stages[1:]):.3f} s wall; {metrics['ladder_rounds']} rounds, "
+            f"{metrics['collision_checks']} checks, spin over {spins:.0f} deg; "
+            f"cost {metrics['ladder_cost']:.3g} -> {metrics['trajopt_cost']:.3g}, "
+            f"optimised path used: {metrics['trajopt_used']}; peak memory {peak:.0f} MB"
+        )
+        out.append({"name": f"two arms, 437 targets, {name}, whole", **row})
+    return out
+
+
+def beams_in_the_way() -> tuple[Obstacle, ...]:
+    """A beam where the left hand would pass with the spin that suits the rest."""
+    cell, targets = two_arms(), arc_wire()
+    plan = plan_operation("job", cell, targets, Settings(), HIGH)
+    beams = []
+    for k, (arm, row) in enumerate((("left", 140), ("right", 300))):
+        x, y, z = (cell.arm(arm).base @ forward(robot("irb140"), plan.q[arm][row]))[:3, 3]
+        beams.append(Obstacle(f"beam_{k}", (box((0.03, 0.04, 0.03), (x, y, z + 0.09)),)))
+    return tuple(beams)
+
+
+def one_arm() -> dict[str, Any]:
+    """400 poses on an S-curve with free spin at 10 degrees and collisions."""
+    cell, targets = s_curve()
+    place = from_parts(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    model = plant.build(cell, block((0.6, 0.8, 0.1), place), place)
+    stages: list[float] = []
+
+    def work() -> Any:
+        plan = plan_operation("s", cell, targets, Settings(), place, model)
+        stages.append(sum(plan.metrics["stages"][key] for key in CORE))
+        return plan
+
+    row, plan = timed(work)
+    row["note"] += (
+        f"; reach to timing {np.median(stages[1:]):.3f} s wall; {plan.metrics['collision_checks']} checks; "
+        "Tesseract Descartes in a trial: 2.9-8.1 s with collisions"
+    )
+    return {"name": "one arm, 400 poses, 36 spins, whole", **row}
+
+
+def placement() -> dict[str, Any]:
+    """Search for the place of the block, ten seeds; all must find one."""
+    cell, targets = two_arms(1.8), arc_wire()
+    stock = block(SIZE, None)
+    start = np.array([5.0, 5.0, 5.0, 1.0])
+    seeds = iter(range(1, 100))
+    found: list[bool] = []
+
+    def work() -> None:
+        search = Search(
+            cell, dataclasses.replace(stock), [targets], Settings(), start=start, seed=next(seeds)
+        )
+        found.append(bool(search.run()[0]))
+
+    row, _ = timed(work, 10)
+    row["note"] += f"; found {sum(found)} of {len(found)}"
+    return {"name": "placement search without collisions", **row}

@@ -1,0 +1,47 @@
+"""Small scenes for the tests of motion."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.motion_jobs import HOME, arc_wire, block, s_curve, two_arms
+from planner.cell import plant
+from planner.geometry.rigid import from_parts
+from planner.motion.scene import Scene
+from planner.motion.subset import subset
+from planner.problem import Obstacle, Settings, Shape
+from planner.targets import Targets
+
+FloatArray = NDArray[np.float64]
+HIGH = from_parts(np.eye(3), np.array([0.0, 0.0, 0.5]))
+SIZE = (0.16, 0.7, 0.1)
+
+__all__ = ["HIGH", "HOME", "SIZE", "arc_wire", "block", "box", "one_arm", "pair", "s_curve", "two_arms"]
+
+
+def box(name: str, size: tuple[float, float, float], centre: tuple[float, float, float]) -> Obstacle:
+    """A box that stands in the world."""
+    return Obstacle(name, (Shape("box", size, from_parts(np.eye(3), np.array(centre))),))
+
+
+def pair(
+    count: int = 60, obstacles: tuple[Obstacle, ...] = (), solid: bool = True, stock: FloatArray = HIGH
+) -> tuple[Scene, Targets]:
+    """Two arms with an arc of wire, every so many targets of the whole sweep."""
+    cell, targets = two_arms(obstacles=obstacles), arc_wire(count)
+    model = plant.build(cell, block(SIZE, stock), stock) if solid else None
+    return Scene.of(cell, targets.arms, stock, Settings(), model), targets
+
+
+def one_arm(count: int = 40, settings: Settings | None = None) -> tuple[Scene, Targets]:
+    """One arm on an S-curve, without anything around."""
+    cell, targets = s_curve(400)
+    rows = np.linspace(0, 399, count).round().astype(np.intp)
+    few = subset(targets, rows)
+    place = few.pose["arm"][:, :3, 3]
+    travel = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    few = dataclasses.replace(few, travel=travel)
+    return Scene.of(cell, few.arms, np.eye(4), settings or Settings()), few

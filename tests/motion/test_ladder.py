@@ -1,0 +1,171 @@
+"""The ladder against all paths (brute force), known optima, turns, and collisions that force a detour."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from planner.motion.chain import TWO_PI
+from planner.motion.ladder import LARGEST_STEP, TIE_SHARE, Ladder, joint_path, steps
+from planner.motion.reach import Grid, Rungs, reach, sample
+from planner.motion.search import Choice, Found, search, speed_limits
+from planner.motion.subset import subset
+from tests.motion.scenes import box, one_arm, pair
+
+SPEED = np.ones(6)
+
+
+def brute(ladder_parts: tuple[Rungs, ...], grid: Grid, many: np.ndarray, speeds: list[np.ndarray]) -> float:
+    """Least cost over all sequences of samples and turn states of all arms."""
+    rows, samples = grid.values.shape[:2]
+    best = np.inf
+    states = [
+        list(itertools.product(range(samples), *(range(len(r.turns)) for r in ladder_parts)))
+        for _ in range(rows)
+    ]
+    before = [set(grid.before[:, s].tolist()) - {-1} for s in range(samples)]
+    for path in itertools.product(*states):
+        cost = 0.0
+        for i, state in enumerate(path):
+            cost += sum(r.penalty[i, state[0], t] for r, t in zip(ladder_parts, state[1:], strict=True))
+            if i == 0 or not np.isfinite(cost):
+                continue
+            last = path[i - 1]
+            if last[0] not in before[state[0]]:
+                cost = np.inf
+                break
+            times = []
+            for r, t, u, speed in zip(ladder_parts, state[1:], last[1:], speeds, strict=True):
+                change = np.abs(r.q[i, state[0]] + r.turns[t] - r.q[i - 1, last[0]] - r.turns[u])
+                jump = change.max() > LARGEST_STEP or (change[many] > np.pi).any()
+                parts = change / speed
+                times.append(np.inf if jump else parts.max() + TIE_SHARE * parts.sum())
+            cost += max(times)
+        best = min(best, cost)
+    return best
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_shortest_path_is_the_best_of_all_paths(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows, samples = 4, 4
+    ring = np.stack(
+        [np.arange(samples), (np.arange(samples) + 1) % samples, (np.arange(samples) - 1) % samples]
+    )
+    grid = Grid(np.zeros((rows, samples, 1)), ring)
+    scene, _ = one_arm(3)
+    chain = scene.chains["arm"]
+    turns = chain.turns[[0, 2, 3]]
+    q = rng.uniform(-1.0, 1.0, (rows, samples, 6))
+    q[..., 5] = rng.uniform(-np.pi, np.pi, (rows, samples))
+    ok = rng.random((rows, samples, len(turns))) < 0.8
+    penalty = np.where(ok, rng.random(ok.shape), np.inf)
+    part = Rungs("arm", 0, q, turns, ok, penalty)
+    ladder = Ladder(grid, [part], [steps(part, chain, grid, SPEED)])
+    wanted = brute((part,), grid, chain.many_turns, [SPEED])
+    found = ladder.shortest()
+    assert (found is None) == (not np.isfinite(wanted))
+    if found is not None:
+        assert abs(found.cost - wanted) < 1e-12
+        joints = joint_path(found, {"arm": part})["arm"]
+        parts = np.abs(np.diff(joints, axis=0)) / SPEED
+        paid = parts.max(axis=1).sum() + TIE_SHARE * parts.sum()
+        paid += penalty[np.arange(rows), found.sample, found.turn["arm"]].sum()
+        assert abs(paid - wanted) < 1e-12
+
+
+def test_two_arms_share_one_sample_and_the_slower_sets_the_time() -> None:
+    rng = np.random.default_rng(3)
+    rows, samples = 3, 3
+    line = np.array([[0, 1, 2], [-1, 0, 1], [1, 2, -1]])
+    grid = Grid(np.zeros((rows, samples, 1)), line)
+    scene, _ = one_arm(3)
+    chain = scene.chains["arm"]
+    parts = []
+    for name in ("a", "b"):
+        q = rng.uniform(-0.8, 0.8, (rows, samples, 6))
+        ok = np.ones((rows, samples, 2), dtype=bool)
+        parts.append(Rungs(name, 0, q, chain.turns[:2], ok, rng.random(ok.shape)))
+    speeds = [SPEED, 2.0 * SPEED]
+    moves = [steps(p, chain, grid, v) for p, v in zip(parts, speeds, strict=True)]
+    found = Ladder(grid, parts, moves).shortest()
+    assert found is not None
+    assert abs(found.cost - brute(tuple(parts), grid, chain.many_turns, speeds)) < 1e-12
+
+
+def test_forgetting_turns_first_gives_the_same_path_as_searching_them() -> None:
+    scene, targets = one_arm(30)
+    grid = sample(targets)
+    table = reach(scene, targets, grid)["arm"]
+    for rungs in table.branches.values():
+        speed = speed_limits(scene, "arm")
+        chain = scene.chains["arm"]
+        flat = (rungs.modulo(), steps(rungs.modulo(), chain, grid, speed))
+        choice = Choice(scene, grid, {"arm": rungs}, {"arm": flat}, None).shortest()
+        exact = Ladder(grid, [rungs], [steps(rungs, chain, grid, speed)]).shortest()
+        assert choice is not None
+        assert exact is not None
+        assert choice.path.cost <= exact.cost * 1.001 + 1e-12
+        assert exact.cost <= choice.path.cost + 1e-12
+
+
+def test_axis_6_winds_up_within_its_limits_and_never_jumps() -> None:
+    """A tool that must turn by 1.9 turns: axis 6 of the IRB 140 (+-400 deg) can, from one end of its
+    range.
+    """
+    scene, targets = one_arm(60)
+    turn = np.linspace(0.0, 1.9 * TWO_PI, targets.count)
+    c, s, o, e = np.cos(turn), np.sin(turn), np.zeros_like(turn), np.ones_like(turn)
+    spin = np.stack([np.stack([c, -s, o, o], -1), np.stack([s, c, o, o], -1)], 1)
+    spin = np.concatenate([spin, np.stack([np.stack([o, o, e, o], -1), np.stack([o, o, o, e], -1)], 1)], 1)
+    still = np.repeat(targets.pose["arm"][:1], targets.count, axis=0)
+    fixed = dataclasses.replace(targets, pose={"arm": still @ spin}, freedoms=())
+    found = search(scene, fixed, sample(fixed))
+    assert isinstance(found, Found)
+    q = found.q["arm"]
+    assert np.abs(np.diff(q, axis=0)).max() < np.deg2rad(13.0)
+    assert scene.chains["arm"].limit_margin(q).min() >= scene.settings.joint_margin
+    assert abs(abs(q[-1, 5] - q[0, 5]) - 1.9 * TWO_PI) < 1e-6
+
+
+def test_a_turn_beyond_all_limits_has_no_path() -> None:
+    scene, targets = one_arm(80)
+    turn = np.linspace(0.0, 2.5 * TWO_PI, targets.count)
+    pose = np.repeat(targets.pose["arm"][:1], targets.count, axis=0)
+    spin = np.zeros_like(pose)
+    spin[:, 0, 0] = spin[:, 1, 1] = np.cos(turn)
+    spin[:, 1, 0], spin[:, 0, 1] = np.sin(turn), -np.sin(turn)
+    spin[:, 2, 2] = spin[:, 3, 3] = 1.0
+    fixed = dataclasses.replace(targets, pose={"arm": pose @ spin}, freedoms=())
+    assert not isinstance(search(scene, fixed, sample(fixed)), Found)
+
+
+def test_known_optimum_standing_still_costs_nothing() -> None:
+    scene, targets = one_arm(5)
+    still = subset(targets, np.full(5, 2))
+    found = search(scene, still, sample(still))
+    assert isinstance(found, Found)
+    assert np.ptp(found.q["arm"], axis=0).max() < 1e-12
+    assert len(set(found.path.sample.tolist())) == 1
+
+
+def test_an_obstacle_forces_a_change_of_spin() -> None:
+    """A beam over the first half and one in front of the second: no single spin passes both."""
+    free_scene, targets = pair(60)
+    free_path = search(free_scene, targets, sample(targets))
+    assert isinstance(free_path, Found)
+    hands = free_scene.chains["left"].pose(free_path.q["left"])
+    stand = hands @ np.linalg.inv(free_scene.chains["left"].tcp)
+    middle = stand[20, :3, 3]
+    beam = box("beam", (0.03, 0.05, 0.03), (middle[0], middle[1], middle[2] + 0.12))
+    scene, _ = pair(60, (beam,))
+    rows = np.arange(targets.count)
+    assert not scene.free(targets, free_path.q, rows).all()
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    assert found.rounds > 1
+    assert scene.free(targets, found.q, rows).all()
+    assert found.path.cost >= free_path.path.cost

@@ -1,0 +1,159 @@
+"""The whole solve: determinism, places found from infeasible starts, and reasons where there is no plan."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from planner.geometry.rigid import from_parts
+from planner.issues import TandemError
+from planner.motion.operation import plan_operation
+from planner.motion.placement import Search
+from planner.motion.reach import sample
+from planner.motion.scene import Scene
+from planner.motion.search import Found, search
+from planner.motion.solve import check, solve
+from planner.problem import Problem, Settings
+from planner.targets import Targets
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
+
+
+def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
+    operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms)
+    return Problem(
+        "job", cell, block(SIZE, place), None, (operation,), settings or Settings(), Path("job.yaml"), "0"
+    )
+
+
+@pytest.fixture(scope="module")
+def targets() -> Targets:
+    return arc_wire(60)
+
+
+def test_the_same_problem_has_the_same_plan(targets: Targets) -> None:
+    job = problem(two_arms(), targets, HIGH)
+    first, second = (solve(job, [targets]) for _ in range(2))
+    for a, b in zip(first.operations, second.operations, strict=True):
+        assert np.array_equal(a.time, b.time)
+        assert np.array_equal(a.values, b.values)
+        for arm in targets.arms:
+            assert np.array_equal(a.q[arm], b.q[arm])
+            assert np.array_equal(a.entry[arm], b.entry[arm])
+    plan = first.operations[0]
+    assert plan.metrics["trajopt_gain"] > 0.2
+    assert plan.metrics["clearance_mm"] >= 10.0
+    assert plan.metrics["edge_clearance_mm"] >= 10.0
+    assert (np.diff(plan.time) > 0).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_place_is_found_from_infeasible_starts(seed: int, targets: Targets) -> None:
+    rng = np.random.default_rng(100 + seed)
+    start = np.append(rng.uniform(-1.0, 1.0, 3) * 4.0 + 5.0, rng.uniform(-3.0, 3.0))
+    cell = two_arms(1.8)
+    away = from_parts(np.eye(3), start[:3])
+    scene = Scene.of(cell, targets.arms, away, Settings())
+    assert not isinstance(search(scene, targets, sample(targets)), Found)
+    places, trace = Search(cell, block(SIZE, None), [targets], Settings(), start=start, seed=seed).run()
+    assert places
+    assert len(trace.score) == len(trace.positions)
+    there = Scene.of(cell, targets.arms, places[0].stock, Settings())
+    assert isinstance(search(there, targets, sample(targets)), Found)
+
+
+def test_auto_place_gives_a_whole_plan_and_its_trace(targets: Targets) -> None:
+    job = problem(two_arms(1.8), targets, None)
+    plan = solve(job, [targets])
+    trace = plan.metrics["placement"]
+    assert np.allclose(trace["positions"][trace["chosen"]], plan.stock_pose[:3, 3])
+    assert np.isfinite(trace["score"]).any()
+    assert plan.metrics["placement_score_deg"] > 5.0
+    assert plan.operations[0].metrics["clearance_mm"] >= 10.0
+
+
+def test_a_base_that_may_move_comes_into_reach(targets: Targets) -> None:
+    cell = two_arms(1.6)
+    far = cell.arms[1].base.copy()
+    far[0, 3] += 0.45
+    arms = (cell.arms[0], dataclasses.replace(cell.arms[1], base=far, base_auto=True))
+    cell = dataclasses.replace(cell, arms=arms)
+    plan = solve(problem(cell, targets, HIGH), [targets])
+    assert np.linalg.norm(plan.bases["right"][:2, 3] - far[:2, 3]) > 0.01
+    assert np.array_equal(plan.bases["left"], cell.arms[0].base)
+
+
+def test_out_of_reach_names_arm_target_and_the_shift_that_helps(targets: Targets) -> None:
+    place = HIGH.copy()
+    place[2, 3] = 1.05
+    with pytest.raises(TandemError) as caught:
+        solve(problem(two_arms(), targets, place), [targets])
+    issue = caught.value.issues[0]
+    assert issue.code == "motion.no_reach"
+    assert issue.arm == "left"
+    assert issue.target is not None
+    assert issue.value is not None
+    assert issue.value > 1.0
+    assert issue.hint is not None
+    assert "mm in z" in issue.hint
+    assert check(problem(two_arms(), targets, place), [targets])[0].code == "motion.no_reach"
+
+
+def test_no_place_at_all_is_told_with_the_best_tried(targets: Targets) -> None:
+    cell = two_arms(6.0)
+    with pytest.raises(TandemError) as caught:
+        solve(problem(cell, targets, None), [targets])
+    assert caught.value.issues[0].code == "motion.no_placement"
+    assert check(problem(cell, targets, None), [targets])[0].code == "motion.no_placement"
+
+
+def test_a_joint_limit_is_named(targets: Targets) -> None:
+    fixed = arc_wire(30, spin=False)
+    settings = Settings(joint_margin=np.deg2rad(80.0))
+    with pytest.raises(TandemError) as caught:
+        plan_operation("job", two_arms(), fixed, settings, HIGH)
+    codes = {issue.code for issue in caught.value.issues}
+    assert codes == {"motion.joint_limit"}
+    assert caught.value.issues[0].bodies[0].startswith("axis ")
+
+
+def test_a_singularity_is_named(targets: Targets) -> None:
+    fixed = arc_wire(30, spin=False)
+    settings = Settings(singularity_margin=np.deg2rad(85.0))
+    with pytest.raises(TandemError) as caught:
+        plan_operation("job", two_arms(), fixed, settings, HIGH)
+    assert {issue.code for issue in caught.value.issues} == {"motion.singular"}
+
+
+def test_a_pair_that_cannot_agree_on_a_freedom_has_no_path() -> None:
+    """Each arm alone could, but the spins that suit one do not suit the other."""
+    wire = arc_wire(20)
+    spin = wire.freedoms[0]
+    bent = dataclasses.replace(spin, axis={"left": np.eye(6)[0], "right": -np.eye(6)[0]})
+    targets = dataclasses.replace(wire, freedoms=(bent,))
+    scene = Scene.of(two_arms(), targets.arms, HIGH, Settings(singularity_margin=np.deg2rad(38.0)))
+    found = search(scene, targets, sample(targets))
+    if isinstance(found, Found):
+        pytest.skip("this cell finds a path for opposite spins")
+    with pytest.raises(TandemError) as caught:
+        plan_operation("job", two_arms(), targets, scene.settings, HIGH)
+    assert {i.code for i in caught.value.issues} <= {
+        "motion.no_path",
+        "motion.singular",
+        "motion.joint_limit",
+    }
+
+
+def test_a_collision_names_target_and_bodies() -> None:
+    wall = box("wall", (0.3, 0.02, 0.8), (-0.35, 0.25, 0.5))
+    scene, targets = pair(40, (wall,))
+    with pytest.raises(TandemError) as caught:
+        plan_operation("job", two_arms(obstacles=(wall,)), targets, Settings(), HIGH, scene.model)
+    issue = caught.value.issues[0]
+    assert issue.code == "motion.collision"
+    assert "wall" in issue.bodies
+    assert issue.value is not None
+    assert issue.limit == pytest.approx(10.0)

@@ -1,0 +1,104 @@
+"""Timing: limits on a dense check, rest at stops, feeds, Drake's Toppra as the cross-check."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from planner.motion.joints import JointPath, Piece, dense, joint_path
+from planner.motion.operation import plan_operation
+from planner.motion.reach import sample
+from planner.motion.search import Found, search, speed_limits
+from planner.motion.timing import Limits, Profile, clock, parameterise
+from planner.motion.timing_drake import parameterise_drake
+from planner.problem import Settings
+from tests.motion.scenes import HIGH, one_arm, s_curve
+
+
+def random_path(seed: int, points: int = 30, joints: int = 12) -> CubicSpline:
+    rng = np.random.default_rng(seed)
+    knots = np.linspace(0.0, 1.0, 7)
+    coarse = CubicSpline(knots, rng.uniform(-1.5, 1.5, (7, joints)))
+    s = np.linspace(0.0, 1.0, points)
+    return CubicSpline(s, coarse(s))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_limits_hold_densely_and_drake_agrees(seed: int) -> None:
+    spline = random_path(seed)
+    speed, strength = np.full(12, 3.0), np.full(12, 9.0)
+    grid = np.linspace(0.0, 1.0, 301)
+    bound = np.full(301, 100.0)
+    found, used = parameterise(spline, grid, bound, speed, strength)
+    assert used == "toppra"
+    assert found is not None
+    fast, hard = found.peaks(Limits(speed, strength, np.zeros(1)))
+    assert fast < 1.005
+    assert hard < 1.01
+    fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
+    other = parameterise_drake(spline, grid, np.minimum(bound, fastest), strength)
+    assert other is not None
+    again = Profile(spline, grid, other)
+    ratio = again.time[-1] / found.time[-1]  # above 1 where Drake needed a coarser grid with tighter bounds
+    assert 0.98 < ratio < 1.1
+
+
+def test_known_optimum_bang_bang_on_a_straight_line() -> None:
+    """One joint over 2 rad at 1 rad/s and 2 rad/s^2: trapezoid, 0.5 s up, 1.5 s at speed, 0.5 s down."""
+    spline = CubicSpline([0.0, 1.0, 2.0], np.array([[0.0], [1.0], [2.0]]))
+    grid = np.linspace(0.0, 2.0, 401)
+    found, _ = parameterise(spline, grid, np.full(401, 50.0), np.array([1.0]), np.array([2.0]))
+    assert found is not None
+    assert abs(found.time[-1] - 2.5) < 2e-3
+
+
+def test_stops_are_at_rest_and_feeds_hold() -> None:
+    scene, targets = one_arm(60)
+    stop = targets.stop.copy()
+    stop[25] = True
+    feed = np.where(np.arange(60) < 40, 0.05, 0.005)
+    targets = dataclasses.replace(targets, stop=stop, feed=feed)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    samples = dense(scene, targets, found.path.branch, found.q)
+    speed = speed_limits(scene, "arm")
+    path = joint_path(scene, targets, samples, speed)
+    assert [(p.first, p.last) for p in path.pieces] == [(0, 25), (25, 59)]
+    least = np.where(targets.travel > 0, targets.travel / feed, 0.0)
+    ticks = clock(path, Limits(speed, 0.8 * scene.chains["arm"].robot.acceleration, least))
+    moves = np.diff(ticks.time)
+    assert (moves > 0).all()
+    assert (targets.travel[1:] / moves <= feed[1:] * (1 + 1e-9)).all()
+    assert ticks.peak_speed <= 1.0
+    assert ticks.peak_acceleration <= 1.0
+    assert path.deviation < 2e-4
+    cruise = targets.travel[1:] / moves / feed[1:]
+    assert np.median(cruise) > 0.9
+
+
+def test_all_smooth_paths_are_timed_with_jumps_of_the_feed() -> None:
+    """Twenty random paths with feeds that jump by a factor of up to 50: each is timed without any tuning."""
+    for seed in range(20):
+        spline = random_path(seed, 40)
+        rng = np.random.default_rng(seed)
+        least = np.append(0.0, 10.0 ** rng.uniform(-3.0, -1.3, 39))
+        piece = Piece(0, 39, spline, spline.x)
+        limits = Limits(np.full(12, 3.0), np.full(12, 20.0), least)
+        ticks = clock(JointPath(40, (piece,), 0.0), limits)
+        assert (np.diff(ticks.time) >= least[1:] - 1e-9).all()
+        assert ticks.peak_speed <= 1.0
+        assert ticks.peak_acceleration <= 1.0
+
+
+def test_a_process_that_wants_more_speed_than_the_joints_have_is_told() -> None:
+    cell, targets = s_curve(80)
+    fast = dataclasses.replace(targets, feed=np.full(80, 5.0), feed_min=np.full(80, 4.0))
+    plan = plan_operation("fast", cell, fast, Settings(tcp_speed=6.0), HIGH)
+    issue = next(i for i in plan.issues if i.code == "motion.feed_min")
+    assert issue.count > 10
+    assert issue.limit == pytest.approx(4000.0)
+    assert issue.value is not None
+    assert issue.value < 4000.0

@@ -1,0 +1,100 @@
+"""Trajectory optimisation: exact poses, bounds, gain, recovery from noise, same answer twice."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from planner.motion.avoid import Avoid
+from planner.motion.reach import sample
+from planner.motion.search import Found, search
+from planner.motion.trajopt import improve, path_cost
+from planner.targets import ScrewFreedom
+from tests.motion.scenes import one_arm, pair
+
+
+def found_path(scene, targets) -> Found:  # type: ignore[no-untyped-def]
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    return found
+
+
+def test_poses_stay_exact_and_cost_falls_by_a_fifth() -> None:
+    scene, targets = pair(120, solid=False)
+    found = found_path(scene, targets)
+    better = improve(scene, targets, found.path.branch, found.values, found.q)
+    assert better.cost <= 0.8 * better.cost_before
+    assert abs(better.cost - path_cost(scene, targets, better.values, better.q)) < 1e-9
+    wanted = scene.tcp(targets, better.values)
+    for arm in targets.arms:
+        assert np.abs(scene.chains[arm].pose(better.q[arm]) - wanted[arm]).max() < 1e-9
+
+
+def test_noise_on_the_freedoms_is_smoothed_away() -> None:
+    scene, targets = pair(80, solid=False)
+    found = found_path(scene, targets)
+    clean = improve(scene, targets, found.path.branch, found.values, found.q)
+    noise = np.deg2rad(4.0) * np.random.default_rng(0).choice([-1.0, 1.0], found.values.shape)
+    values = found.values + noise
+    q = {}
+    for arm, pose in scene.tcp(targets, values).items():
+        chain = scene.chains[arm]
+        q[arm] = chain.continuous(chain.inverse(pose, [found.path.branch[arm]])[:, 0], found.q[arm])
+    rough = improve(scene, targets, found.path.branch, values, q)
+    assert rough.cost_before > 10.0 * clean.cost
+    assert rough.cost < 1.05 * clean.cost
+
+
+def test_bounds_of_a_freedom_hold() -> None:
+    scene, targets = one_arm(40)
+    found = found_path(scene, targets)
+    spin = targets.freedoms[0]
+    assert isinstance(spin, ScrewFreedom)
+    middle = found.values[:, 0]
+    tight = dataclasses.replace(spin, lower=middle - 0.05, upper=middle + 0.02, periodic=False)
+    bounded = dataclasses.replace(targets, freedoms=(tight,))
+    better = improve(scene, bounded, found.path.branch, found.values, found.q)
+    assert (better.values[:, 0] >= tight.lower - 1e-12).all()
+    assert (better.values[:, 0] <= tight.upper + 1e-12).all()
+    assert better.cost < better.cost_before
+
+
+def test_a_preferred_value_draws_the_path() -> None:
+    scene, targets = one_arm(40)
+    found = found_path(scene, targets)
+    spin = targets.freedoms[0]
+    wanted = found.values[:, 0] + 0.4
+    drawn = dataclasses.replace(targets, freedoms=(dataclasses.replace(spin, prefer=wanted),))
+    plain = improve(scene, targets, found.path.branch, found.values, found.q)
+    better = improve(scene, drawn, found.path.branch, found.values, found.q)
+    assert np.abs(better.values[:, 0] - wanted).mean() < np.abs(plain.values[:, 0] - wanted).mean()
+
+
+def test_the_same_question_has_the_same_answer() -> None:
+    scene, targets = pair(50)
+    found = found_path(scene, targets)
+    answers = []
+    for _ in range(2):
+        avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, 0.5) if scene.model else None
+        answers.append(improve(scene, targets, found.path.branch, found.values, found.q, avoid))
+    assert np.array_equal(answers[0].values, answers[1].values)
+    assert all(np.array_equal(answers[0].q[a], answers[1].q[a]) for a in targets.arms)
+
+
+def test_clearance_hinges_agree_with_drakes_distances() -> None:
+    scene, targets = pair(40)
+    found = found_path(scene, targets)
+    assert scene.model is not None
+    from planner.cell import clearance
+
+    wanted = 0.03
+    avoid = Avoid(scene.model, targets.arms, wanted, 1.0)
+    q = np.concatenate([found.q[a] for a in targets.arms], axis=1)
+    for shift in (0.0, 0.02, 0.3):
+        moved = q + shift * np.sin(np.arange(q.size)).reshape(q.shape)
+        total = 0.0
+        for row in moved:
+            near = [d for d, _, _ in clearance.gradients(scene.model, row, 0.08)]
+            total += sum(max(wanted + 0.008 - d, 0.0) ** 2 / 0.008**2 for d in near)
+        assert abs(avoid.cost(moved) - total) <= 1e-9 + 1e-6 * total

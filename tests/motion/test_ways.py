@@ -1,0 +1,153 @@
+"""Ways without work: entry and exit, transit with a joined pair, trees."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner.cell import plant
+from planner.geometry.rigid import from_parts, inverse
+from planner.issues import TandemError
+from planner.motion import entry, transit
+from planner.motion.joints import dense
+from planner.motion.operation import plan_operation
+from planner.motion.reach import sample
+from planner.motion.rrt import connect
+from planner.motion.scene import Scene
+from planner.motion.search import Found, search
+from planner.motion.subset import subset
+from planner.problem import Settings
+from planner.targets import Targets
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
+
+
+def wall(points: np.ndarray) -> np.ndarray:
+    return ~((np.abs(points[:, 0] - 0.5) < 0.1) & (points[:, 1] < 0.8))
+
+
+def test_a_tree_finds_the_way_around_a_wall_and_twice_the_same() -> None:
+    ends = np.array([0.1, 0.1]), np.array([0.9, 0.1])
+    ways = [connect(*ends, wall, np.zeros(2), np.ones(2), 0.02, seed=3) for _ in range(2)]
+    assert ways[0] is not None
+    assert ways[1] is not None
+    assert np.array_equal(ways[0], ways[1])
+    line = np.concatenate(
+        [a + np.linspace(0, 1, 50)[:, None] * (b - a) for a, b in zip(ways[0], ways[0][1:], strict=False)]
+    )
+    assert wall(line).all()
+    assert np.array_equal(ways[0][0], ends[0])
+    assert np.array_equal(ways[0][-1], ends[1])
+
+
+def test_a_straight_line_that_is_free_is_the_way() -> None:
+    way = connect(np.zeros(2), np.array([0.3, 0.3]), wall, np.zeros(2), np.ones(2), 0.02, seed=0)
+    assert way is not None
+    assert len(way) == 2
+
+
+def test_arms_enter_and_leave_free_of_everything() -> None:
+    scene, targets = pair(40)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    ways = entry.entry(scene, targets, found.q)
+    leaves = entry.leave(scene, targets, found.q, ways.order)
+    assert scene.model is not None
+    standing = {a: scene.chains[a].home for a in targets.arms}
+    for arm in ways.order:
+        assert np.array_equal(ways.way[arm][0], scene.chains[arm].home)
+        assert np.array_equal(ways.way[arm][-1], found.q[arm][0])
+        assert np.array_equal(leaves[arm][0], found.q[arm][-1])
+        standing[arm] = found.q[arm][0]
+
+
+def test_a_hand_in_a_box_at_home_is_refused() -> None:
+    scene, _ = pair(20)
+    hand = scene.chains["left"].pose(scene.chains["left"].home)[:3, 3]
+    blocked, targets = pair(20, (box("crate", (0.1, 0.1, 0.1), tuple(hand)),))
+    with pytest.raises(TandemError) as caught:
+        entry.require_home(blocked, targets)
+    assert caught.value.issues[0].code == "motion.home"
+    assert "crate" in caught.value.issues[0].bodies
+
+
+def test_a_first_target_inside_a_box_has_no_entry() -> None:
+    scene, targets = pair(20)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    spot = scene.chains["left"].pose(found.q["left"][0])[:3, 3]
+    blocked, _ = pair(20, (box("crate", (0.05, 0.05, 0.05), tuple(spot)),))
+    with pytest.raises(TandemError) as caught:
+        entry.entry(blocked, targets, found.q)
+    issue = caught.value.issues[0]
+    assert issue.code == "motion.entry"
+    assert issue.arm == "left"
+    assert "crate" in issue.bodies
+
+
+def hop() -> Targets:
+    """The wire stands before the block, then stands behind it: one straight transit would pass through it."""
+    wire = arc_wire(3, spin=True)
+    two = subset(wire, np.array([0, 0]))
+    shift = np.eye(4)
+    shift[1, 3] = 0.84
+    pose = {a: np.stack([p[0], shift @ p[0]]) for a, p in two.pose.items()}
+    assert two.edge is not None
+    points = np.stack([two.edge.points[0], two.edge.points[0] + shift[:3, 3]])
+    return dataclasses.replace(
+        two,
+        pose=pose,
+        edge=dataclasses.replace(two.edge, points=points),
+        segment=("mount", "transit"),
+        travel=np.array([0.0, 0.84]),
+        feed=np.full(2, 0.1),
+        stop=np.array([True, True]),
+    )
+
+
+def test_a_transit_through_the_block_goes_over_it_and_keeps_the_pair_rigid() -> None:
+    cell, targets = two_arms(), hop()
+    model = plant.build(cell, block(SIZE, HIGH), HIGH)
+    scene = Scene.of(cell, targets.arms, HIGH, Settings(), model)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    mended = transit.mend(scene, targets, found)
+    assert mended is not None
+    assert mended.count > 2
+    left, right = (mended.pose[a] for a in targets.arms)
+    relative = inverse(left) @ right
+    assert np.abs(relative - relative[0]).max() < 1e-9
+    assert mended.stop.all()
+    assert set(mended.segment[1:]) == {"transit"}
+    assert mended.edge is not None
+    far = np.linalg.norm(np.diff(mended.edge.points, axis=0), axis=-1).max(axis=1)
+    assert np.allclose(mended.travel[1:], far, atol=1e-12)
+    assert mended.count < 60
+    plan = plan_operation("hop", cell, targets, Settings(), HIGH, model)
+    assert plan.targets.count == mended.count
+    branch = plan.metrics["branch"]
+    fine = dense(scene, plan.targets, branch, plan.q)
+    at = np.maximum(np.where(fine.share >= 0.5, fine.move, fine.move - 1), 0)
+    assert scene.free(plan.targets, fine.q, at).all()
+
+
+def test_a_free_transit_stays_as_it_is() -> None:
+    cell, targets = two_arms(), hop()
+    away = from_parts(np.eye(3), np.array([0.0, 0.0, -2.0]))
+    lifted = dataclasses.replace(targets, frame={"left": "stock", "right": "stock"})
+    model = plant.build(cell, block(SIZE, away), away)
+    scene = Scene.of(cell, lifted.arms, HIGH, Settings(), model)
+    found = search(scene, lifted, sample(lifted))
+    assert isinstance(found, Found)
+    assert transit.mend(scene, lifted, found) is None
+
+
+def test_a_transit_that_cannot_be_mended_is_a_collision() -> None:
+    cell, targets = two_arms(), hop()
+    roof = box("roof", (1.0, 0.02, 2.4), (0.0, 0.25, 1.2))
+    cell = dataclasses.replace(cell, obstacles=(roof,))
+    model = plant.build(cell, block(SIZE, HIGH), HIGH)
+    with pytest.raises(TandemError) as caught:
+        plan_operation("hop", cell, targets, Settings(), HIGH, model)
+    assert caught.value.issues[0].code == "motion.collision"
