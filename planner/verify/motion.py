@@ -52,6 +52,7 @@ class Motion:
     node_ids: IntArray
     node_duration: FloatArray
     node_line: Mapping[str, IntArray]
+    node_tcp: Mapping[str, FloatArray]
     node_conf_q: Mapping[str, FloatArray]
     node_conf_ok: Mapping[str, NDArray[np.bool_]]
     step_time: tuple[tuple[float, int, str, Step], ...]

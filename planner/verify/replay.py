@@ -78,6 +78,7 @@ class _Player:
             node_ids=p["node_ids"],
             node_duration=p["node_duration"],
             node_line={name: p[f"line/{name}"] for name in names},
+            node_tcp={name: p[f"node_tcp/{name}"] for name in names},
             node_conf_q={name: p[f"conf_q/{name}"] for name in names},
             node_conf_ok={name: p[f"conf_ok/{name}"] for name in names},
             step_time=tuple(self.events),
@@ -106,6 +107,7 @@ class _Player:
         self._add(f"line/{arm.name}", np.zeros(nodes, dtype=np.int64))
         self._add(f"conf_q/{arm.name}", np.full((nodes, 6), np.nan))
         self._add(f"conf_ok/{arm.name}", np.ones(nodes, dtype=bool))
+        self._add(f"node_tcp/{arm.name}", np.full((nodes, 4, 4), np.nan))
 
     def _tcp(self, arm: Arm, q: FloatArray) -> FloatArray:
         return np.asarray(self.bases[arm.name] @ forward(self.robots[arm.name], q) @ self.tools[arm.name])
@@ -170,7 +172,7 @@ class _Player:
         total = float(law.times[-1])
         samples = max(int(np.ceil(total / STEP)), 2)
         at = np.linspace(0.0, total, samples + 1)
-        node_at = np.clip(np.searchsorted(at, law.times[1:] - 1e-12), 0, len(at) - 1)
+        node_at = _up_to(at, law.times[1:])
         move = np.clip(np.searchsorted(law.times, at, side="left") - 1, 0, count - 1)
         # the clock: waits at nodes shift everything behind them
         start = self.clock
@@ -238,7 +240,7 @@ class _Player:
                 end = q[np.flatnonzero(inside)[-1]] if inside.any() else here
                 flange = inverse(row.base) @ row.pose[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = confdata.select(row.robot, flange, row.conf[a:b])
-                sample = np.clip(np.searchsorted(at, law.times[a + 1 : b + 1] - 1e-12), 0, len(at) - 1)
+                sample = _up_to(at, law.times[a + 1 : b + 1])
                 conf_ok[a:b] = confdata.fits(
                     row.robot,
                     arm_ik.nearest_turns(arm_ik.solve(row.robot, flange, row.conf[a:b, 3]), q[sample]),
@@ -256,6 +258,7 @@ class _Player:
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", conf_q)
         self._add(f"conf_ok/{name}", conf_ok)
+        self._add(f"node_tcp/{name}", row.pose)
         self.tools[name] = row.tool[-1]
         self.q[name] = here if np.isfinite(here).all() else self.q[name]
 
@@ -294,6 +297,11 @@ class _Player:
 
     def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:
         self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))
+
+
+def _up_to(at: FloatArray, times: FloatArray) -> IntArray:
+    """The last samples that are not later than ``times``."""
+    return np.asarray(np.maximum(np.searchsorted(at, times + 1e-9, side="right") - 1, 0), dtype=np.int64)
 
 
 def _ends_closed(window: FloatArray) -> FloatArray:

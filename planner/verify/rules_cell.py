@@ -106,6 +106,7 @@ def bodies(context: Context, model: CellModel, rows: IntArray) -> tuple[Outcome,
             context.job.tasks[0].arm.name,
             int(rows[i]),
             (mm(found.distance[i]), mm(wanted), "mm"),
+            pair,
         )
         issues.append(issue)
     k = found.worst()
@@ -157,6 +158,7 @@ def wire_bodies(
                     wire.phase.claim.arms[0],
                     int(rows[i]),
                     (mm(found.distance[i]), mm(limit), "mm"),
+                    pair,
                 )
                 issues.append(issue)
             k = found.worst()

@@ -234,25 +234,18 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
 
 
 def motion_settings(context: Context) -> Outcome:
-    """Nothing changes speeds or accelerations behind the plan's back (AccSet, VelSet), and \\V is not used
-    beside \\T."""
-    issues = []
-    for task in context.job.tasks:
-        for step in task.steps:
-            slow = (
-                isinstance(step, SettingStep) and step.kind in ("AccSet", "VelSet") and step.values[0] < 100.0
-            )
-            if slow:
-                message = "AccSet and VelSet below 100 % make the moves slower than their times say"
-                issues.append(
-                    Issue(
-                        "verify.motion_settings",
-                        message,
-                        arm=task.arm.name,
-                        file=f"{task.name}/{step.module}",
-                        line=step.line,
-                    )
-                )
+    """Nothing makes the moves slower than their times say (AccSet or VelSet below 100 %)."""
+    message = "AccSet and VelSet below 100 % make the moves slower than their times say"
+    issues = [
+        at_step("verify.motion_settings", message, task, step)
+        for task in context.job.tasks
+        for step in task.steps
+        if isinstance(step, SettingStep)
+        and (
+            (step.kind == "AccSet" and min(step.values, default=0.0) < 100.0)
+            or (step.kind == "VelSet" and step.values[0] < 100.0)
+        )
+    ]
     return Outcome(tuple(issues))
 
 

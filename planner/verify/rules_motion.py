@@ -259,49 +259,38 @@ def tcp_speed(context: Context) -> Outcome:
 
 
 def follows(context: Context) -> Outcome:
-    """Tools pass the poses that the problem gives, in order, up to the free axes."""
+    """Targets of the tools are the poses that the problem gives, in order, up to the free axes."""
+    if not context.follows:
+        return Outcome(where="no such claim")
     issues, worst = [], 0.0
-    motion = context.motion
     for claim in context.follows:
-        tcp = motion.tcp.get(claim.arm)
-        if tcp is None:
-            issues.append(Issue("verify.follows", f"arm {claim.arm} has no program", arm=claim.arm))
+        written = context.motion.node_tcp.get(claim.arm)
+        rows = (
+            np.zeros(0, dtype=np.int64) if written is None else np.flatnonzero(np.isfinite(written[:, 0, 0]))
+        )
+        if written is None or not len(rows):
+            issues.append(Issue("verify.follows", f"arm {claim.arm} never moves", arm=claim.arm))
             continue
         frame = context.stock_pose if claim.frame == "stock" else np.eye(4)
-        stages = np.array([stage.synchronised for stage in context.job.stages]) | (
-            len(context.job.tasks) == 1
-        )
-        rows = np.flatnonzero(stages[motion.stage]) if stages.any() else np.arange(len(tcp))
-        path = inverse(frame) @ tcp[rows]
+        path = inverse(frame) @ written[rows]
         start = 0
         for i, pose in enumerate(claim.poses):
             off = _off(path[start:], pose, claim.free)
             score = np.maximum(off[:, 0] / claim.position_tol, off[:, 1] / claim.angle_tol)
-            good = np.flatnonzero(score <= 1.0)
-            best = int(good[0]) if len(good) else int(np.argmin(score))
-            # the first place where it is good enough, then the best one near it
-            best += int(np.argmin(score[best : best + 50]))
+            met = np.flatnonzero(score <= 1.0)
+            best = int(met[0]) if len(met) else int(np.argmin(score))
             worst = max(worst, mm(float(off[best, 0])))
-            if score[best] > 1.0:
-                message = (
-                    f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm and "
-                    f"{np.rad2deg(off[best, 1]):.4f} deg"
-                )
-                issues.append(
-                    Issue(
-                        "verify.follows",
-                        message,
-                        arm=claim.arm,
-                        index=i,
-                        value=mm(float(off[best, 0])),
-                        limit=mm(claim.position_tol),
-                        unit="mm",
-                    )
-                )
+            if len(met):
+                start += best
                 continue
-            start += best
-    if not context.follows:
-        return Outcome(where="no such claim")
+            message = (
+                f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm "
+                f"and {np.rad2deg(off[best, 1]):.4f} deg"
+            )
+            value, limit = mm(float(off[best, 0])), mm(claim.position_tol)
+            issues.append(
+                Issue("verify.follows", message, arm=claim.arm, index=i, value=value, limit=limit, unit="mm")
+            )
     return Outcome(tuple(issues), worst, mm(max(c.position_tol for c in context.follows)), "mm")
 
 

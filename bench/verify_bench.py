@@ -1,0 +1,69 @@
+"""How long a proof takes: a small job, its parts, and refusing a faulty program."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from planner.verify.context import Context
+from planner.verify.prove import RULES, Prover
+from planner.verify.wire import follow_wire
+from tests.verify import small_job
+from tests.verify.mutants import MUTATORS
+
+TARGETS = 220
+"""Targets of each face: with entry, link and exit about 460 in all."""
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of name, median and spread in seconds, and a note."""
+    programs = small_job.programs(TARGETS)
+    problem, claims = small_job.problem(), small_job.claims()
+    prover = Prover(problem, claims)
+    proof = prover.prove(programs)
+    if not proof.ok:
+        raise RuntimeError(f"the clean job is not proven: {[str(issue) for issue in proof.issues]}")
+    context = Context(problem, claims, programs)
+    moves = sum(len(stage.moves(task.name)) for stage in context.job.stages for task in context.job.tasks)
+    wrong = MUTATORS["wrong_time"][1](np.random.default_rng(1), programs)
+
+    def replay() -> None:
+        Context(problem, claims, programs).motion  # noqa: B018
+
+    def wire() -> None:
+        follow_wire(context, context.phases[0])
+
+    _ = context.motion
+    return [
+        _row("verify: whole proof", lambda: prover.prove(programs), f"{moves} moves, {len(RULES)} rules"),
+        _row(
+            "verify: cold, with the Drake model", lambda: Prover(problem, claims).prove(programs), "3 runs", 3
+        ),
+        _row("verify: read and replay", replay, f"{len(context.motion.time)} samples of 4 ms, two arms"),
+        _row(
+            "verify: follow the wire", wire, f"{len(follow_wire(context, context.phases[0]).sample)} shapes"
+        ),
+        _row(
+            "verify: refuse a wrong time",
+            lambda: prover.prove(wrong, first_error=True),
+            "stops at the first fault",
+        ),
+    ]
+
+
+def _row(name: str, work: Callable[[], object], note: str, repeats: int = 5) -> dict[str, Any]:
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return {
+        "name": name,
+        "median_s": statistics.median(times),
+        "spread": max(times) - min(times),
+        "note": note,
+    }

@@ -1,0 +1,155 @@
+"""Parts of the replay against closed forms and other libraries: inverse kinematics, confdata, time law, cut
+surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from planner import catalogue
+from planner.cell.robots import forward
+from planner.claims import CutsSurface
+from planner.verify import arm_ik, confdata, time_law
+from planner.verify.context import Context
+from planner.verify.surface import closest, cut_face
+from tests.verify import small_job
+
+
+@pytest.mark.parametrize("name", catalogue.robot_names())
+def test_inverse_kinematics_undoes_forward_on_every_branch(name):
+    machine = catalogue.robot(name)
+    q = np.random.default_rng(3).uniform(machine.lower, machine.upper, (1000, 6))
+    branch = arm_ik.branch_of(machine, q)
+    assert {0, 1, 4, 5} <= set(branch.tolist())
+    back = arm_ik.nearest_turns(arm_ik.solve(machine, forward(machine, q), branch), q)
+    regular = arm_ik.singularity_distance(machine, q) > 1e-2
+    assert np.abs(back - q)[regular].max() < 1e-9
+
+
+def test_out_of_reach_is_nan():
+    machine = catalogue.robot("irb140")
+    pose = np.eye(4)[None]
+    pose[0, 0, 3] = 3.0
+    assert np.isnan(arm_ik.solve(machine, pose, np.zeros(1, dtype=int))).any()
+
+
+def test_confdata_alone_select_the_solution():
+    machine = catalogue.robot("irb140")
+    q = np.random.default_rng(5).uniform(machine.lower, machine.upper, (2000, 6))
+    q = q[arm_ik.singularity_distance(machine, q) > 0.05]
+    conf = np.concatenate([confdata.quadrants(q), arm_ik.branch_of(machine, q)[:, None]], axis=1)
+    assert np.abs(confdata.select(machine, forward(machine, q), conf) - q).max() < 1e-9
+    assert confdata.fits(machine, q, conf).all()
+    wrong = conf + np.array([0, 1, 0, 0])
+    assert not confdata.fits(machine, q, wrong)[np.abs(q[:, 3] % (np.pi / 2)) > 1e-3].any()
+
+
+@pytest.mark.parametrize(
+    ("degrees", "quadrant"), [(0.0, 0), (89.0, 0), (90.0, 1), (-1.0, -1), (-91.0, -2), (370.0, 4)]
+)
+def test_quadrants_as_in_the_manual(degrees, quadrant):
+    q = np.zeros(6)
+    q[5] = np.deg2rad(degrees)
+    assert confdata.quadrants(q)[2] == quadrant
+
+
+def law(reach=0.5, room=0.0):
+    stop = np.array([True, False, False, True])
+    return time_law.make(np.ones(3), np.ones(3), stop, np.full((4, 2), reach), np.full(4, room))
+
+
+def test_a_corner_is_the_quadratic_bezier_of_its_zone():
+    found = law(reach=0.25)
+    delta = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    s = np.linspace(0.0, 1.0, 21)
+    node, xi = time_law.offsets(found, delta, 2.0 + 0.25 * (2.0 * s - 1.0))
+    corner = np.cumsum(np.vstack([np.zeros(3), delta]), axis=0)[node] + xi
+    ends = np.array([[1.75, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    last = 2.0, found.rate_in[2], found.rate_out[2]
+    assert last[1] == 1.0
+    a, b = ends
+    # the move behind the corner ends at a stop; its cubic progress 0.25 s in
+    progress = 0.25 * (1.0 + 0.25 * (1.0 + 0.25 * -1.0))
+    c = np.array([2.0, progress, 0.0])
+    rate = 1.0 + 0.25 * (2.0 - 3.0 * 0.25)
+    hermite = (
+        (1 - s)[:, None] ** 2 * (1 + 2 * s)[:, None] * a
+        + s[:, None] ** 2 * (3 - 2 * s)[:, None] * c
+        + (s * (1 - s))[:, None] * 0.5 * ((1 - s)[:, None] * [1.0, 0.0, 0.0] - s[:, None] * [0.0, rate, 0.0])
+    )
+    assert np.abs(corner - hermite).max() < 1e-12
+    assert b[0] == 2.0
+
+
+def test_even_moves_keep_their_speed_through_every_node():
+    """Seven equal moves in line: constant speed away from the ramps, targets met on time, no step in speed."""
+    delta = np.array([[1.0, 0.0, 0.0]] * 7)
+    stop = np.array([True, *[False] * 6, True])
+    found = time_law.make(np.ones(7), np.ones(7), stop, np.full((8, 2), 0.5), np.zeros(8))
+    at = np.linspace(0.0, 7.0, 7001)
+    node, xi = time_law.offsets(found, delta, at)
+    x = node + xi[:, 0]
+    speed = np.diff(x) / np.diff(at)
+    assert x[0] == 0.0
+    assert x[-1] == 7.0
+    assert np.abs(speed[2000:5000] - 1.0).max() < 1e-9
+    assert np.abs(np.diff(speed)).max() < 0.01
+    assert max(speed[0], speed[-1]) < 0.01
+
+
+def test_a_zone_of_nothing_is_a_sharp_corner():
+    delta = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    node, xi = time_law.offsets(law(reach=0.0), delta, np.array([1.0]))
+    assert (
+        np.abs(np.cumsum(np.vstack([np.zeros(3), delta]), axis=0)[node[0]] + xi[0] - [1.0, 0.0, 0.0]).max()
+        < 1e-12
+    )
+
+
+def test_closest_points_on_triangles_agree_with_trimesh():
+    rng = np.random.default_rng(8)
+    triangles = rng.normal(size=(500, 3, 3))
+    points = rng.normal(size=(500, 3))
+    place, weights = closest(points, triangles[:, 0], triangles[:, 1], triangles[:, 2])
+    assert np.abs(place - trimesh.triangles.closest_point(triangles, points)).max() < 1e-9
+    assert np.abs(np.einsum("mk,mki->mi", weights, triangles) - place).max() < 1e-12
+
+
+def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
+    """Wire shapes on a cylinder 0.3 mm too wide leave 0.3 mm less half a kerf standing, to 0.01 mm."""
+    radius, kerf = 0.3, 0.002
+    a = np.linspace(-0.4, 0.4, 41)
+    y = np.linspace(-0.1, 0.1, 31)
+    face = np.stack(np.meshgrid(a[3:-3], y[3:-3], indexing="ij"), axis=-1).reshape(-1, 2)
+    vertices = np.stack([radius * np.sin(face[:, 0]), face[:, 1], radius * np.cos(face[:, 0])], axis=-1)
+    rows, columns = len(a) - 6, len(y) - 6
+    index = np.arange(rows * columns).reshape(rows, columns)
+    p, q, r, s = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.concatenate([np.stack([p, q, r], -1).reshape(-1, 3), np.stack([p, r, s], -1).reshape(-1, 3)])
+    out = radius + 0.0003
+    sweep = np.stack([np.stack([out * np.sin(a), np.full_like(a, v), out * np.cos(a)], axis=-1) for v in y])
+    found = cut_face(CutsSurface("cut/front", vertices, faces, kerf, 0.0005), sweep)
+    # sample points lie on the chords of the wanted mesh, up to R (1 - cos) below the cylinder
+    chord = radius * (1.0 - np.cos(0.5 * (a[1] - a[0])))
+    assert np.all(found.deviation > 0.0003 - 0.001 - 1e-5)
+    assert np.all(found.deviation < 0.0003 - 0.001 + chord + 1e-5)
+    assert found.area.sum() == pytest.approx(radius * (a[-4] - a[3]) * (y[-4] - y[3]), rel=1e-3)
+
+
+def test_the_replay_meets_the_written_targets():
+    """Half a sample's way at most off each target, and exactly the planned joints at the stops."""
+    texts = small_job.programs(12)
+    context = Context(small_job.problem(), small_job.claims(), texts)
+    motion = context.motion
+    plan = small_job.plan(12).operations[0]
+    for arm in ("left", "right"):
+        written = motion.node_tcp[arm]
+        known = np.flatnonzero(np.isfinite(written[:, 0, 0]))
+        gap = np.linalg.norm(
+            motion.tcp[arm][motion.node_sample[known], :3, 3] - written[known, :3, 3], axis=1
+        )
+        assert gap.max() < 0.004 * 0.25 + 1e-5
+        stops = known[motion.node_stop[known]]
+        ends = motion.q[arm][motion.node_sample[stops]]
+        assert np.abs(ends[-3] - plan.q[arm][-1]).max() < 1e-6
