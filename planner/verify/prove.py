@@ -170,6 +170,7 @@ class Prover:
         yield
         run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield
+        run.faces = rules_surface.with_end_error(context, wires, run.faces)
         model = self.model(context)
         run.add("verify.kinematics", rules_cell.kinematics(context, model))
         yield

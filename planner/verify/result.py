@@ -50,6 +50,8 @@ class CutFace:
     wanted_share: float
     rms: float
     largest: float
+    end_error: float = 0.0
+    share_with_error: float = float("nan")
 
 
 @dataclasses.dataclass(frozen=True)

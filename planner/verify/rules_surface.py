@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
 from planner.verify.surface import cut_face, part_obj
-from planner.verify.wire import Wire
+from planner.verify.wire import Wire, end_error
 
 FloatArray = NDArray[np.float64]
 
@@ -74,6 +76,27 @@ def surface(context: Context, rows: tuple[FloatArray, ...]) -> tuple[Outcome, tu
         tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.segment
     )
     return outcome, faces, part_obj(context.surfaces, rows)
+
+
+ERROR_STATIONS = 7
+
+
+def with_end_error(
+    context: Context, wires: tuple[Wire, ...], faces: tuple[CutFace, ...]
+) -> tuple[CutFace, ...]:
+    """The faces with what the stated error of the wire's ends may add, looked at in a few places of each."""
+    out = []
+    for face in faces:
+        worst = 0.0
+        for wire in wires:
+            rows = np.flatnonzero((wire.labels == face.segment) & wire.inside.any(axis=1))
+            if len(rows):
+                some = rows[np.unique(np.linspace(0, len(rows) - 1, ERROR_STATIONS).astype(np.int64))]
+                worst = max(worst, float(end_error(context, wire, some).max()))
+        good = np.abs(face.deviation) + worst <= face.tolerance
+        share = float(face.area[good].sum() / max(float(face.area.sum()), 1e-30))
+        out.append(dataclasses.replace(face, end_error=worst, share_with_error=share))
+    return tuple(out)
 
 
 def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:

@@ -4,6 +4,7 @@ way."""
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,3 +132,37 @@ def held_lengths(context: Context, phase: Phase) -> FloatArray:
     """Distance (S,) [m] of the two ends at every sample of a phase."""
     a, b = (context.motion.tcp[arm][samples(context, phase)][:, :3, 3] for arm in phase.claim.arms)
     return np.asarray(np.linalg.norm(a - b, axis=1))
+
+
+def end_error(context: Context, wire: Wire, chosen: IntArray) -> FloatArray:
+    """How far (T,) [m] the wire inside the block may be off at stations ``chosen`` by the stated error of
+    its ends.
+
+    Each end is put off by the claim's end error along and across its tangent in the section plane, one at a
+    time; the moves of the wire across itself add as squares, since the errors are independent. 0 where
+    nothing is inside.
+    """
+    out = np.zeros(len(chosen))
+    claim = wire.phase.claim
+    if wire.path is None or claim.end_error <= 0.0:
+        return out
+    rod = make_rod(claim)
+    for n, k in enumerate(chosen):
+        inside = wire.inside[k]
+        if not inside.any():
+            continue
+        ends = [context.motion.tcp[arm][wire.sample[k]][None] for arm in claim.arms]
+        tangent = np.gradient(wire.path.points[k], axis=0)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        squares = np.zeros(int(inside.sum()))
+        for end, axis in itertools.product((0, 1), (0, 1)):
+            off = [pose.copy() for pose in ends]
+            off[end][0, :3, 3] += claim.end_error * ends[end][0, :3, axis]
+            moved = (
+                follow(rod, off[0], off[1], _GRAVITY, wire.path.shapes[int(k)]).points[0]
+                - wire.path.points[k]
+            )
+            across = moved - np.einsum("pi,pi->p", moved, tangent)[:, None] * tangent
+            squares += (across[inside] ** 2).sum(axis=1)
+        out[n] = np.sqrt(squares.max())
+    return out

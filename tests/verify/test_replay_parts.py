@@ -83,7 +83,7 @@ def test_a_corner_is_the_quadratic_bezier_of_its_zone():
 
 
 def test_even_moves_keep_their_speed_through_every_node():
-    """Seven equal moves in line: constant speed away from the ramps, targets met on time, no step in speed."""
+    """Seven equal moves in line: constant speed away from the ramps, no step in speed."""
     delta = np.array([[1.0, 0.0, 0.0]] * 7)
     stop = np.array([True, *[False] * 6, True])
     found = time_law.make(np.ones(7), np.ones(7), stop, np.full((8, 2), 0.5), np.zeros(8))

@@ -237,3 +237,15 @@ def test_a_target_that_stands_out_is_named():
     found = issues("verify.ridge", texts)
     assert field(texts, 1, k, "id") in {re.sub("ID ", "", issue.target) for issue in found}
     assert name("Cut1", 1) in texts
+
+
+def test_the_stated_end_error_is_carried_to_the_surface():
+    """A bowed wire moves by about its ends' error, and in proportion to it."""
+    proof = Prover(small_job.problem(), small_job.claims()).prove(programs())
+    for face in proof.surfaces:
+        assert 0.5 * 5e-5 < face.end_error < 5.0 * 5e-5
+        assert face.share_with_error == 1.0
+    large = wire_claim(end_error=3e-4)
+    worse = Prover(small_job.problem(), large).prove(programs())
+    for face, other in zip(proof.surfaces, worse.surfaces, strict=True):
+        assert other.end_error == pytest.approx(6.0 * face.end_error, rel=0.05)
