@@ -19,6 +19,8 @@ settings: {{clearance_mm: 10}}
 stock:
   size_mm: [170, 700, 100]
   place: auto
+  support:               # a stand; what is below the floor does not matter
+    - {{kind: box, size_mm: [100, 540, 900], pose: {{xyz_mm: [0, 0, -450]}}}}
 part:
   front:
     loft:
