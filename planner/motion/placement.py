@@ -9,6 +9,7 @@ the best ones.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -32,7 +33,10 @@ FIRST: Final = 384
 GENERATIONS: Final = 7
 PARENTS: Final = 8
 CHILDREN: Final = 10
-LAST: Final = 12
+LAST: Final = 60
+"""Places that are looked at for collisions at most; the search ends with so many that are free:"""
+
+WANTED: Final = 6
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
 SPIN_STEP: Final = np.deg2rad(30.0)
@@ -120,7 +124,7 @@ class Search:
         ]
         places.sort(key=lambda p: -p.score)
         if model is not None:
-            places = [p for p in places if self._stands_free(model, p)]
+            places = list(itertools.islice((p for p in places if self._stands_free(model, p)), WANTED))
         positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
         return places, Trace(positions, all_scores)
 

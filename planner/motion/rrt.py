@@ -18,7 +18,7 @@ REACH = 8
 """A tree grows by at most this many steps at a time."""
 
 ROUNDS = 3000
-SHORTCUTS = 120
+SHORTCUTS = 40
 
 
 def connect(

@@ -20,6 +20,9 @@ FloatArray = NDArray[np.float64]
 
 ROUNDS = 60
 MOST_CHOICES = 6
+WORTH_IT = 0.3
+"""Share by which other branches must promise a cheaper path for them to be checked for collisions as well."""
+
 TOLERATED = 1e-3
 """Share of its cost by which a path may be dearer than the bound that ignores turns before turns are searched
 too."""
@@ -56,7 +59,8 @@ def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
     """The path of least cost over branches, samples and turns that keeps clearance at every target.
 
     Branches stay the same over the whole run. Choices of branches are tried in the order of their cost
-    without collisions, which bounds their cost with collisions from below.
+    without collisions, which bounds their cost with collisions from below; the rest are left out
+    once none promises much.
     """
     table = reach(scene, targets, grid)
     choices, common = _choices(scene, targets, grid, table)
@@ -67,7 +71,7 @@ def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
     best: Found | None = None
     failed: Blocked | None = None
     for bound, k in sorted(offers)[:MOST_CHOICES]:
-        if best is not None and best.path.cost <= bound:
+        if best is not None and best.path.cost <= bound * (1.0 + WORTH_IT):
             break
         check = Checker(scene, targets, grid, choices[k].rungs)
         found, last = _free_path(choices[k], check)
