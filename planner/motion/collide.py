@@ -16,8 +16,8 @@ from planner.targets import Targets
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
-COARSE: Final = 8
-"""Once a path has collided, all samples of every 8th target are checked before the next path is chosen."""
+COARSE: Final = 12
+"""Once a path has collided, all samples of every 12th target are checked before the next path is chosen."""
 
 SUSPECT: Final = 0.05
 """Cost [s] of a sample between two of these targets one of which collides with it."""
@@ -46,7 +46,7 @@ class Checker:
         self.checks += len(index)
 
     def coarse(self) -> FloatArray:
-        """Checks all samples of every 8th target; cost (N, S) of samples between that are suspect."""
+        """Checks all samples of every 12th target; cost (N, S) of samples between that are suspect."""
         rows, samples = self._rungs_shape
         at = np.unique(np.append(np.arange(0, rows, COARSE), rows - 1))
         possible = np.stack([np.asarray(r.ok.any(axis=-1)) for r in self._rungs.values()]).all(axis=0)

@@ -55,6 +55,8 @@ def plan_operation(
     if not kept:
         diagnose.require_moves(scene, targets, found.path.branch, samples)
     ticks, deviation, issues = _clock(scene, targets, better.q, samples)
+    if not kept:
+        issues.append(_not_kept(scene))
     watch.lap("timing")
     ways = entry.entry(scene, targets, better.q)
     leaves = entry.leave(scene, targets, better.q, ways.order)
@@ -171,6 +173,19 @@ def _clock(
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"
         raise TandemError(Issue("motion.timing", message, index=failure.index, hint=hint)) from failure
     return ticks, path.deviation, _slow(targets, ticks.time)
+
+
+def _not_kept(scene: Scene) -> Issue:
+    wanted = scene.settings.clearance / MM
+    return Issue(
+        "motion.path_kept",
+        f"the optimised path came nearer than {wanted:.1f} mm to something, so the ladder's path is used, "
+        "which is less smooth",
+        severity=Severity.NOTE,
+        limit=wanted,
+        unit="mm",
+        hint="lower clearance_mm, or make room where the report shows the least clearance",
+    )
 
 
 def _slow(targets: Targets, clock_time: FloatArray) -> list[Issue]:

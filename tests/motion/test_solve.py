@@ -9,8 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planner.geometry.rigid import from_parts
+from planner.geometry.rigid import exp_twist, from_parts
 from planner.issues import TandemError
+from planner.motion import diagnose, timing
+from planner.motion.joints import dense
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
 from planner.motion.reach import sample
@@ -19,7 +21,7 @@ from planner.motion.search import Found, search
 from planner.motion.solve import check, solve
 from planner.problem import Problem, Settings
 from planner.targets import Targets
-from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
+from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
 
 
 def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
@@ -128,23 +130,52 @@ def test_a_singularity_is_named(targets: Targets) -> None:
     assert {issue.code for issue in caught.value.issues} == {"motion.singular"}
 
 
-def test_a_pair_that_cannot_agree_on_a_freedom_has_no_path() -> None:
-    """Each arm alone could, but the spins that suit one do not suit the other."""
-    wire = arc_wire(20)
-    spin = wire.freedoms[0]
-    bent = dataclasses.replace(spin, axis={"left": np.eye(6)[0], "right": -np.eye(6)[0]})
-    targets = dataclasses.replace(wire, freedoms=(bent,))
-    scene = Scene.of(two_arms(), targets.arms, HIGH, Settings(singularity_margin=np.deg2rad(38.0)))
-    found = search(scene, targets, sample(targets))
-    if isinstance(found, Found):
-        pytest.skip("this cell finds a path for opposite spins")
+def test_a_turn_beyond_the_limits_has_no_path() -> None:
+    _, targets = one_arm(80)
+    turn = np.linspace(0.0, 5.0 * np.pi, 80)
+    spin = np.zeros((80, 6))
+    spin[:, 2] = turn
+    pose = np.repeat(targets.pose["arm"][:1], 80, axis=0) @ exp_twist(spin)
+    fixed = dataclasses.replace(targets, pose={"arm": pose}, freedoms=())
     with pytest.raises(TandemError) as caught:
-        plan_operation("job", two_arms(), targets, scene.settings, HIGH)
-    assert {i.code for i in caught.value.issues} <= {
-        "motion.no_path",
-        "motion.singular",
-        "motion.joint_limit",
-    }
+        plan_operation("turn", s_curve(80)[0], fixed, Settings(), HIGH)
+    issue = caught.value.issues[0]
+    assert issue.code == "motion.no_path"
+    assert issue.index is not None
+    assert 0 < issue.index < 80
+
+
+def test_a_straight_move_that_leaves_the_branch_is_named() -> None:
+    scene, targets = one_arm(5)
+    found = search(scene, targets, sample(targets))
+    assert isinstance(found, Found)
+    samples = dense(scene, targets, found.path.branch, found.q, least=2)
+    lost = samples.q["arm"].copy()
+    lost[3] = np.nan
+    with pytest.raises(TandemError) as caught:
+        diagnose.require_moves(
+            scene, targets, found.path.branch, dataclasses.replace(samples, q={"arm": lost})
+        )
+    assert caught.value.issues[0].code == "motion.linear_move"
+    assert caught.value.issues[0].index == int(samples.move[3])
+
+
+def test_a_piece_that_cannot_be_timed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, targets = one_arm(20)
+    monkeypatch.setattr(timing, "parameterise", lambda *_: (None, "drake"))
+    with pytest.raises(TandemError) as caught:
+        plan_operation("job", s_curve(20)[0], targets, Settings(), HIGH)
+    assert caught.value.issues[0].code == "motion.timing"
+    assert caught.value.issues[0].index == 19
+
+
+def test_a_smoothed_path_that_comes_too_near_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, targets = pair(30)
+    monkeypatch.setattr(diagnose, "keeps_clear", lambda *_: False)
+    plan = plan_operation("job", two_arms(), targets, Settings(), HIGH, scene.model)
+    assert [i.code for i in plan.issues] == ["motion.path_kept"]
+    assert plan.metrics["trajopt_used"] is False
+    assert plan.metrics["trajopt_gain"] == 0.0
 
 
 def test_a_collision_names_target_and_bodies() -> None:
