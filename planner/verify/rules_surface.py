@@ -78,7 +78,7 @@ def surface(context: Context, rows: tuple[FloatArray, ...]) -> tuple[Outcome, tu
     return outcome, faces, part_obj(context.surfaces, rows)
 
 
-ERROR_STATIONS = 7
+ERROR_STATIONS = 5
 
 
 def with_end_error(

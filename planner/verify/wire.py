@@ -154,15 +154,11 @@ def end_error(context: Context, wire: Wire, chosen: IntArray) -> FloatArray:
         ends = [context.motion.tcp[arm][wire.sample[k]][None] for arm in claim.arms]
         tangent = np.gradient(wire.path.points[k], axis=0)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-        squares = np.zeros(int(inside.sum()))
-        for end, axis in itertools.product((0, 1), (0, 1)):
-            off = [pose.copy() for pose in ends]
-            off[end][0, :3, 3] += claim.end_error * ends[end][0, :3, axis]
-            moved = (
-                follow(rod, off[0], off[1], _GRAVITY, wire.path.shapes[int(k)]).points[0]
-                - wire.path.points[k]
-            )
-            across = moved - np.einsum("pi,pi->p", moved, tangent)[:, None] * tangent
-            squares += (across[inside] ** 2).sum(axis=1)
+        off = [np.repeat(pose, 4, axis=0) for pose in ends]
+        for row, (end, axis) in enumerate(itertools.product((0, 1), (0, 1))):
+            off[end][row, :3, 3] += claim.end_error * ends[end][0, :3, axis]
+        moved = follow(rod, off[0], off[1], _GRAVITY, wire.path.shapes[int(k)]).points - wire.path.points[k]
+        across = moved - np.einsum("tpi,pi->tp", moved, tangent)[..., None] * tangent
+        squares = (across[:, inside] ** 2).sum(axis=(0, 2))
         out[n] = np.sqrt(squares.max())
     return out
