@@ -57,13 +57,14 @@ def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
 
 
 def dump(plan: Plan) -> dict[str, bytes]:
-    """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes.
+    """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes, so the wall-clock
+    times of the planning (``stages`` in the metrics) are left out.
 
     ``plan.json`` comes last and carries the hash of ``plan.npz``, so a pair torn apart by a kill is found.
     Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
     """
     arrays: Arrays = {}
-    tree = _encode(plan, "", arrays)
+    tree = _encode(_timeless(plan), "", arrays)
     packed = _pack(arrays)
     header = {"format": FORMAT, "schema": SCHEMA, "arrays": hashlib.sha256(packed).hexdigest(), "plan": tree}
     text = json.dumps(header, indent=1, ensure_ascii=False, allow_nan=False)
@@ -88,6 +89,14 @@ def load(folder: str | os.PathLike[str]) -> Plan:
     if not isinstance(plan, Plan):
         raise _damaged(source / DATA, f"it holds a {type(plan).__name__}, not a plan")
     return plan
+
+
+def _timeless(plan: Plan) -> Plan:
+    def kept(metrics: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in metrics.items() if name != "stages"}
+
+    operations = tuple(dataclasses.replace(op, metrics=kept(op.metrics)) for op in plan.operations)
+    return dataclasses.replace(plan, operations=operations, metrics=kept(plan.metrics))
 
 
 def _encode(value: Any, key: str, arrays: Arrays) -> Any:

@@ -45,6 +45,8 @@ def slack_freedom(
             box_distance(last[..., :3, 3], size) >= clear
         )
         lower, upper = _range(nodes, free)
+        # at the mount and the unmount stop the operator has the stated distance and angles of the clamps
+        lower[[0, -1]] = upper[[0, -1]] = 0.0
         if _holds(wires, lower, section, bend) and _holds(wires, upper, section, bend):
             return TableFreedom("slack", nodes, {arms[0]: first, arms[1]: last}, lower, upper)
         reach *= 0.5
