@@ -98,7 +98,9 @@ def main() -> None:
     expect = {}
     for name, (problem, codes) in faults().items():
         text = yaml.safe_dump(problem, sort_keys=False, default_flow_style=None, width=110)
-        (folder / f"{name}.yaml").write_text("# Written by make_problems.py. This problem cannot be solved.\n" + text)
+        (folder / f"{name}.yaml").write_text(
+            "# Written by make_problems.py. This problem cannot be solved.\n" + text
+        )
         expect[f"{name}.yaml"] = codes
     (folder / "expect.yaml").write_text(yaml.safe_dump(expect, sort_keys=False))
 
