@@ -1,0 +1,80 @@
+"""Report and replay in a real browser without a network: they show something, and ask nobody for anything."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import synthetic_job as job
+from PIL import Image
+
+from planner.report import output
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--disable-quic",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--enable-logging=stderr",
+)
+
+pytestmark = pytest.mark.skipif(
+    BROWSER is None and "CI" not in os.environ, reason="no Chromium or Chrome on this machine"
+)
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[str, str]:
+    return output.files(job.problem(), job.plan(), job.proof())
+
+
+def look(html: str, folder: Path, *more: str) -> tuple[np.ndarray, str]:
+    """A screenshot (H, W, 3) of a page, and what the browser logged."""
+    page, shot = folder / "page.html", folder / "shot.png"
+    page.write_text(html, encoding="utf-8")
+    command = [
+        str(BROWSER),
+        *FLAGS,
+        f"--user-data-dir={folder / 'profile'}",
+        "--window-size=1200,800",
+        f"--screenshot={shot}",
+        *more,
+        page.as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+    assert shot.exists(), done.stderr[-2000:]
+    return np.asarray(Image.open(shot).convert("RGB")), done.stderr
+
+
+def console_errors(log: str) -> list[str]:
+    return [line for line in log.splitlines() if re.search(r"CONSOLE.*(Error|Failed|net::)", line)]
+
+
+def test_the_report_shows(files: dict[str, str], tmp_path: Path) -> None:
+    shot, log = look(files["report.html"], tmp_path)
+    assert not console_errors(log)
+    assert len(np.unique(shot.reshape(-1, 3), axis=0)) > 200
+    assert "http" not in re.sub(r"http://www\.w3\.org/\S+", "", files["report.html"])
+
+
+def test_the_replay_draws_orange_robots(files: dict[str, str], tmp_path: Path) -> None:
+    shot, log = look(files["replay.html"], tmp_path, "--timeout=15000")
+    assert not console_errors(log)
+    red, green, blue = (shot[..., i].astype(int) for i in range(3))
+    orange = (red > 150) & (red - blue > 90) & (green - blue > 10)
+    above_the_bar = orange[: int(0.8 * len(orange))]
+    assert above_the_bar.mean() > 0.005
