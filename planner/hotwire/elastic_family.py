@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 from planner.hotwire.basis import legendre, nodes
 from planner.hotwire.elastic_planes import SectionSet
 from planner.hotwire.fit import TAIL_WEIGHT, CurveFit, fit_curves
-from planner.hotwire.flow import flow, node_counts
+from planner.hotwire.flow import Flow, flow, node_counts
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +44,9 @@ class Family:
     def state(self, p: FloatArray) -> FloatArray:
         """Middle states (K, 6) [m, rad, 1/m, 1/m^2] in the planes at p (K,), steady outside the range."""
         inside = np.clip(p, self.lower, self.upper)
-        return np.asarray(self.spline(inside) * _unit(self.length))
+        value = self.spline(inside)
+        value[:, :2] += self.spline(inside, nu=1)[:, :2] * (p - inside)[:, None]
+        return np.asarray(value * _unit(self.length))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,11 +107,13 @@ def fit_family(
     """
     lower, upper = min(lower, float(sections.p[0])), max(upper, float(sections.p[-1]))
     unit = _unit(length)
-    knots = np.concatenate([[lower] * 3, np.linspace(lower, upper, cells + 1), [upper] * 3])
+    # even knots beyond both ends too: equal differences of coefficients are then a straight line
+    knots = lower + (upper - lower) / cells * np.arange(-3, cells + 4, dtype=np.float64)
+    knots[3], knots[-4] = lower, upper
     table = BSpline.design_matrix(sections.p, knots, 3).toarray()
     has = sections.length > 0.0
     long = float(np.median(sections.length[has]))
-    share = np.where(has, np.minimum(sections.length / long, 1.0), 0.0)
+    share = np.where(has, np.minimum(sections.length / long, 1.0) ** 2, 0.0)
     coefficient = _smooth(table[first.rows], first.fit.middle / unit)
     covered = np.nonzero(has)[0]
     job = _Job(
@@ -123,7 +127,17 @@ def fit_family(
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
     )
     coefficient, residual, foot = _gauss_newton(job, coefficient)
-    family = Family(BSpline(knots, coefficient, 3, extrapolate=True), length, lower, upper)
+    full = sections.p[sections.length > 0.9 * long]
+    spline = BSpline(knots, coefficient, 3, extrapolate=True)
+    family = Family(spline, length, float(full[0]), float(full[-1]))
+    held = sections.p != np.clip(sections.p, family.lower, family.upper)
+    if held.any():  # there the wires are not those of the spline
+        rest = dataclasses.replace(job, points=job.points[held], load=job.load[held])
+        state = family.state(sections.p[held]) / unit
+        near = _nearest(rest, state)
+        count = int(np.max(node_counts(state, np.ones(len(state)), rest.load)))
+        wire = flow(state, np.ones(len(state)), rest.load, anchor=0.5, count=count)
+        foot[held], residual[held], _, _ = _feet(rest.points, wire, near)
     return FamilyFit(family, residual * length * has[:, None], (foot + 0.5) * length)
 
 
@@ -147,7 +161,8 @@ def _steadiness(knots: FloatArray, first: float, last: float) -> FloatArray:
     bend = np.diff(np.eye(count), 2, axis=0)
     step = np.diff(np.eye(count), 1, axis=0)
     places = np.array([knots[i + 1 : i + 4].mean() for i in range(count)])
-    free = ((places[1:] < first) | (places[:-1] > last)).astype(np.float64)
+    cell = places[1] - places[0]  # the first cells beyond the face go on as they came
+    free = ((places[1:] < first - 2.0 * cell) | (places[:-1] > last + 2.0 * cell)).astype(np.float64)
     total = np.zeros((count, 6, count, 6))
     for j in range(6):
         total[:, j, :, j] = _STEADY[j] ** 2 * bend.T @ bend + _HOLD[j] ** 2 * (step.T * free) @ step
@@ -195,17 +210,8 @@ def _evaluate(
     count = int(np.max(node_counts(state, np.ones(len(state)), job.load, base=14.0, per_wave=3.6)))
     grid = nodes(count)
     wire = flow(state, np.ones(len(state)), job.load, anchor=0.5, derivatives=True, count=count)
-    series = grid.series @ np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
-    for turn in range(3):
-        table = legendre(foot + 0.5, count)
-        here = table @ series
-        gap = job.points - here[..., :2]
-        cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
-        across = gap[..., 1] * cos - gap[..., 0] * sin
-        if turn < 2:
-            along = gap[..., 0] * cos + gap[..., 1] * sin
-            bend = np.maximum(1.0 - here[..., 3] * across, 0.3)
-            foot = np.clip(foot + np.clip(along / bend, -0.1, 0.1), -0.5, 0.5)
+    foot, across, here, table = _feet(job.points, wire, foot)
+    cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
     d = table @ (grid.series @ np.concatenate([wire.d_x, wire.d_y], axis=-1))
     slope = np.empty((*across.shape, 6))
     slope[..., 0], slope[..., 1] = sin, -cos
@@ -235,3 +241,22 @@ def _evaluate(
         + flat @ job.steady @ flat
     )
     return (cost if np.isfinite(cost) else np.inf), gradient, hessian + job.steady, across, foot
+
+
+def _feet(
+    points: FloatArray, wire: Flow, foot: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Feet (K, m) of points (K, m, 2) on the wires, distances (K, m) along the normal, and x, y, theta, k (K,
+    m, 4) there with the table (K, m, n) that interpolates to them; next to the feet given."""
+    series = nodes(wire.count).series @ np.stack([wire.x, wire.y, wire.theta, wire.curvature], axis=-1)
+    for turn in range(3):
+        table = legendre(foot + 0.5, wire.count)
+        here = table @ series
+        gap = points - here[..., :2]
+        cos, sin = np.cos(here[..., 2]), np.sin(here[..., 2])
+        across = gap[..., 1] * cos - gap[..., 0] * sin
+        if turn < 2:
+            along = gap[..., 0] * cos + gap[..., 1] * sin
+            bend = np.maximum(1.0 - here[..., 3] * across, 0.3)
+            foot = np.clip(foot + np.clip(along / bend, -0.1, 0.1), -0.5, 0.5)
+    return foot, across, here, table

@@ -1,0 +1,153 @@
+"""Every way in which a bent wire cannot do its job gives its code, from bundled problems and small ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from planner import part_file
+from planner.geometry.rigid import from_rpy
+from planner.hotwire import elastic, elastic_check, elastic_path, elastic_sweep, wire
+from planner.hotwire.elastic_check import Figures
+from planner.hotwire.operation import ElasticWire
+from planner.issues import Issue, Severity, TandemError
+from planner.part_file import PartFile
+from planner.problem import Stock
+from tests.hotwire import panels
+
+FOLDER = Path(__file__).parents[2] / "problems" / "infeasible"
+EXPECT: dict[str, list[str]] = yaml.safe_load((FOLDER / "expect.yaml").read_text())
+OWN = [name for name, codes in EXPECT.items() if codes[0].split(".")[0] in {"wire", "part"}]
+
+
+def issues_of(path: Path) -> list[Issue]:
+    """Issues of a problem's part and operations, without its cell."""
+    data = yaml.safe_load(path.read_text())
+    size = np.array(data["stock"]["size_mm"]) * 1e-3
+    roll, pitch = np.deg2rad(data["stock"].get("roll_pitch_deg", (0, 0)))
+    try:
+        part = part_file.build(PartFile.model_validate(data["part"]), path.parent, size)
+        block = Stock(size, None, from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3])
+        for raw in data["operations"]:
+            elastic.make_targets(ElasticWire.model_validate(raw), block, part)
+    except TandemError as error:
+        return list(error.issues)
+    return []
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_bundled_infeasible_problem_gives_its_codes(name: str) -> None:
+    issues = issues_of(FOLDER / name)
+    assert set(EXPECT[name]) <= {issue.code for issue in issues}
+    assert all(str(issue) for issue in issues)
+
+
+def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]:
+    with pytest.raises(TandemError) as caught:
+        elastic.make_targets(panels.operation(wire_of, **more), panels.stock(), panels.part())
+    return {issue.code: issue for issue in caught.value.issues}
+
+
+def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> None:
+    steel = {"material": "spring_steel", "diameter_mm": 1.5, "length_mm": 215, "temperature_c": 300}
+    issue = make(steel)["wire.too_short"]
+    assert issue.limit is not None
+    assert issue.hint is not None
+    assert 215 < issue.limit < 260
+    enough = steel | {"length_mm": 5 * np.ceil(issue.limit / 5)}
+    assert elastic.make_targets(panels.operation(enough), panels.stock(), panels.part()).count > 50
+
+
+def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
+    issue = make({"material": "spring_steel", "diameter_mm": 3, "length_mm": 520, "temperature_c": 300})
+    assert issue["wire.curvature"].unit == "mm"
+    assert "1.5" in str(issue["wire.curvature"].hint)
+
+
+def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
+    op, block, part = panels.operation(), panels.stock(), panels.part()
+    steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
+    mesh = elastic._mesh(part.front)
+    cut = elastic._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.size)
+    route = elastic_path.lay_out([cut.face], block.size, 0.02, 0.001, 0.005, False)
+    figures = elastic_check.measure(route, steel, block.size)
+    assert elastic_check.check(op, steel, route, [cut], figures, block.size) == []
+    into = dataclasses.replace(route, wires=route.wires.moved(np.array([0.0, 0.03, 0.0])))
+    codes = {i.code for i in elastic_check.check(op, steel, into, [cut], figures, block.size)}
+    assert codes == {"wire.touches"}
+    off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
+    assert elastic._driven(op, route, off, miss) == []
+    miss[30] = np.inf
+    assert [i.code for i in elastic._driven(op, route, off, miss)] == ["wire.between_targets"]
+
+
+def figures(in_plane: float, out_of_plane: float) -> Figures:
+    one = np.ones(3)
+    return Figures(one * in_plane, one * out_of_plane, one, one, 0 * one, one, one, np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("values", "want"),
+    [
+        ((0.5, 0.5), []),
+        ((0.03, 0.5), [Severity.WARNING]),
+        ((0.5, -0.1), [Severity.ERROR]),
+        ((-1.0, -1.0), [Severity.ERROR, Severity.ERROR]),
+    ],
+)
+def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
+    values: tuple[float, float], want: list[Severity]
+) -> None:
+    op, block, part = panels.operation(), panels.stock(), panels.part()
+    steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
+    cut = elastic._cut(op, "front", elastic._mesh(part.front), 90.0, steel.load * block.gravity, block.size)
+    route = elastic_path.lay_out([cut.face], block.size, 0.02, 0.001, 0.005, False)
+    issues = elastic_check._stability(route, figures(*values))
+    assert [i.code for i in issues] == ["wire.unstable"] * len(want)
+    assert [i.severity for i in issues] == want
+
+
+def test_the_best_split_of_two_arcs_is_where_they_meet() -> None:
+    """Two arcs of opposite bend, joined at x = 30 mm with equal tangents: halves are exact there."""
+    left, right = np.linspace(-1.5, 0.0, 40), np.linspace(0.0, 1.2, 40)[1:]
+    first = np.stack([0.06 * np.sin(left), 0.06 * (np.cos(left) - 1.0)], axis=1)
+    second = np.stack([0.05 * np.sin(right), 0.05 * (1.0 - np.cos(right))], axis=1)
+    curve = np.concatenate([first, second])
+    place = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve, axis=0).T)))
+    even = np.linspace(0.0, place[-1], 41)
+    points = np.stack([np.interp(even, place, curve[:, c]) for c in range(2)], axis=-1) + [0.03, 0.0]
+    where, left_over = elastic_check.best_split(points, 0.4)
+    assert where == pytest.approx(0.03, abs=0.012)
+    assert left_over < 1e-3
+
+
+def test_best_sweep_prefers_short_sections_when_several_will_do() -> None:
+    sweep = elastic_sweep.Sweep
+    tried = [sweep(90.0, 1e-4, 1e-5, 0.4), sweep(0.0, 1e-4, 1e-4, 0.3), sweep(45.0, 1e-5, 1e-5, 0.2)]
+    assert elastic_sweep.best_sweep(tried, 1e-3).degrees == 0.0
+    assert elastic_sweep.best_sweep(tried, 1e-5).degrees == 45.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"arms": ("left", "left")},
+        {"faces": ("front", "front")},
+        {"feed_mm_s": 2, "feed_min_mm_s": 3},
+        {"speed": 3},
+        {"sweep": "z"},
+        {"shape_tol_mm": float("nan")},
+        {"wire": {"material": "spring_steel", "length_mm": 500, "temperature_c": 300}},
+        {"wire": {"material": "x", "diameter_mm": 1, "width_mm": 2, "length_mm": 500, "temperature_c": 300}},
+        {"wire": {"material": "x", "thickness_mm": 3, "width_mm": 2, "length_mm": 500, "temperature_c": 300}},
+    ],
+)
+def test_a_contradictory_operation_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        panels.operation(**change)
