@@ -127,7 +127,7 @@ def fit_family(
         _steadiness(knots, float(sections.p[covered[0]]), float(sections.p[covered[-1]])),
     )
     coefficient, residual, foot = _gauss_newton(job, coefficient)
-    full = sections.p[sections.length > 0.9 * long]
+    full = sections.p[sections.length > 0.3 * long]
     spline = BSpline(knots, coefficient, 3, extrapolate=True)
     family = Family(spline, length, float(full[0]), float(full[-1]))
     held = sections.p != np.clip(sections.p, family.lower, family.upper)

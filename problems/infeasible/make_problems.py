@@ -87,7 +87,7 @@ def faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     add("no_back_face", ["part.missing_face"])["part"].pop("back")
     problem = add("unknown_key", ["problem.field"])
     problem["operations"][0]["speed"] = 8
-    problem = add("far_cell", ["motion.unreachable"])
+    problem = add("far_cell", ["motion.no_reach"])
     problem["stock"]["place"] = {"xyz_mm": [0, 3000, 500]}
     return out
 

@@ -119,9 +119,11 @@ def test_the_best_split_of_two_arcs_is_where_they_meet() -> None:
     first = np.stack([0.06 * np.sin(left), 0.06 * (np.cos(left) - 1.0)], axis=1)
     second = np.stack([0.05 * np.sin(right), 0.05 * (1.0 - np.cos(right))], axis=1)
     curve = np.concatenate([first, second])
-    place = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve, axis=0).T)))
+    steps = np.hypot(*np.diff(curve, axis=0).T)
+    place = np.insert(np.cumsum(steps), 0, 0.0)
     even = np.linspace(0.0, place[-1], 41)
-    points = np.stack([np.interp(even, place, curve[:, c]) for c in range(2)], axis=-1) + [0.03, 0.0]
+    points = np.stack([np.interp(even, place, curve[:, c]) for c in range(2)], axis=-1)
+    points[:, 0] += 0.03
     where, left_over = elastic_check.best_split(points, 0.4)
     assert where == pytest.approx(0.03, abs=0.012)
     assert left_over < 1e-3
