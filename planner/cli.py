@@ -163,7 +163,7 @@ def main() -> None:
 
 
 def _pipeline() -> ModuleType:
-    """The pipeline, imported when a command needs it: Drake takes a second, and tells of its contexts unasked."""
+    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked."""
     from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)

@@ -42,7 +42,7 @@ class StockFile(Strict):
     size_mm: tuple[Positive, Positive, Positive]
     place: Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice] = "auto"
     roll_pitch_deg: tuple[float, float] = (0.0, 0.0)
-    support: list[ShapeFile] = []
+    support: tuple[ShapeFile, ...] = ()
 
 
 class SettingsFile(Strict):
