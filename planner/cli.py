@@ -54,7 +54,7 @@ def plan(
         return _refused(error, _infeasible_code(error))
     _print_issues(outcome.issues)
     _summary(outcome, output, time.perf_counter() - started)
-    return pipeline.exit_code(outcome)
+    return int(pipeline.exit_code(outcome))
 
 
 @app.command
