@@ -55,7 +55,8 @@ class Issue:
     def to_dict(self) -> dict[str, Any]:
         """The issue as plain data for JSON, without the fields that are unset."""
         data = dataclasses.asdict(self)
-        return {k: v for k, v in data.items() if v is not None and v != () and not (k == "count" and v == 1)}
+        plain = {k: float(v) if isinstance(v, float) else v for k, v in data.items()}  # NumPy's floats too
+        return {k: v for k, v in plain.items() if v is not None and v != () and not (k == "count" and v == 1)}
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> Issue:
