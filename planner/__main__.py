@@ -1,6 +1,16 @@
 """``python -m planner`` is the command ``tandem``."""
 
-from planner.cli import main
+import sys
+
+
+def main() -> None:
+    """Entry point of the command; a Ctrl-C while modules are still read is no fault either."""
+    try:
+        from planner.cli import main as command
+    except KeyboardInterrupt:
+        sys.exit(130)
+    command()
+
 
 if __name__ == "__main__":
     main()

@@ -41,6 +41,10 @@ def plan(
 
     started = time.perf_counter()
     try:
+        pipeline.claim_output(output, problem)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    try:
         loaded = pipeline.load(problem)
     except TandemError as error:
         pipeline.save_failure(None, error.issues, output)
@@ -69,7 +73,7 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
     issues = pipeline.check(loaded)
     _print_issues(issues)
     if has_errors(issues):
-        return NO_PLAN
+        return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
     out.print(f"{loaded.name}: nothing in the way of a plan was found")
     return DONE
 
@@ -172,7 +176,8 @@ def _pipeline() -> ModuleType:
 
 def _infeasible_code(error: TandemError) -> int:
     bad_input = all(
-        issue.code.split(".")[0] in {"problem", "part", "targets", "mesh"} for issue in error.issues
+        issue.code.split(".")[0] in {"problem", "part", "targets", "mesh", "cell", "output"}
+        for issue in error.issues
     )
     return BAD_INPUT if bad_input else NO_PLAN
 

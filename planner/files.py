@@ -1,12 +1,30 @@
-"""Writing files whole or not at all."""
+"""Files: asked for without surprises, written whole or not at all."""
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
+import signal
 import tempfile
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
+
+from planner.issues import Issue, TandemError
+
+STAGING = ".tandem-"
+"""How the names of unfinished folders begin."""
+
+
+def is_file(path: Path) -> bool:
+    """Whether ``path`` is a file; False also for names that no file can have and folders that are closed."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -28,28 +46,102 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise
 
 
+def claim_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = None) -> None:
+    """Make ``folder`` if it is missing, see that it can be written, and clear what killed runs left there.
+
+    ``keep`` is a file that must not be among the ``owned`` entries, because those are replaced. Raises
+    ``TandemError`` with ``output.folder``.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _sweep(folder)
+        with tempfile.TemporaryDirectory(prefix=STAGING, dir=folder):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise _refuse(folder, f"cannot be written ({reason}); choose a folder of your own") from error
+    if keep is not None:
+        for name in owned:
+            if keep.resolve().is_relative_to((folder / name).resolve()):
+                raise _refuse(
+                    folder,
+                    f"the problem file {keep} lies in its '{name}', which a run replaces; choose another",
+                )
+
+
 def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[str, ...]) -> None:
     """Make ``folder`` hold exactly ``files`` among the names ``owned`` (files or subfolders at its top).
 
-    Everything is first written to a hidden sibling inside ``folder``; only then are the old owned entries
-    replaced, one rename each, so that an interruption leaves no half-written file. Other people's files in
-    the folder stay.
+    Everything is first written to a hidden folder inside ``folder``; only then are the old owned entries
+    replaced, one rename each. The first of ``owned`` goes first and comes last: while it is there, all that
+    stands beside it belongs to it, at whatever moment a run is killed. Ctrl-C waits for the renames. Other
+    people's files in the folder stay. Raises ``TandemError`` with ``output.folder``.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=".tandem-", dir=folder))
+    claim_folder(folder, owned)
     try:
-        for name, content in files.items():
-            write_whole(staging / name, content)
-        for name in owned:
-            _remove(folder / name)
-            if (staging / name).exists():
-                (staging / name).replace(folder / name)
+        with _staging(folder) as staging:
+            new, old = staging / "new", staging / "old"
+            for side in (new, old):
+                side.mkdir()
+            for name, content in files.items():
+                write_whole(new / name, content)
+            with _unhurried():
+                for name in owned:
+                    if os.path.lexists(folder / name):
+                        (folder / name).replace(old / name)
+                for name in reversed(owned):
+                    if (new / name).exists():
+                        (new / name).replace(folder / name)
+    except OSError as error:
+        what = f"cannot be written ({error.strerror or error}); see to the disk and run again"
+        raise _refuse(folder, what) from error
+
+
+@contextmanager
+def _staging(folder: Path) -> Iterator[Path]:
+    """A hidden folder that is gone at the end. Its lock ends with the process, however that ends."""
+    path = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield path
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        shutil.rmtree(path, ignore_errors=True)
+        os.close(handle)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def _sweep(folder: Path) -> None:
+    """Remove the hidden folders that nobody holds locked: their runs were killed."""
+    for path in folder.glob(f"{STAGING}*"):
+        with suppress(OSError):
+            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(handle)
+
+
+@contextmanager
+def _unhurried() -> Iterator[None]:
+    """Ctrl-C takes effect at the end of the block; only the main thread is ever interrupted."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    pending = False
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        nonlocal pending
+        pending = True
+
+    usual = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    if pending:
+        raise KeyboardInterrupt
+
+
+def _refuse(folder: Path, what: str) -> TandemError:
+    return TandemError(Issue("output.folder", f"output folder {folder}: {what}", file=str(folder)))

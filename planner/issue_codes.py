@@ -22,6 +22,7 @@ CODES: Final[dict[str, str]] = {
     "catalogue.missing_data": "a data file that is part of Tandem is missing",
     "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
     # saved plans
+    "output.folder": "the output folder cannot be written, or holds the problem file itself",
     "plan.missing_file": "a file of a saved plan is missing or cannot be read",
     "plan.damaged": "a file of a saved plan is damaged",
     "plan.schema": "a saved plan comes from another format or schema version",

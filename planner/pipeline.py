@@ -10,7 +10,7 @@ from pathlib import Path
 
 from planner import plan_io, problem_file, processes
 from planner.catalogue import data_dir
-from planner.files import write_folder
+from planner.files import claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.motion import solve
 from planner.plans import Plan
@@ -32,6 +32,9 @@ OWNED = (
     "simulated_part.obj",
 )
 """What a result folder holds; anything else in the folder is left alone."""
+
+
+MAX_PROGRAM_BYTES = 20_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,7 +108,7 @@ def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
 def read_programs(folder: str | Path) -> dict[str, str]:
     """The texts in ``folder/programs``, by relative name. Raises ``TandemError`` if there are none."""
     root = Path(folder) / "programs"
-    texts = {str(p.relative_to(root)): p.read_text("utf-8") for p in sorted(root.rglob("*")) if p.is_file()}
+    texts = {p.relative_to(root).as_posix(): _text(p) for p in sorted(root.rglob("*")) if p.is_file()}
     if not texts:
         raise TandemError(
             Issue("verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root))
@@ -113,9 +116,27 @@ def read_programs(folder: str | Path) -> dict[str, str]:
     return texts
 
 
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size <= MAX_PROGRAM_BYTES:
+            return path.read_text("utf-8")
+        what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
+    except (OSError, UnicodeDecodeError) as error:
+        what = f"is not text in UTF-8 ({error})"
+    raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))
+
+
 def load_result(folder: str | Path) -> Problem:
     """The problem that a result folder was made for, from the copy that it carries."""
     return load(Path(folder) / "problem" / "problem.yaml")
+
+
+def claim_output(folder: str | Path, problem: str | Path) -> None:
+    """See before any work that results can be written to ``folder`` without harm to the problem file.
+
+    Raises ``TandemError`` with ``output.folder``.
+    """
+    claim_folder(Path(folder), OWNED, _find(Path(problem)))
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
@@ -132,12 +153,12 @@ def exit_code(outcome: Outcome) -> int:
 
 def _find(path: Path) -> Path:
     """The file itself, or the bundled problem of that name; the name may begin with ``problems/``."""
-    if path.exists():
-        return path / "problem.yaml" if path.is_dir() else path
+    if is_file(path) or is_file(path / "problem.yaml"):
+        return path if is_file(path) else path / "problem.yaml"
     parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
     inside = data_dir("problems").joinpath(*parts)
     for candidate in (inside, inside / "problem.yaml"):
-        if not path.is_absolute() and ".." not in parts and candidate.is_file():
+        if not path.is_absolute() and ".." not in parts and is_file(candidate):
             return candidate
     return path
 

@@ -5,6 +5,7 @@ Operations belong to processes, so the caller passes their schemas; this module 
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -17,6 +18,7 @@ from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
 
 from planner import cell_file, part_file, yaml_lines
 from planner.cell_file import CellFile, Name, PoseFile, Positive, ShapeFile, Strict
+from planner.files import is_file
 from planner.geometry.rigid import from_rpy
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
@@ -111,7 +113,7 @@ def read(path: Path, models: OperationModels) -> Problem:
         try:
             part = part_file.build(spec.part, path.parent, np.array(spec.stock.size_mm) * MM)
         except TandemError as error:
-            issues += error.issues
+            issues += [_placed(issue, document) for issue in error.issues]
     if spec is None or cell is None or issues:
         raise TandemError(issues)
     source = _resolved(document.data, path.parent)
@@ -132,7 +134,9 @@ def _validate(
     model: type[Any], data: Any, document: Document, prefix: tuple[str | int, ...]
 ) -> tuple[Any, list[Issue]]:
     try:
-        return model.model_validate(data, context={"folder": document.path.parent}), []
+        # as JSON, because its strict rules take a list for a tuple but no text or truth value for a number
+        text = json.dumps(data)
+        return model.model_validate_json(text, strict=True, context={"folder": document.path.parent}), []
     except ValidationError as error:
         return None, [_field_issue(dict(e), document, prefix, data) for e in error.errors()]
 
@@ -200,9 +204,9 @@ def _operation(
 
 def _cell(spec: str | CellFile, document: Document) -> Cell:
     if isinstance(spec, CellFile):
-        return cell_file.build(spec, document.path.parent)
+        return _built(spec, document, ("cell",))
     path = document.path.parent / spec
-    if not path.is_file():
+    if not is_file(path):
         raise TandemError(
             Issue(
                 "problem.missing_file",
@@ -216,7 +220,30 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
     cell_spec, issues = _validate(CellFile, inner.data, inner, ())
     if cell_spec is None:
         raise TandemError(issues)
-    return cell_file.build(cell_spec, path.parent)
+    return _built(cell_spec, inner, ())
+
+
+def _built(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) -> Cell:
+    try:
+        return cell_file.build(spec, document.path.parent)
+    except TandemError as error:
+        field = ".".join(str(step) for step in prefix)
+        raise TandemError(
+            [
+                _placed(
+                    dataclasses.replace(i, field=".".join(filter(None, (field, i.field))) or None), document
+                )
+                for i in error.issues
+            ]
+        ) from error
+
+
+def _placed(issue: Issue, document: Document) -> Issue:
+    """The issue with this file and the line of its field, unless it names a file of its own."""
+    if issue.file is not None or issue.field is None:
+        return issue
+    steps = tuple(int(step) if step.isdigit() else step for step in issue.field.split("."))
+    return dataclasses.replace(issue, file=str(document.path), line=document.line(steps))
 
 
 def _names(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
@@ -290,7 +317,7 @@ def _digest(source: Mapping[str, Any]) -> str:
     """
 
     def content(path: Path) -> str:
-        return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "missing"
+        return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
 
     text = json.dumps(_each_file(source, content), sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()

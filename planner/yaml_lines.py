@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
+from planner.files import is_file
 from planner.issues import Issue, TandemError
 
 MAX_BYTES = 5_000_000
 """A problem or cell file larger than this is refused unread; parts belong in files of their own."""
 
 
+MAX_VALUES = 500_000
+"""At most so many values in a file, aliases written out: a few lines of them can stand for billions."""
+MAX_DEPTH = 50
+PLAIN = {
+    f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map", "merge")
+}
+
+
 class _Loader(yaml.SafeLoader):
-    """SafeLoader that refuses repeated keys and reads 1e-3 as a number (YAML 1.2), as people expect."""
+    """SafeLoader that reads 1e-3 as a number (YAML 1.2), as people expect, and a date as text."""
+
+    yaml_implicit_resolvers: ClassVar[dict[str, list[tuple[str, re.Pattern[str]]]]] = {
+        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(":timestamp")]
+        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
 
 _Loader.add_implicit_resolver(
@@ -48,10 +62,11 @@ class Document:
 def read(path: Path) -> Document:
     """Parse a YAML file whose top level is a mapping.
 
-    Raises ``TandemError`` with ``problem.missing_file``, ``problem.too_large`` or ``problem.not_yaml``.
+    Raises ``TandemError`` with ``problem.missing_file``, ``problem.too_large``, ``problem.duplicate_name`` or
+    ``problem.not_yaml``.
     """
     name = str(path)
-    if not path.is_file():
+    if not is_file(path):
         raise TandemError(Issue("problem.missing_file", f"{name}: no such file; check the path", file=name))
     size = path.stat().st_size
     if size > MAX_BYTES:
@@ -66,33 +81,33 @@ def read(path: Path) -> Document:
                 unit="MB",
             )
         )
-    raw = path.read_bytes()
     try:
-        text = raw.decode("utf-8")
+        raw = path.read_bytes()
+        text = raw.decode("utf-8-sig")
         root = yaml.compose(text, Loader=_Loader)
-        _refuse_repeated(root, name)
+        if root is not None:
+            _refuse_what_is_not_plain(root, name)
+            _refuse_repeated(root, name)
         data = yaml.load(text, Loader=_Loader)  # a SafeLoader
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    except OSError as error:
+        raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
+    except RecursionError as error:
+        raise _not_yaml(name, f"is nested more than {MAX_DEPTH} deep; write it flatter") from error
+    except (
+        yaml.YAMLError,
+        ValueError,
+        KeyError,
+        AttributeError,
+    ) as error:  # values of a tag that are not its
         mark = getattr(error, "problem_mark", None)
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise TandemError(
-            Issue(
-                "problem.not_yaml",
-                f"{name} is not YAML: {detail}; a problem file is a mapping such as 'tandem: 1'",
-                file=name,
-                line=mark.line + 1 if mark else None,
-            )
-        ) from error
+        line = mark.line + 1 if mark else None
+        what = f"is not YAML: {detail}; a problem file is a mapping such as 'tandem: 1'"
+        raise _not_yaml(name, what, line) from error
     if not isinstance(data, dict):
         got = type(data).__name__ if data is not None else "nothing"
-        raise TandemError(
-            Issue(
-                "problem.not_yaml",
-                f"{name}: the top level is {got}, expected a mapping that begins with 'tandem: 1'",
-                file=name,
-                line=1,
-            )
-        )
+        what = f"has {got} at its top level; write a mapping that begins with 'tandem: 1'"
+        raise _not_yaml(name, what, 1)
     return Document(path, data, root, raw)
 
 
@@ -107,9 +122,59 @@ def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | N
     return None
 
 
-def _refuse_repeated(node: yaml.Node | None, name: str) -> None:
+def _not_yaml(name: str, what: str, line: int | None = None) -> TandemError:
+    return TandemError(Issue("problem.not_yaml", f"{name} {what}", file=name, line=line))
+
+
+def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
+    """Only text, numbers, lists and mappings by text; no loops, and no more than is sensible when aliases are
+    written out.
+    """
+    sizes: dict[int, int] = {}
+    open_nodes: set[int] = set()
+
+    def size(node: yaml.Node, depth: int) -> int:
+        line = node.start_mark.line + 1
+        if id(node) in open_nodes:
+            raise _not_yaml(name, "has an alias that contains itself; write the values out", line)
+        if depth > MAX_DEPTH:
+            raise _not_yaml(name, f"is nested more than {MAX_DEPTH} deep; write it flatter", line)
+        if node.tag not in PLAIN:
+            raise _not_yaml(name, f"has a value with the tag {node.tag!r}; write plain values", line)
+        if isinstance(node, yaml.ScalarNode):
+            if any("\ud800" <= letter <= "\udfff" for letter in node.value):
+                raise _not_yaml(name, "has half a character (a lone surrogate); remove it", line)
+            return 1
+        if id(node) in sizes:
+            return sizes[id(node)]
+        children = node.value
+        if isinstance(node, yaml.MappingNode):
+            for key, _ in node.value:
+                if key.tag not in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"):
+                    what = f"has the key {key.value!r}, which is not text; write it as a name"
+                    raise _not_yaml(
+                        name,
+                        what
+                        if isinstance(key, yaml.ScalarNode)
+                        else "has a key that is not text; write a name",
+                        key.start_mark.line + 1,
+                    )
+            children = [value for _, value in node.value]
+        open_nodes.add(id(node))
+        total = 1 + sum(size(child, depth + 1) for child in children)
+        open_nodes.remove(id(node))
+        if total > MAX_VALUES:
+            what = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
+            raise _not_yaml(name, what, line)
+        sizes[id(node)] = total
+        return total
+
+    size(root, 0)
+
+
+def _refuse_repeated(node: yaml.Node, name: str) -> None:
     """YAML lets a later key overwrite an earlier one in silence; a problem file may not."""
-    stack = [node]
+    stack: list[yaml.Node] = [node]
     seen_nodes: set[int] = set()
     while stack:
         current = stack.pop()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from planner.files import is_file
 from planner.issues import Issue, TandemError
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +38,7 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
     Raises ``TandemError`` for a file that is missing, larger than 100 MB, of another kind, unreadable,
     without faces, with numbers that are not finite, or of a size that says that the unit is wrong.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise _refuse("problem.missing_file", path, "there is no such file; check the path")
     size = path.stat().st_size
     if size > MAX_BYTES:
