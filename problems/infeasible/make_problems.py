@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 ARC = [[-70, 0], [-25, 21], [25, 21], [70, 0]]  # a flat arch, [x, z]
-WAVES = [[-80, 0], [-50, 120], [-35, -120], [0, 130], [35, -120], [50, 120], [80, 0]]  # four inflections
+WAVES = [[-70, 0], [-40, 70], [-20, -60], [20, -60], [40, 70], [70, 0]]  # a camel's back turned over
 FLAT = [[-70, 0], [70, 0]]
 
 
