@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -167,7 +168,13 @@ def main() -> None:
 
 
 def _pipeline() -> ModuleType:
-    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked."""
+    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked.
+
+    The arrays are small: threads of the linear algebra only get in each other's way, and their number must not
+    change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)
