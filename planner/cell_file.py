@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,18 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from planner.catalogue import RobotData, robot
 from planner.geometry.mesh import read_mesh
 from planner.geometry.rigid import from_rpy
+from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Tool
 from planner.tools import wire_holder
 from planner.units import DEG, LENGTH_UNITS, MM
 
-Vector = tuple[float, float, float]
+Far = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A coordinate [mm]: a cell is not larger than 100 m."""
+Angle = Annotated[float, Field(ge=-720, le=720)]
+Vector = tuple[Far, Far, Far]
 Unit = Literal["mm", "cm", "m", "in", "ft"]
 Name = Annotated[
     str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
 ]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(ge=0.01, le=100_000)]
+"""A length [mm] of a body."""
 
 
 class Strict(BaseModel):
@@ -33,7 +40,7 @@ class PoseFile(Strict):
     """A pose: position and roll, pitch, yaw about fixed x, then y, then z."""
 
     xyz_mm: Vector = (0.0, 0.0, 0.0)
-    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
     def matrix(self) -> NDArray[np.float64]:
         """The pose as (4, 4) in metres."""
@@ -69,7 +76,7 @@ class MeshFile(Strict):
     """A mesh file in a stated unit; collision sees its convex hull."""
 
     kind: Literal["mesh"]
-    file: str
+    file: Annotated[str, Field(min_length=1)]
     unit: Unit
     pose: PoseFile = PoseFile()
 
@@ -90,7 +97,7 @@ class PlainToolFile(Strict):
 
     kind: Literal["plain"]
     tcp: PoseFile
-    mass_kg: Positive
+    mass_kg: Annotated[float, Field(gt=0, le=1000)]
     cog_mm: Vector = (0.0, 0.0, 50.0)
     shapes: list[ShapeFile] = []
 
@@ -103,7 +110,7 @@ class ArmFile(Strict):
     base: PoseFile = PoseFile()
     base_auto: bool = False
     tool: Annotated[WireHolderFile | PlainToolFile, Field(discriminator="kind")]
-    home_deg: Annotated[list[float], Field(min_length=6, max_length=6)] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    home_deg: Annotated[list[Angle], Field(min_length=6, max_length=6)] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
 class ObstacleFile(Strict):
@@ -136,17 +143,25 @@ def build(spec: CellFile, folder: Path) -> Cell:
     """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and
     robots.
     """
-    from planner.catalogue import robot
-
     arms = []
-    for arm in spec.arms:
-        data = robot(arm.robot)
+    for number, arm in enumerate(spec.arms):
+        try:
+            data = robot(arm.robot)
+        except TandemError as error:
+            here = [dataclasses.replace(issue, field=f"arms.{number}.robot") for issue in error.issues]
+            raise TandemError(here) from error
         home = data.from_controller(np.array(arm.home_deg) * DEG)
+        if float(data.limit_margin(home)) < 0.0:
+            raise TandemError(_outside(arm, number, data))
         arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), _tool(arm.tool, folder), home, arm.base_auto))
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     c = spec.controller
+    for field, names in (("tasks", c.tasks), ("units", c.units)):
+        if len({name.lower() for name in names}) != len(names):
+            what = f"the {field} {', '.join(names)} are not different; give each arm its own"
+            raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
     controller = Controller(
         tuple(c.tasks), tuple(c.units), c.wire_signal, c.max_moves, c.max_kilobytes * 1000
     )
@@ -171,3 +186,17 @@ def _tool(spec: WireHolderFile | PlainToolFile, folder: Path) -> Tool:
         return wire_holder(spec.mounting, spec.side)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
+
+
+def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
+    limits = ", ".join(
+        f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
+    )
+    got = ", ".join(f"{angle:g}" for angle in arm.home_deg)
+    return Issue(
+        "problem.field",
+        f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel rod, "
+        f"go {limits} deg; correct it",
+        field=f"arms.{number}.home_deg",
+        arm=arm.name,
+    )

@@ -19,9 +19,10 @@ from planner.problem import Mesh, Part
 from planner.units import DEG, LENGTH_UNITS, MM
 
 FloatArray = NDArray[np.float64]
-Vector = tuple[float, float, float]
+Far = Annotated[float, Field(ge=-100_000, le=100_000)]
+Vector = tuple[Far, Far, Far]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=100_000)]
 
 
 class _Strict(BaseModel):
@@ -32,8 +33,8 @@ class RailFile(_Strict):
     """A horizontal arc about ``centre_mm``; profiles stand in its normal planes."""
 
     radius_mm: Positive
-    start_deg: float
-    end_deg: float
+    start_deg: Annotated[float, Field(ge=-720, le=720)]
+    end_deg: Annotated[float, Field(ge=-720, le=720)]
     centre_mm: Vector = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -47,8 +48,8 @@ class CurveFile(_Strict):
     """One profile or section: control points of a Bezier curve or of a clamped cubic B-spline."""
 
     at: Fraction
-    bezier_mm: Annotated[list[list[float]], Field(min_length=2, max_length=16)] | None = None
-    bspline_mm: Annotated[list[list[float]], Field(min_length=2, max_length=200)] | None = None
+    bezier_mm: Annotated[list[list[Far]], Field(min_length=2, max_length=16)] | None = None
+    bspline_mm: Annotated[list[list[Far]], Field(min_length=2, max_length=200)] | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> CurveFile:
@@ -62,7 +63,7 @@ class CurveFile(_Strict):
         return "bezier" if self.bezier_mm is not None else "bspline"
 
     @property
-    def control(self) -> list[list[float]]:
+    def control(self) -> list[list[Far]]:
         """The control points [mm]."""
         return self.bezier_mm or self.bspline_mm or []
 
@@ -133,7 +134,7 @@ class LoftFile(_Strict):
 class FaceMeshFile(_Strict):
     """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
 
-    file: str
+    file: Annotated[str, Field(min_length=1)]
     unit: Literal["mm", "cm", "m", "in", "ft"]
     scale: Positive = 1.0
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False

@@ -6,15 +6,17 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from planner.claims import Claim, FollowsPoses
+from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Stock
@@ -24,6 +26,10 @@ from planner.units import DEG, MM
 FloatArray = NDArray[np.float64]
 MAX_BYTES = 100_000_000
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+ROW_COLUMNS = ("feed_mm_s", "segment", "stop")
+FARTHEST_MM = 100_000.0
+SEGMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
+FLAGS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -38,6 +44,13 @@ class FreeAxis(BaseModel):
     axis: Literal["x", "y", "z"]
     turn_deg: tuple[float, float] | None = None
     slide_mm: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> FreeAxis:
+        for bounds in (self.turn_deg, self.slide_mm):
+            if bounds is not None and bounds[0] > bounds[1]:
+                raise ValueError("turn_deg and slide_mm are [lower, upper] with lower <= upper")
+        return self
 
 
 class Posed(BaseModel):
@@ -65,6 +78,18 @@ class Posed(BaseModel):
         folder: Path = (info.context or {}).get("folder", Path())
         return folder / value
 
+    @model_validator(mode="after")
+    def _consistent(self) -> Posed:
+        if len(set(self.arms)) != len(self.arms):
+            raise ValueError("arms: each arm is named once")
+        names = [axis.name for axis in self.free]
+        if len(set(names)) != len(names):
+            raise ValueError("free: two axes have one name; rename one")
+        for axis in self.free:
+            if not set(axis.arms) <= set(self.arms) or len(set(axis.arms)) != len(axis.arms):
+                raise ValueError(f"free: axis '{axis.name}' must name arms of this operation, each once")
+        return self
+
 
 def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
     """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
@@ -81,8 +106,8 @@ def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
         raise TandemError(
             _fault(operation, first, f"feed_mm_s is {feed[first]:g}, it must be positive; correct the row")
         )
-    segment = tuple(str(row.get("segment") or "cut/path") for row in rows)
-    stop = np.array([_flag(row.get("stop")) for row in rows])
+    segment = tuple(_segment(row, i, operation) for i, row in enumerate(rows))
+    stop = np.array([_flag(row, i, operation) for i, row in enumerate(rows)])
     stop[[0, -1]] = True
     return Targets(
         arms=operation.arms,
@@ -147,7 +172,7 @@ def _freedom(axis: FreeAxis, count: int) -> ScrewFreedom:
 
 def _rows(operation: Posed) -> list[Mapping[str, Any]]:
     path = operation.file
-    if not path.is_file():
+    if not is_file(path):
         raise TandemError(
             Issue(
                 "problem.missing_file",
@@ -164,16 +189,39 @@ def _rows(operation: Posed) -> list[Mapping[str, Any]]:
                 file=str(path),
             )
         )
-    text = path.read_text("utf-8", errors="replace")
     try:
-        rows = json.loads(text) if path.suffix.lower() == ".json" else list(csv.DictReader(io.StringIO(text)))
-    except (json.JSONDecodeError, csv.Error) as error:
+        text = path.read_bytes().decode("utf-8-sig")
+        rows = json.loads(text) if path.suffix.lower() == ".json" else _table(text, operation)
+    except (OSError, ValueError, RecursionError, csv.Error) as error:
+        reason = str(error) or type(error).__name__
         raise TandemError(
-            _fault(operation, None, f"cannot be read: {error}; expected CSV or JSON")
+            _fault(operation, None, f"cannot be read: {reason}; give CSV or JSON in UTF-8")
         ) from error
     if not isinstance(rows, list) or len(rows) < 2 or not all(isinstance(row, dict) for row in rows):
-        raise TandemError(_fault(operation, None, "expected a list of at least 2 targets"))
+        raise TandemError(_fault(operation, None, "expected a list of at least 2 targets; add them"))
+    known = {f"{arm}.{column}" for arm in operation.arms for column in POSE_COLUMNS} | set(ROW_COLUMNS)
+    unknown = sorted({str(key) for row in rows for key in row} - known)
+    if unknown:
+        more, names = ", ".join(unknown[:5]), ", ".join(sorted(known))
+        what = f"unknown columns {more}; remove them or correct their spelling (known: {names})"
+        raise TandemError(_fault(operation, None, what))
     return rows
+
+
+def _table(text: str, operation: Posed) -> list[Mapping[str, Any]]:
+    """The rows of a CSV text, by column. Raises ``TandemError`` for a header or rows that do not fit."""
+    lines = [line for line in csv.reader(io.StringIO(text), strict=True) if any(map(str.strip, line))]
+    header = [name.strip() for name in lines[0]] if lines else []
+    if len(header) == 1 and ";" in header[0]:
+        raise TandemError(_fault(operation, None, "columns are parted by semicolons; use commas"))
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
+        raise TandemError(_fault(operation, None, f"column '{repeated[0]}' stands twice; keep one"))
+    for i, line in enumerate(lines[1:]):
+        if len(line) != len(header):
+            what = f"{len(line)} cells where the header has {len(header)}; correct the row"
+            raise TandemError(_fault(operation, i, what))
+    return [dict(zip(header, line, strict=True)) for line in lines[1:]]
 
 
 def _poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> FloatArray:
@@ -194,6 +242,11 @@ def _poses(rows: list[Mapping[str, Any]], arm: str, operation: Posed) -> FloatAr
                 f"{arm}: quaternion of length {norm[first]:.4f}, allowed 1 within 0.001; normalise it",
             )
         )
+    far = (np.abs(table[:, :3]) > FARTHEST_MM).any(axis=1)
+    if far.any():
+        first = int(np.argmax(far))
+        what = f"{arm}: a position beyond {FARTHEST_MM / 1000:g} m; give positions in mm"
+        raise TandemError(_fault(operation, first, what))
     return from_parts(from_quaternion(table[:, 3:]), table[:, :3] * MM)
 
 
@@ -204,18 +257,31 @@ def _number(
     if value in (None, "") and default is not None:
         return default
     try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+        number = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
+        got = "nothing" if value in (None, "") else repr(value)[:40]
         raise TandemError(
-            _fault(operation, index, f"column '{column}': got {value!r}, a finite number is needed")
+            _fault(operation, index, f"column '{column}': got {got}; a finite number is needed, correct it")
         )
     return number
 
 
-def _flag(value: object) -> bool:
-    return str(value).strip().lower() in {"1", "true", "yes"}
+def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> str:
+    value = row.get("segment") or "cut/path"
+    if not isinstance(value, str) or not SEGMENT.fullmatch(value):
+        what = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
+        raise TandemError(_fault(operation, index, what))
+    return value
+
+
+def _flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:
+    value = row.get("stop")
+    text = "" if value is None else str(value).strip().lower()
+    if text not in FLAGS:
+        raise TandemError(_fault(operation, index, f"stop is {repr(value)[:40]}; use true or false"))
+    return FLAGS[text]
 
 
 def _fault(operation: Posed, index: int | None, what: str) -> Issue:
