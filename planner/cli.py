@@ -170,8 +170,8 @@ def main() -> None:
 def _pipeline() -> ModuleType:
     """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked.
 
-    The arrays are small: threads of the linear algebra only get in each other's way, and their number must not
-    change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
+    The arrays are small: threads of the linear algebra only get in each other's way, and their number must
+    not change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
