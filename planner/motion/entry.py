@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 
 from planner.cell import clearance
 from planner.issues import Issue, TandemError
-from planner.motion.rrt import connect
+from planner.motion.rrt import connect, way_free
 from planner.motion.scene import Scene
 from planner.targets import Targets
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
 
-STEP = np.deg2rad(3.0)
+STEPS = np.deg2rad([3.0, 1.0, 0.3])
+"""Distances between the postures that a search looks at; finer ones where the way found is not free in
+between.
+"""
+
+FINE = 1e-3
+"""How far [m] one joint may carry the tool between two postures of the last look at a way."""
 """Distance [rad] between checks along a line in the joints."""
 
 
@@ -114,7 +120,13 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
         return ok & clearance.free(scene.model, rows, scene.settings.clearance)
 
     robot = chain.robot
-    return connect(chain.home, goal, free, robot.lower + hard, robot.upper - hard, STEP, scene.settings.seed)
+    for step in STEPS:
+        way = connect(
+            chain.home, goal, free, robot.lower + hard, robot.upper - hard, step, scene.settings.seed
+        )
+        if way is None or way_free(way, free, FINE / robot.reach):
+            return way
+    return None
 
 
 def _blocked(

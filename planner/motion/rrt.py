@@ -6,6 +6,7 @@ the same question has the same answer.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -59,6 +60,11 @@ def connect(
                 way = np.concatenate([ends[0][::-1], ends[1][1:]])
                 return _shorten(way, free, step, rng)
     return None
+
+
+def way_free(way: FloatArray, free: Free, step: float) -> bool:
+    """Whether the straight lines between waypoints (M, D) are free, looked at every ``step``."""
+    return all(_line_free(a, b, free, step) for a, b in itertools.pairwise(way))
 
 
 class _Tree:

@@ -14,7 +14,7 @@ from planner.motion import entry, transit
 from planner.motion.joints import dense
 from planner.motion.operation import plan_operation
 from planner.motion.reach import sample
-from planner.motion.rrt import connect
+from planner.motion.rrt import connect, way_free
 from planner.motion.scene import Scene
 from planner.motion.search import Found, search
 from planner.motion.subset import subset
@@ -39,6 +39,17 @@ def test_a_tree_finds_the_way_around_a_wall_and_twice_the_same() -> None:
     assert wall(line).all()
     assert np.array_equal(ways[0][0], ends[0])
     assert np.array_equal(ways[0][-1], ends[1])
+
+
+def test_a_thin_wall_between_two_looks_is_seen_by_the_last_look() -> None:
+    def thin(points: np.ndarray) -> np.ndarray:
+        return np.abs(points[:, 0] - 0.505) > 0.001
+
+    ends = np.array([0.0, 0.0]), np.array([1.0, 0.0])
+    way = connect(*ends, thin, np.zeros(2), np.ones(2), 0.1, seed=0)
+    assert way is not None
+    assert not way_free(way, thin, 0.0005)
+    assert way_free(way[:1], thin, 0.0005)
 
 
 def test_a_straight_line_that_is_free_is_the_way() -> None:
