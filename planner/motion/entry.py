@@ -19,13 +19,10 @@ from planner.units import MM
 FloatArray = NDArray[np.float64]
 
 STEPS = np.deg2rad([3.0, 1.0, 0.3])
-"""Distances between the postures that a search looks at; finer ones where the way found is not free in
-between.
-"""
+"""Distances [rad] between the postures that a search looks at; finer where its way is not free in between."""
 
 FINE = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
-"""Distance [rad] between checks along a line in the joints."""
 
 
 @dataclasses.dataclass(frozen=True)
