@@ -197,12 +197,15 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 def feed_speed(context: Context, wire: Wire) -> FloatArray:
-    """Speed (T,) [m/s] of the wire's fastest point inside the block on the way to each station; NaN where
-    none is inside."""
+    """Speed (T,) [m/s] across the wire of its fastest point inside the block on the way to each station; NaN
+    where none is inside. A wire that also slides along itself cuts no faster for it."""
     out = np.full(len(wire.sample), np.nan)
     if len(out) < 2:
         return out
-    step = np.linalg.norm(np.diff(wire.points, axis=0), axis=2)
+    way = np.diff(wire.points, axis=0)
+    along = np.gradient(wire.points[:-1] + wire.points[1:], axis=1)
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    step = np.linalg.norm(way - (way * along).sum(axis=2, keepdims=True) * along, axis=2)
     both = wire.inside[1:] & wire.inside[:-1]
     time = np.diff(context.motion.time[wire.sample])
     fastest = np.where(both, step, -np.inf).max(axis=1)
