@@ -6,7 +6,10 @@ import sys
 def main() -> None:
     """Entry point of the command; a Ctrl-C while modules are still read is no fault either."""
     try:
-        from planner.cli import main as command
+        from planner.files import unhurried
+
+        with unhurried():  # an import that is interrupted may swallow it
+            from planner.cli import main as command
     except KeyboardInterrupt:
         sys.exit(130)
     command()

@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+import _thread
 import logging
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
+GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output"} | {
+    "wire.unknown_material",
+    "wire.size",
+    "wire.temperature",
+    "post.tasks",
+    "post.controller",
+    "post.name",
+}
+"""Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 app = tyro.extras.SubcommandApp()
@@ -91,9 +103,13 @@ def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> i
 
     try:
         loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
-        proof = pipeline.verify(loaded, pipeline.read_programs(folder))
+        programs = pipeline.read_programs(folder)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
+    try:
+        proof = pipeline.verify(loaded, programs)
+    except TandemError as error:
+        return _refused(error, NOT_PROVEN)
     _print_issues(proof.issues)
     passed = sum(rule.passed for rule in proof.rules)
     out.print(
@@ -151,6 +167,7 @@ def issues() -> int:
 
 def main() -> None:
     """Entry point of the command ``tandem``."""
+    sys.unraisablehook = _unraisable
     try:
         sys.exit(
             app.cli(
@@ -158,13 +175,34 @@ def main() -> None:
             )
         )
     except Exception as error:
+        if _was_stopped(error):
+            _stop()
         err.print_exception()
         what = f"{type(error).__name__}: {error}; nothing was written, please report this"
         _print_issues((Issue("internal.error", what),))
         sys.exit(FAILED)
     except KeyboardInterrupt:
-        err.print("stopped; nothing half-written was left")
-        sys.exit(130)
+        _stop()
+
+
+def _stop() -> NoReturn:
+    err.print("stopped; nothing half-written was left")
+    sys.exit(130)
+
+
+def _was_stopped(error: BaseException | None) -> bool:
+    """Whether a Ctrl-C is at the root of an error that libraries made of it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """A Ctrl-C that meets a callback which cannot raise comes again a moment later."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        threading.Timer(0.05, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def _pipeline() -> ModuleType:
@@ -175,7 +213,8 @@ def _pipeline() -> ModuleType:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    from planner import pipeline
+    with unhurried():  # an import that is interrupted may swallow it
+        from planner import pipeline
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return pipeline
@@ -183,8 +222,7 @@ def _pipeline() -> ModuleType:
 
 def _infeasible_code(error: TandemError) -> int:
     bad_input = all(
-        issue.code.split(".")[0] in {"problem", "part", "targets", "mesh", "cell", "output"}
-        for issue in error.issues
+        issue.code in GIVEN_WRONG or issue.code.split(".")[0] in GIVEN_WRONG for issue in error.issues
     )
     return BAD_INPUT if bad_input else NO_PLAN
 

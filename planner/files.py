@@ -55,7 +55,7 @@ def claim_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = None)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _sweep(folder)
-        with tempfile.TemporaryDirectory(prefix=STAGING, dir=folder):
+        with _staging(folder):
             pass
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -85,7 +85,7 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
                 side.mkdir()
             for name, content in files.items():
                 write_whole(new / name, content)
-            with _unhurried():
+            with unhurried():
                 for name in owned:
                     if os.path.lexists(folder / name):
                         (folder / name).replace(old / name)
@@ -100,14 +100,19 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
 @contextmanager
 def _staging(folder: Path) -> Iterator[Path]:
     """A hidden folder that is gone at the end. Its lock ends with the process, however that ends."""
-    path = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
-    handle = os.open(path, os.O_RDONLY)
+    path, handle = None, None
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        with unhurried():
+            path = Path(tempfile.mkdtemp(prefix=STAGING, dir=folder))
+            handle = os.open(path, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
         yield path
     finally:
-        shutil.rmtree(path, ignore_errors=True)
-        os.close(handle)
+        with unhurried():
+            if path is not None:
+                shutil.rmtree(path, ignore_errors=True)
+            if handle is not None:
+                os.close(handle)
 
 
 def _sweep(folder: Path) -> None:
@@ -123,8 +128,8 @@ def _sweep(folder: Path) -> None:
 
 
 @contextmanager
-def _unhurried() -> Iterator[None]:
-    """Ctrl-C takes effect at the end of the block; only the main thread is ever interrupted."""
+def unhurried() -> Iterator[None]:
+    """Ctrl-C takes effect at the end of the block, not within; only the main thread is ever interrupted."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

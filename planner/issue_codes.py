@@ -87,6 +87,7 @@ CODES: Final[dict[str, str]] = {
     "verify.move_ids": "IDs of synchronised moves are missing, not equal or not ascending",
     "verify.zone_kind": "of two moves that run together one stops and the other does not",
     "verify.move_time": "moves that run together have no time or different times",
+    "verify.duration": "the programs take longer than what the proof replays",
     "verify.speed_data": "the speed beside a move's time is below what way and time ask for",
     "verify.arms_alone": "two arms move at once without synchronisation",
     "verify.wire_alone": "an arm moves alone while a wire is mounted",

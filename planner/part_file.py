@@ -88,7 +88,9 @@ class LoftFile(_Strict):
     profiles: list[CurveFile] = []
     sections: list[CurveFile] = []
     region: RegionFile = RegionFile()
-    chord_mm: Annotated[float, Field(gt=0, le=1, description="how far facets may be off the surface")] = 0.005
+    chord_mm: Annotated[
+        float, Field(ge=0.0005, le=1, description="how far facets may be off the surface")
+    ] = 0.005
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
 
     @model_validator(mode="after")
@@ -156,7 +158,7 @@ class FrontFile(_Strict):
 class BackFile(_Strict):
     """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` of its own."""
 
-    offset_mm: Positive | None = None
+    offset_mm: Annotated[float, Field(ge=0.5, le=10_000)] | None = None
     mesh: FaceMeshFile | None = None
 
     @model_validator(mode="after")

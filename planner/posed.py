@@ -28,6 +28,7 @@ MAX_BYTES = 100_000_000
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 ROW_COLUMNS = ("feed_mm_s", "segment", "stop")
 FARTHEST_MM = 100_000.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 10_000.0
 SEGMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
 FLAGS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -67,7 +68,7 @@ class Posed(BaseModel):
     file: Path
     frame: Literal["stock", "world"] = "stock"
     free: list[FreeAxis] = []
-    feed_mm_s: Annotated[float, Field(gt=0)] | None = None
+    feed_mm_s: Annotated[float, Field(ge=SLOWEST_MM_S, le=FASTEST_MM_S)] | None = None
     coupled: bool = False
     position_tol_mm: Annotated[float, Field(gt=0)] = 0.01
     angle_tol_deg: Annotated[float, Field(gt=0)] = 0.01
@@ -101,10 +102,14 @@ def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
     feed = np.array(
         [_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)]
     )
-    if (feed <= 0).any():
-        first = int(np.argmax(feed <= 0))
+    if not ((feed >= SLOWEST_MM_S) & (feed <= FASTEST_MM_S)).all():
+        first = int(np.argmax((feed < SLOWEST_MM_S) | (feed > FASTEST_MM_S)))
         raise TandemError(
-            _fault(operation, first, f"feed_mm_s is {feed[first]:g}, it must be positive; correct the row")
+            _fault(
+                operation,
+                first,
+                f"feed_mm_s is {feed[first]:g}, allowed {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}; correct it",
+            )
         )
     segment = tuple(_segment(row, i, operation) for i, row in enumerate(rows))
     stop = np.array([_flag(row, i, operation) for i, row in enumerate(rows)])

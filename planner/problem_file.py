@@ -17,7 +17,7 @@ import yaml
 from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
 
 from planner import cell_file, part_file, yaml_lines
-from planner.cell_file import CellFile, Name, PoseFile, Positive, ShapeFile, Strict
+from planner.cell_file import Angle, CellFile, Name, PoseFile, Positive, ShapeFile, Strict
 from planner.files import is_file
 from planner.geometry.rigid import from_rpy
 from planner.issues import Issue, TandemError
@@ -43,7 +43,7 @@ class StockFile(Strict):
 
     size_mm: tuple[Positive, Positive, Positive]
     place: Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice] = "auto"
-    roll_pitch_deg: tuple[float, float] = (0.0, 0.0)
+    roll_pitch_deg: tuple[Angle, Angle] = (0.0, 0.0)
     support: tuple[ShapeFile, ...] = ()
 
 
@@ -51,11 +51,11 @@ class SettingsFile(Strict):
     """Limits that planning and proof share."""
 
     clearance_mm: Annotated[float, Field(ge=0, le=500)] = 10.0
-    speed_fraction: Annotated[float, Field(gt=0, le=1)] = 0.9
-    acceleration_fraction: Annotated[float, Field(gt=0, le=1)] = 0.8
+    speed_fraction: Annotated[float, Field(ge=0.01, le=1)] = 0.9
+    acceleration_fraction: Annotated[float, Field(ge=0.01, le=1)] = 0.8
     joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = 2.0
     singularity_margin_deg: Annotated[float, Field(ge=0, le=45)] = 5.0
-    tcp_speed_mm_s: Annotated[float, Field(gt=0, le=5000)] = 250.0
+    tcp_speed_mm_s: Annotated[float, Field(ge=1, le=5000)] = 250.0
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
 
     def build(self) -> Settings:

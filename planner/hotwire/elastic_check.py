@@ -200,17 +200,19 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         worst = float(figures.sag[rows].max())
         free = max(tol - share[0], 0.1 * tol)
         thick = wire.thickness * np.sqrt(lean * worst / free)
+        falls = worst > 1.0  # a metre: nothing holds the wire up
+        reached = f"{share[1] * 1e3:.2f} mm" if share[1] < 1.0 else "no bound"
+        bends = "makes it fall" if falls else f"bends it by up to {worst * 1e3:.2f} mm"
+        bends += " out of its plane"
+        strip = "" if falls else f", about {thick * 1e3:.1f} mm thick"
         return [
             Issue(
                 "wire.weight",
-                f"{what} {share[1] * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted: the wire's weight "
-                "bends it out of "
-                f"its plane by up to {worst * 1e3:.2f} mm",
-                value=share[1] * 1e3,
+                f"{what} {reached}, {op.shape_tol_mm:g} mm are wanted: the wire's weight {bends}",
+                value=min(share[1], 1.0) * 1e3,
                 limit=op.shape_tol_mm,
                 unit="mm",
-                hint=f"use a strip across the sweep, about {thick * 1e3:.1f} mm thickness, a shorter "
-                "wire, upright "
+                hint=f"use a strip across the sweep{strip}, a shorter wire, upright "
                 "sections (sections: parallel), or a block that stands so that the sections are upright",
             )
         ]

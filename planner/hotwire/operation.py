@@ -68,10 +68,10 @@ class ElasticWire(BaseModel):
     ] = "auto"
     kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot that the wire melts")]
     feed_mm_s: Annotated[
-        float, Field(gt=0, le=200, description="upper limit of the wire's fastest point in foam")
+        float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
     ] = 8.0
     feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
-    shape_tol_mm: Annotated[float, Field(gt=0, le=50)] = 0.5
+    shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.5
     share: Annotated[
         float, Field(gt=0.5, le=1, description="part of each face that must be within tolerance")
     ] = 0.95

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import exp_rotation, from_parts, inverse, log_rotation
+from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.verify import arm_ik, confdata, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
@@ -27,6 +28,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STEP = 0.004
+LONGEST = 4 * 3600.0
 """Time between samples [s]."""
 
 
@@ -170,6 +172,12 @@ class _Player:
         law = make_law(rows, [self.q[row.task.arm.name] for row in rows], stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
+        if not self.clock + total <= LONGEST:
+            hours, most = (self.clock + total) / 3600.0, LONGEST / 3600.0
+            what = (
+                f"the programs take {hours:.3g} h, at most {most:g} h are proven; go faster or split the job"
+            )
+            raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
         samples = max(int(np.ceil(total / STEP)), 2)
         at = np.linspace(0.0, total, samples + 1)
         node_at = _up_to(at, law.times[1:])
