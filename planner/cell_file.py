@@ -76,7 +76,7 @@ class MeshFile(Strict):
     """A mesh file in a stated unit; collision sees its convex hull."""
 
     kind: Literal["mesh"]
-    file: Annotated[str, Field(min_length=1)]
+    file: Annotated[str, Field(min_length=1, max_length=1000)]
     unit: Unit
     pose: PoseFile = PoseFile()
 
@@ -153,12 +153,18 @@ def build(spec: CellFile, folder: Path) -> Cell:
         home = data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_outside(arm, number, data))
-        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), _tool(arm.tool, folder), home, arm.base_auto))
+        tool = _tool(arm.tool, folder)
+        if tool.mass > data.payload:
+            raise TandemError(_too_heavy(arm, number, tool, data))
+        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), tool, home, arm.base_auto))
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     c = spec.controller
     for field, names in (("tasks", c.tasks), ("units", c.units)):
+        if len(names) < len(spec.arms):
+            what = f"{len(names)} {field} for {len(spec.arms)} arms; name one for each arm of the cell"
+            raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
         if len({name.lower() for name in names}) != len(names):
             what = f"the {field} {', '.join(names)} are not different; give each arm its own"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
@@ -199,4 +205,17 @@ def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
         f"go {limits} deg; correct it",
         field=f"arms.{number}.home_deg",
         arm=arm.name,
+    )
+
+
+def _too_heavy(arm: ArmFile, number: int, tool: Tool, data: RobotData) -> Issue:
+    return Issue(
+        "problem.field",
+        f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; "
+        "take a larger robot or a lighter tool",
+        field=f"arms.{number}.tool",
+        arm=arm.name,
+        value=tool.mass,
+        limit=data.payload,
+        unit="kg",
     )

@@ -136,7 +136,7 @@ class LoftFile(_Strict):
 class FaceMeshFile(_Strict):
     """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
 
-    file: Annotated[str, Field(min_length=1)]
+    file: Annotated[str, Field(min_length=1, max_length=1000)]
     unit: Literal["mm", "cm", "m", "in", "ft"]
     scale: Positive = 1.0
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import reprlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -76,7 +77,9 @@ class ProblemFile(Strict):
 
     tandem: Literal[1]
     name: Name
-    cell: Annotated[Annotated[str, Tag("word")] | Annotated[CellFile, Tag("mapping")], Choice]
+    cell: Annotated[
+        Annotated[str, Tag("word"), Field(max_length=1000)] | Annotated[CellFile, Tag("mapping")], Choice
+    ]
     stock: StockFile
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
@@ -147,7 +150,7 @@ def _field_issue(
     location = (*prefix, *_as_written(error["loc"], data))
     field = ".".join(str(step) for step in location)
     got = error.get("input")
-    shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {got!r}"
+    shown = "" if error["type"] == "missing" or isinstance(got, dict | list) else f", got {reprlib.repr(got)}"
     code = "problem.not_finite" if error["type"] == "finite_number" else "problem.field"
     remedy = {
         "missing": "add it",

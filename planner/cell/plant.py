@@ -236,14 +236,15 @@ def _limits(cell: Cell, robots: Mapping[str, RobotData]) -> tuple[FloatArray, Fl
 
 
 def _check_names(cell: Cell) -> None:
-    taken = ["stock", "support", "world", *(arm.name for arm in cell.arms)]
+    taken = ["stock", "support", "world"]
     issues = []
-    for i, obstacle in enumerate(cell.obstacles):
-        if obstacle.name in taken or "/" in obstacle.name:
-            message = f"obstacle {obstacle.name!r}: the name is taken, reserved or has a '/'"
-            hint = "give it another name"
-            issues.append(Issue("cell.body_name", message, field=f"obstacles[{i}].name", hint=hint))
-        taken.append(obstacle.name)
+    bodies = [("arm", f"cell.arms.{i}.name", arm.name) for i, arm in enumerate(cell.arms)]
+    bodies += [("obstacle", f"cell.obstacles.{i}.name", body.name) for i, body in enumerate(cell.obstacles)]
+    for kind, field, name in bodies:
+        if name in taken or "/" in name:
+            message = f"{kind} {name!r}: the name is taken, reserved or has a '/'"
+            issues.append(Issue("cell.body_name", message, field=field, hint="give it another name"))
+        taken.append(name)
     if issues:
         raise TandemError(issues)
 
