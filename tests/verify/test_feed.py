@@ -1,6 +1,4 @@
-"""The feed that the proof sees is the wire's speed across itself: a circle's arc that is moved and slid in
-closed form.
-"""
+"""Feed and length of a job as the proof sees them; feeds against an arc moved and slid in closed form."""
 
 from __future__ import annotations
 
@@ -10,7 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planner.issues import TandemError
+from planner.verify import replay
+from planner.verify.prove import Prover
 from planner.verify.rules_wire import feed_speed
+from tests.verify import small_job
 
 RADIUS = 0.3
 TIMES = np.array([0.0, 0.5, 1.0])
@@ -39,3 +41,14 @@ def test_sliding_along_itself_is_no_feed(slide: float) -> None:
 
 def test_a_wire_that_only_slides_does_not_cut() -> None:
     assert seen(5e-3, 0.0)[1:].max() < 5e-5
+
+
+def test_programs_longer_than_what_is_replayed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay, "LONGEST", 1.0)
+    prover = Prover(small_job.problem(), small_job.claims())
+    with pytest.raises(TandemError) as caught:
+        prover.prove(small_job.programs(12))
+    (issue,) = caught.value.issues
+    assert issue.code == "verify.duration"
+    assert issue.value is not None
+    assert issue.value > 1.0 / 3600.0
