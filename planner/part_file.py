@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from planner.geometry.curves import ArcRail, CurveKind, Loft, tessellate
-from planner.geometry.mesh import TriangleMesh, check_surface, offset, read_mesh, vertex_normals
+from planner.geometry.mesh import (
+    LARGEST,
+    SMALLEST,
+    TriangleMesh,
+    check_surface,
+    offset,
+    read_mesh,
+    vertex_normals,
+)
 from planner.geometry.placing import fit_into_block, overhang
 from planner.geometry.rigid import from_rpy, transform
 from planner.issues import Issue, TandemError
@@ -189,6 +197,7 @@ def build(spec: PartFile, folder: Path, stock_size: FloatArray) -> Part:
     Raises ``TandemError``: issues of mesh files, ``part.offset``, ``part.faces``, ``part.stock_too_small``.
     """
     front, normals = _front(spec.front, folder)
+    _check_size(front)
     back = None
     if spec.back is not None:
         if spec.back.offset_mm is not None:
@@ -219,6 +228,22 @@ def _front(spec: FrontFile, folder: Path) -> tuple[TriangleMesh, FloatArray]:
     if spec.loft.flip:
         normals, faces = -normals, faces[:, ::-1]
     return TriangleMesh(vertices, faces), normals
+
+
+def _check_size(front: TriangleMesh) -> None:
+    """A face of no width, or longer than any cell, is a slip of units or of the region."""
+    centred = front.vertices - front.vertices.mean(axis=0)
+    axes = np.linalg.svd(centred.T @ centred)[0]
+    length, width = np.sort(np.ptp(centred @ axes, axis=0))[::-1][:2]
+    if width < SMALLEST or length > LARGEST:
+        raise TandemError(
+            Issue(
+                "mesh.unit",
+                f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
+                f"{SMALLEST * 1e3:g} to {LARGEST * 1e3:g} mm; correct its measures, unit or region",
+                field="part.front",
+            )
+        )
 
 
 def _file(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:

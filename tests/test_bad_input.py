@@ -182,6 +182,8 @@ WRONG = [
     ("part.front.loft.rail.end_deg", 0, "problem.field"),
     ("part.front.loft.rail.end_deg", 1e12, "problem.field"),
     ("part.front.loft.region", {"u": [0.7, 0.2]}, "problem.field"),
+    ("part.front.loft.region", {"u": [0.5, 0.5000001]}, "mesh.unit"),
+    ("part.front.loft.rail.radius_mm", 90000, "mesh.unit"),
     ("part.front.loft.profiles.1.at", 0.0, "problem.field"),
     ("part.front.loft.profiles.0.bezier_mm", [[0, 0]], "problem.field"),
     ("part.front.loft.profiles.0.bezier_mm.0", [0, 0, 0], "problem.field"),
