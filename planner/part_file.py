@@ -16,6 +16,7 @@ from planner.geometry.mesh import (
     SMALLEST,
     TriangleMesh,
     check_surface,
+    face_areas,
     offset,
     read_mesh,
     vertex_normals,
@@ -232,9 +233,8 @@ def _front(spec: FrontFile, folder: Path) -> tuple[TriangleMesh, FloatArray]:
 
 def _check_size(front: TriangleMesh) -> None:
     """A face of no width, or longer than any cell, is a slip of units or of the region."""
-    centred = front.vertices - front.vertices.mean(axis=0)
-    axes = np.linalg.svd(centred.T @ centred)[0]
-    length, width = np.sort(np.ptp(centred @ axes, axis=0))[::-1][:2]
+    length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
+    width = float(face_areas(front).sum()) / length  # on average; a bent strip's extents do not tell it
     if width < SMALLEST or length > LARGEST:
         raise TandemError(
             Issue(
