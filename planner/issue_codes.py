@@ -18,6 +18,12 @@ CODES: Final[dict[str, str]] = {
     "problem.unknown_arm": "an operation names an arm that the cell does not have",
     "problem.unknown_process": "an operation names a process that is not built in",
     "problem.not_finite": "a number is NaN or infinite",
+    # blocks that are held, and what is known of them
+    "stock.gripper": "the arm that is to hold the block carries no gripper",
+    "stock.foam_missing": "something needs the block's foam, which the problem does not name",
+    "stock.unknown_foam": "a foam that is not built in",
+    "stock.too_heavy": "the block and its gripper are beyond the payload of the arm that holds them",
+    "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
     "catalogue.missing_data": "a data file that is part of Tandem is missing",
     "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
@@ -40,6 +46,12 @@ CODES: Final[dict[str, str]] = {
     "wire.temperature": "a wire temperature outside the range of its material",
     "wire.no_equilibrium": "the solver found no equilibrium of a wire with weight near its guess",
     "wire.no_stable_shape": "no stable shape of a wire was found between its clamps",
+    # kerf of a hot wire
+    "kerf.unknown_foam": "a foam that is not built in",
+    "kerf.no_data": "a foam has no test cuts, or not what a kerf model needs",
+    "kerf.model": "a kerf model that does not exist",
+    "kerf.input": "a power, speed, width or thickness is not a number above 0",
+    "kerf.impossible": "no speed or power gives the wanted kerf",
     # meshes and parts
     "mesh.unreadable": "a mesh file is of a kind that is not read, or is damaged",
     "mesh.empty": "a mesh file has no faces with area",

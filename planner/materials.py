@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 
 from planner.issues import Issue, TandemError
+from planner.units import MM
 
 _FILE: Final = Path(__file__).resolve().parent / "data" / "materials.yaml"
 REFERENCE_TEMPERATURE: Final = 20.0
@@ -62,13 +63,49 @@ class WireMaterial:
 
 
 @dataclasses.dataclass(frozen=True)
+class KerfFit:
+    """What test cuts of a foam say of the slot that a hot wire melts in it.
+
+    Kerf = ``chi`` * ideal - ``offset``, where the ideal is the width whose foam the wire's whole power would
+    just heat to melting. ``spread`` [m] is the residuals' standard deviation over ``count`` cuts whose
+    ideals have the mean ``mean_ideal`` [m] and the sum of squares ``scatter`` [m^2] about it. Tested were
+    ``power_per_length`` [W/m] and ``speed`` [m/s], each from lowest to highest, in foam of ``thickness`` [m]
+    with a round wire of ``wire_diameter`` [m]; up to ``burnt_speed`` [m/s] the faces were burnt (None:
+    nowhere).
+    """
+
+    chi: float
+    offset: float
+    spread: float
+    count: int
+    mean_ideal: float
+    scatter: float
+    power_per_length: tuple[float, float]
+    speed: tuple[float, float]
+    thickness: float
+    wire_diameter: float
+    burnt_speed: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Foam:
-    """A block's material: ``density`` [kg/m^3]."""
+    """A block's material: ``density`` [kg/m^3], ``specific_heat`` [J/(kg K)], ``melt_temperature`` [C] that
+    cutting takes, ``conductivity`` [W/(m K)]; None where unknown.
+
+    ``kerf`` is None without test cuts. ``radiation`` is the share of the wire's radiation that the
+    dissertation's kerf formula counts, ``wire_rise`` its wire temperature above the room's: pairs (power per
+    length [W/m], rise [K])."""
 
     name: str
     title: str
     density: float
     sources: dict[str, str]
+    specific_heat: float | None = None
+    melt_temperature: float | None = None
+    conductivity: float | None = None
+    kerf: KerfFit | None = None
+    radiation: float | None = None
+    wire_rise: Table | None = None
 
 
 @functools.lru_cache(maxsize=1)
@@ -80,10 +117,17 @@ def wire_materials() -> dict[str, WireMaterial]:
 @functools.lru_cache(maxsize=1)
 def foams() -> dict[str, Foam]:
     """All foams by name."""
-    return {
-        name: Foam(name, entry["title"], float(entry["density"]["value"]), _sources(entry))
-        for name, entry in _read()["foams"].items()
-    }
+    return {name: _foam(name, entry) for name, entry in _read()["foams"].items()}
+
+
+def foam(name: str) -> Foam:
+    """The foam of that name; raises `TandemError` (kerf.unknown_foam)."""
+    known = foams()
+    if name not in known:
+        text = f"foam: got {name!r}, allowed {', '.join(sorted(known))}"
+        hint = "take a foam that is built in, or fit your own test cuts: tandem kerf fit"
+        raise TandemError(Issue("kerf.unknown_foam", text, hint=hint))
+    return known[name]
 
 
 def wire_material(name: str) -> WireMaterial:
@@ -124,6 +168,43 @@ def _wire_material(name: str, entry: dict[str, Any]) -> WireMaterial:
         expansion_table=table("expansion"),
         resistance_table=table("resistance_factor"),
         sources=_sources(entry),
+    )
+
+
+def _foam(name: str, entry: dict[str, Any]) -> Foam:
+    def number(key: str) -> float | None:
+        return float(entry[key]["value"]) if key in entry else None
+
+    rise = entry["wire_rise"]["table"] if "wire_rise" in entry else None
+    return Foam(
+        name=name,
+        title=str(entry["title"]),
+        density=float(entry["density"]["value"]),
+        sources=_sources(entry),
+        specific_heat=number("specific_heat"),
+        melt_temperature=number("melt_temperature"),
+        conductivity=number("conductivity"),
+        kerf=_kerf_fit(entry["kerf"]) if "kerf" in entry else None,
+        radiation=number("radiation"),
+        wire_rise=None if rise is None else tuple((float(q), float(dt)) for q, dt in rise),
+    )
+
+
+def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
+    power, speed = (tuple(float(v) for v in entry[key]) for key in ("power_per_length_w_m", "speed_mm_s"))
+    burnt = entry.get("burnt_speed_mm_s")
+    return KerfFit(
+        chi=float(entry["chi"]),
+        offset=float(entry["offset_mm"]) * MM,
+        spread=float(entry["spread_mm"]) * MM,
+        count=int(entry["count"]),
+        mean_ideal=float(entry["mean_ideal_mm"]) * MM,
+        scatter=float(entry["scatter_mm2"]) * MM * MM,
+        power_per_length=(power[0], power[1]),
+        speed=(speed[0] * MM, speed[1] * MM),
+        thickness=float(entry["thickness_mm"]) * MM,
+        wire_diameter=float(entry["wire_diameter_mm"]) * MM,
+        burnt_speed=None if burnt is None else float(burnt) * MM,
     )
 
 
