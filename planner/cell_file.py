@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from planner.bow import bow
 from planner.catalogue import RobotData, robot
 from planner.geometry.mesh import read_mesh
 from planner.geometry.rigid import from_rpy
+from planner.grippers import gripper_plate, vacuum_cup
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Tool
 from planner.tools import wire_holder
@@ -92,6 +94,33 @@ class WireHolderFile(Strict):
     side: Literal["start", "end"]
 
 
+class BowFile(Strict):
+    """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
+
+    kind: Literal["bow"]
+    span_mm: Annotated[float, Field(ge=50, le=3000, description="wire between its clamps")] = 400.0
+    throat_mm: Annotated[float, Field(ge=50, le=3000, description="from the beam to the wire")] = 400.0
+    wire_diameter_mm: Annotated[float, Field(ge=0.01, le=10)] = 0.4
+    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the bow about its wire")] = 0.0
+
+
+class GripperPlateFile(Strict):
+    """The built-in plate with needles that holds a block by its bottom face."""
+
+    kind: Literal["gripper_plate"]
+    width_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
+    depth_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
+    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+
+
+class VacuumCupFile(Strict):
+    """The built-in vacuum cup that holds a block by its bottom face."""
+
+    kind: Literal["vacuum_cup"]
+    radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
+    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+
+
 class PlainToolFile(Strict):
     """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
 
@@ -102,6 +131,11 @@ class PlainToolFile(Strict):
     shapes: list[ShapeFile] = []
 
 
+ToolFile = Annotated[
+    WireHolderFile | BowFile | GripperPlateFile | VacuumCupFile | PlainToolFile, Field(discriminator="kind")
+]
+
+
 class ArmFile(Strict):
     """One robot: catalogue name, base, tool, home joints as the controller shows them."""
 
@@ -109,7 +143,7 @@ class ArmFile(Strict):
     robot: str
     base: PoseFile = PoseFile()
     base_auto: bool = False
-    tool: Annotated[WireHolderFile | PlainToolFile, Field(discriminator="kind")]
+    tool: ToolFile
     home_deg: Annotated[list[Angle], Field(min_length=6, max_length=6)] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
@@ -153,10 +187,10 @@ def build(spec: CellFile, folder: Path) -> Cell:
         home = data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_outside(arm, number, data))
-        tool = _tool(arm.tool, folder)
-        if tool.mass > data.payload:
-            raise TandemError(_too_heavy(arm, number, tool, data))
-        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), tool, home, arm.base_auto))
+        mounted = tool(arm.tool, folder)
+        if mounted.mass > data.payload:
+            raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
+        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto))
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
@@ -187,9 +221,16 @@ def shape(spec: ShapeFile, folder: Path) -> Shape:
     return Shape("mesh", (), pose, mesh.vertices, mesh.faces)
 
 
-def _tool(spec: WireHolderFile | PlainToolFile, folder: Path) -> Tool:
+def tool(spec: ToolFile, folder: Path) -> Tool:
+    """One tool in SI units."""
     if isinstance(spec, WireHolderFile):
         return wire_holder(spec.mounting, spec.side)
+    if isinstance(spec, BowFile):
+        return bow(spec.span_mm * MM, spec.throat_mm * MM, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
+    if isinstance(spec, GripperPlateFile):
+        return gripper_plate(spec.width_mm * MM, spec.depth_mm * MM, spec.reach_mm * MM)
+    if isinstance(spec, VacuumCupFile):
+        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
 
@@ -208,13 +249,14 @@ def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
     )
 
 
-def _too_heavy(arm: ArmFile, number: int, tool: Tool, data: RobotData) -> Issue:
+def too_heavy(arm: str, field: str, tool: Tool, data: RobotData) -> Issue:
+    """A tool beyond the payload of the robot ``data``."""
     return Issue(
         "problem.field",
         f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; "
         "take a larger robot or a lighter tool",
-        field=f"arms.{number}.tool",
-        arm=arm.name,
+        field=field,
+        arm=arm,
         value=tool.mass,
         limit=data.payload,
         unit="kg",

@@ -34,20 +34,98 @@ class WireJoins:
 
 
 @dataclasses.dataclass(frozen=True)
+class StraightWire:
+    """The tool of ``arm`` holds a straight wire from ``start`` to ``end`` (3,) [m, TCP frame] of radius
+    ``radius`` [m]; nothing else of the tool may come near the stock.
+
+    Wherever the wire is inside the stock, both its ends are outside by ``margin`` [m] at least.
+    """
+
+    arm: str
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    radius: float
+    margin: float
+
+
+@dataclasses.dataclass(frozen=True)
+class KerfCurve:
+    """Width of the slot [m] over the speed of the wire across itself [m/s], as a table to be read linearly.
+
+    ``speed`` (K,) ascends; ``width``, ``low`` and ``high`` (K,) are the expected width and its interval.
+    Outside the table the nearest end counts.
+    """
+
+    speed: NDArray[np.float64]
+    width: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+    @staticmethod
+    def constant(width: float) -> KerfCurve:
+        """A slot of one width at every speed, taken as exact."""
+        table = np.full(2, float(width))
+        return KerfCurve(np.array([0.0, 1.0]), table, table, table)
+
+    def at(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected width (...,) [m] at speeds (...,) [m/s]; NaN for NaN."""
+        return np.asarray(np.interp(speed, self.speed, self.width))
+
+
+@dataclasses.dataclass(frozen=True)
 class CutsSurface:
     """In ``segment`` the wire, with its kerf, cuts the surface ``vertices``, ``faces`` (stock frame, outward
     normals away from the part).
 
     ``tolerance`` [m] bounds the distance of the cut surface to the wanted one, for the fraction ``share`` of
-    the surface; ``kerf`` [m] is the slot's width, half of which lies on the part's side.
+    the surface; ``kerf`` tells the slot's width where the wire goes at some speed, half of which lies on the
+    part's side.
     """
 
     segment: str
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
-    kerf: float
+    kerf: KerfCurve
     tolerance: float
     share: float = 0.95
+
+
+@dataclasses.dataclass(frozen=True)
+class FollowsRulings:
+    """In ``segment`` a straight wire runs along the rulings from ``start`` to ``end`` (M, 3) [m, stock
+    frame].
+
+    At every instant, at and between targets, its distance to the two guide lines ``start`` and ``end`` is
+    half the kerf of its speed there, within ``tolerance`` [m].
+    """
+
+    segment: str
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    kerf: KerfCurve
+    tolerance: float
+
+
+@dataclasses.dataclass(frozen=True)
+class KerfWithin:
+    """In ``segment`` the slot is between ``lower`` and ``upper`` [m] wide all along the wire inside the
+    part's surface: narrower, a cold wire drags; wider, it burns the foam."""
+
+    segment: str
+    kerf: KerfCurve
+    lower: float
+    upper: float
+
+
+@dataclasses.dataclass(frozen=True)
+class HoldsStock:
+    """The tool of ``arm`` holds the stock, ``grip`` (4, 4) being the stock frame in its TCP frame, and the
+    controller knows the load: ``mass`` [kg], ``cog`` (3,) [m] in the TCP frame."""
+
+    arm: str
+    grip: NDArray[np.float64]
+    mass: float
+    cog: NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,4 +164,14 @@ class FollowsPoses:
     angle_tol: float
 
 
-Claim = WireJoins | CutsSurface | ContactOnlyIn | FeedWindow | FollowsPoses
+Claim = (
+    WireJoins
+    | StraightWire
+    | CutsSurface
+    | FollowsRulings
+    | KerfWithin
+    | HoldsStock
+    | ContactOnlyIn
+    | FeedWindow
+    | FollowsPoses
+)

@@ -22,7 +22,7 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim
+from planner.claims import Claim, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
@@ -34,7 +34,17 @@ ARRAYS: Final = "plan.npz"
 DATA: Final = "plan.json"
 _VALUES: Final[dict[str, type]] = {
     cls.__name__: cls
-    for cls in (Plan, OperationPlan, Targets, ScrewFreedom, TableFreedom, Action, Edge, *get_args(Claim))
+    for cls in (
+        Plan,
+        OperationPlan,
+        Targets,
+        ScrewFreedom,
+        TableFreedom,
+        Action,
+        Edge,
+        KerfCurve,
+        *get_args(Claim),
+    )
 }
 _BROKEN: Final = (
     ValueError,

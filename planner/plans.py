@@ -42,15 +42,20 @@ class OperationPlan:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """Plans of all operations of a problem. ``stock_pose`` (4, 4) and ``bases`` {arm: (4, 4)} are in the
-    world.
+    """Plans of all operations of a problem. ``places``: the stock's pose (4, 4) in the world in each setup,
+    for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world.
     """
 
     problem_name: str
     digest: str
     versions: Mapping[str, str]
-    stock_pose: FloatArray
+    places: tuple[FloatArray, ...]
     bases: Mapping[str, FloatArray]
     operations: tuple[OperationPlan, ...]
     metrics: Mapping[str, Any]
     issues: tuple[Issue, ...] = ()
+
+    @property
+    def stock_pose(self) -> FloatArray:
+        """The stock's pose (4, 4) in the first setup."""
+        return self.places[0]

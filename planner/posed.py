@@ -79,6 +79,10 @@ class Posed(BaseModel):
         folder: Path = (info.context or {}).get("folder", Path())
         return folder / value
 
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as it was: what is cut stays in its place."""
+        return stock
+
     @model_validator(mode="after")
     def _consistent(self) -> Posed:
         if len(set(self.arms)) != len(self.arms):

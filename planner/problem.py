@@ -14,6 +14,9 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.issues import Issue
+from planner.materials import Foam
+
 FloatArray = NDArray[np.float64]
 ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
 
@@ -38,6 +41,10 @@ class Shape:
 class Tool:
     """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity
     (3,) [m].
+
+    ``edge``: the rigid edge that cuts (the straight wire of a bow), a capsule in the flange frame; it alone
+    may pass the stock, in cut segments. ``footprint``: width and depth [m] of the face that holds a block,
+    centred on the TCP in its x and y, for tools that hold one.
     """
 
     name: str
@@ -45,6 +52,8 @@ class Tool:
     mass: float
     cog: FloatArray
     shapes: tuple[Shape, ...]
+    edge: Shape | None = None
+    footprint: tuple[float, float] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,28 +118,75 @@ class Mesh:
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
-    """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from
-    the part.
+class Ruled:
+    """A ruled surface of the part: ruling i runs straight from ``start[i]`` to ``end[i]`` (M, 3) [m, stock
+    frame].
+
+    The outward normal, away from the part, is tangent x (end - start), with the tangent along growing i.
+    ``closed``: the last ruling is followed by the first. ``corner`` (M,): rulings at which the surface has an
+    edge. ``hole``: the part lies around a closed contour, not in it.
     """
 
-    front: Mesh
-    back: Mesh | None
+    name: str
+    start: FloatArray
+    end: FloatArray
+    corner: NDArray[np.bool_]
+    closed: bool = False
+    hole: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from
+    the part, and its ruled surfaces by name, among them the ``edges`` that join front and back.
+
+    ``notes``: what was found on the way from the file to these surfaces (deviations, kinks), for the user.
+    """
+
+    front: Mesh | None = None
+    back: Mesh | None = None
+    ruled: tuple[Ruled, ...] = ()
+    notes: tuple[Issue, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
 class Stock:
-    """The raw block: ``size`` (3,) [m]; frame at the centre of its bottom face, z up through the block.
+    """The block: ``size`` (3,) [m] of the datum block; frame at the centre of its bottom face, z up through
+    the block.
 
-    ``place`` (4, 4) is its pose in the world, or None where the placement search is to find it, with
-    ``attitude`` (3, 3), its rotation up to a yaw about the world's vertical. ``support``: shapes in the stock
-    frame that stand under the block and move with it (a pedestal).
+    ``oversize`` (2, 3) [m]: how far the block, as an operation finds it, stands out of the datum block on the
+    lower and on the upper side along x, y and z. ``place`` (4, 4) is the stock frame's pose in the world, or
+    None where the placement search is to find it, with ``attitude`` (3, 3), its rotation up to a yaw about
+    the world's vertical, unless ``any_attitude`` leaves that open too. ``support``: shapes in the stock
+    frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose tool holds
+    the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the pose about
+    which the holder moves the block.
     """
 
     size: FloatArray
     place: FloatArray | None
     attitude: FloatArray
     support: tuple[Shape, ...] = ()
+    any_attitude: bool = False
+    oversize: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((2, 3)))
+    foam: Foam | None = None
+    held_by: str | None = None
+    grip: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lowest corner (3,) [m] of the block as found, in the stock frame."""
+        return np.asarray(np.array([-0.5, -0.5, 0.0]) * self.size - self.oversize[0])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Highest corner (3,) [m] of the block as found, in the stock frame."""
+        return np.asarray(np.array([0.5, 0.5, 1.0]) * self.size + self.oversize[1])
+
+    @property
+    def mass(self) -> float | None:
+        """Mass [kg] of the block as found, None without a foam."""
+        return None if self.foam is None else float(np.prod(self.upper - self.lower)) * self.foam.density
 
     @property
     def gravity(self) -> FloatArray:
@@ -145,6 +201,9 @@ class Operation(Protocol):
     name: str
     process: str
     arms: tuple[str, ...]
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as the next operation finds it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,11 +222,43 @@ class Settings:
 
 
 @dataclasses.dataclass(frozen=True)
+class Change:
+    """What is changed before an operation: ``tools`` by arm, ``stock`` fields of :class:`Stock` by name, and
+    ``steps``, what the operator does, a sentence each."""
+
+    tools: Mapping[str, Tool] = dataclasses.field(default_factory=dict)
+    stock: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    steps: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """How the cell stands for some operations in a row: the cell with the tools that are mounted, the block
+    as found and clamped.
+
+    ``operations``: indices of the problem's operations. ``steps``: what the operator does before them, a
+    sentence each; where there are any, the programs ask for a confirmation.
+    """
+
+    number: int
+    cell: Cell
+    stock: Stock
+    operations: tuple[int, ...]
+    steps: tuple[str, ...] = ()
+
+    @property
+    def confirmation(self) -> str:
+        """What the operator confirms before anything moves in this setup."""
+        return f"Setup {self.number} done as told, nobody in the cell?"
+
+
+@dataclasses.dataclass(frozen=True)
 class Problem:
     """A whole problem: ``path`` is the file it came from, ``digest`` the SHA-256 over its values and files.
 
-    ``source`` is what the file said, with the cell inside and file names made absolute, so that it can be
-    carried along.
+    ``cell`` and ``stock`` are as the first operation finds them; ``changes`` {index of an operation: change}
+    are made before later ones; :attr:`setups` are what each operation finds. ``source`` is what the file
+    said, with the cell inside and file names made absolute, so that it can be carried along.
     """
 
     name: str
@@ -179,3 +270,26 @@ class Problem:
     path: Path
     digest: str
     source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    changes: Mapping[int, Change] = dataclasses.field(default_factory=dict)
+
+    @property
+    def setups(self) -> tuple[Setup, ...]:
+        """How the cell stands for the operations, in order; a change starts a new setup."""
+        cell, stock, left = self.cell, self.stock, self.stock
+        out: list[Setup] = []
+        for index, operation in enumerate(self.operations):
+            change = self.changes.get(index)
+            if change is not None:
+                arms = tuple(dataclasses.replace(a, tool=change.tools.get(a.name, a.tool)) for a in cell.arms)
+                cell, left = dataclasses.replace(cell, arms=arms), dataclasses.replace(left, **change.stock)
+            if not out or change is not None:
+                stock = left
+                out.append(Setup(len(out) + 1, cell, stock, (index,), change.steps if change else ()))
+            else:
+                out[-1] = dataclasses.replace(out[-1], operations=(*out[-1].operations, index))
+            left = operation.leaves(left)
+        return tuple(out)
+
+    def setup_of(self, index: int) -> Setup:
+        """The setup of an operation, by its index."""
+        return next(setup for setup in self.setups if index in setup.operations)

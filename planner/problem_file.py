@@ -15,37 +15,19 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, Field, Tag, ValidationError
 
-from planner import cell_file, part_file, yaml_lines
-from planner.cell_file import Angle, CellFile, Name, PoseFile, Positive, ShapeFile, Strict
+from planner import cell_file, part_file, stock_file, yaml_lines
+from planner.cell_file import CellFile, Name, Strict
 from planner.files import is_file
-from planner.geometry.rigid import from_rpy
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
-from planner.problem import Cell, Operation, Problem, Settings, Stock
+from planner.problem import Cell, Change, Operation, Problem, Settings
+from planner.stock_file import Choice, SetupFile, StockFile
 from planner.units import DEG, MM
 from planner.yaml_lines import Document
 
 OperationModels = Mapping[str, type[BaseModel]]
-
-
-def _word_or_mapping(value: object) -> str:
-    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
-    return "mapping" if isinstance(value, dict | BaseModel) else "word"
-
-
-Auto = Annotated[Literal["auto"], Tag("word")]
-Choice = Discriminator(_word_or_mapping)
-
-
-class StockFile(Strict):
-    """The raw block and where it stands; ``place: auto`` lets Tandem search."""
-
-    size_mm: tuple[Positive, Positive, Positive]
-    place: Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice] = "auto"
-    roll_pitch_deg: tuple[Angle, Angle] = (0.0, 0.0)
-    support: tuple[ShapeFile, ...] = ()
 
 
 class SettingsFile(Strict):
@@ -97,8 +79,13 @@ def read(path: Path, models: OperationModels) -> Problem:
     spec, issues = _validate(ProblemFile, document.data, document, ())
     raw_operations = document.data.get("operations")
     operations: list[Operation] = []
+    setups: dict[int, SetupFile] = {}
     if isinstance(raw_operations, list):
         for index, raw in enumerate(raw_operations):
+            setup, faults = _setup(raw, index, document)
+            issues += faults
+            if setup is not None:
+                setups[index] = setup
             operation, faults = _operation(raw, index, document, models)
             issues += faults
             if operation is not None:
@@ -111,26 +98,72 @@ def read(path: Path, models: OperationModels) -> Problem:
             issues += error.issues
     if cell is not None:
         issues += _names(cell, operations, document)
-    part = None
+    part, stock = None, None
+    changes: dict[int, Change] = {}
+    if spec is not None:
+        try:
+            stock = stock_file.stock(spec.stock, path.parent)
+        except TandemError as error:
+            issues += [_placed(issue, document) for issue in error.issues]
+    if cell is not None:
+        changes, faults = _changes(setups, cell, path.parent, document)
+        issues += faults
     if spec is not None and spec.part is not None:
         try:
             part = part_file.build(spec.part, path.parent, np.array(spec.stock.size_mm) * MM)
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
-    if spec is None or cell is None or issues:
+    if spec is None or cell is None or stock is None or issues:
         raise TandemError(issues)
     source = _resolved(document.data, path.parent)
-    return Problem(
+    problem = Problem(
         name=spec.name,
         cell=cell,
-        stock=_stock(spec.stock, path.parent),
+        stock=stock,
         part=part,
         operations=tuple(operations),
         settings=spec.settings.build(),
         path=path,
         digest=_digest(source),
         source=source,
+        changes=changes,
     )
+    issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
+    if issues:
+        raise TandemError(issues)
+    return _with_first_steps(problem)
+
+
+def _with_first_steps(problem: Problem) -> Problem:
+    """The problem with what the operator does before the first operation, where anything is changed or
+    held."""
+    steps = stock_file.first_steps(problem)
+    first = problem.changes.get(0, Change())
+    if not steps:
+        return problem
+    changes = {**problem.changes, 0: dataclasses.replace(first, steps=(*steps, *first.steps))}
+    return dataclasses.replace(problem, changes=changes)
+
+
+def _setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, list[Issue]]:
+    """The setup that an operation asks for, common to all processes."""
+    if not isinstance(raw, dict) or "setup" not in raw:
+        return None, []
+    setup, faults = _validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
+    return setup, faults
+
+
+def _changes(
+    setups: Mapping[int, SetupFile], cell: Cell, folder: Path, document: Document
+) -> tuple[dict[int, Change], list[Issue]]:
+    changes: dict[int, Change] = {}
+    issues: list[Issue] = []
+    for index, setup in setups.items():
+        try:
+            changes[index] = stock_file.change(setup, cell.arms, folder, index)
+        except TandemError as error:
+            issues += [_placed(issue, document) for issue in error.issues]
+    return changes, issues
 
 
 def _validate(
@@ -201,7 +234,8 @@ def _operation(
                 field=f"operations.{index}.process",
             )
         ]
-    operation, faults = _validate(model, raw, document, place)
+    own = {key: value for key, value in raw.items() if key != "setup"}
+    operation, faults = _validate(model, own, document, place)
     return operation, faults
 
 
@@ -276,14 +310,6 @@ def _names(cell: Cell, operations: list[Operation], document: Document) -> Itera
                     field=f"operations.{index}.arms",
                     line=document.line(("operations", index, "arms")),
                 )
-
-
-def _stock(spec: StockFile, folder: Path) -> Stock:
-    roll, pitch = np.array(spec.roll_pitch_deg) * DEG
-    place = None if isinstance(spec.place, str) else spec.place.matrix()
-    attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if place is None else place[:3, :3]
-    support = tuple(cell_file.shape(s, folder) for s in spec.support)
-    return Stock(np.array(spec.size_mm) * MM, place, attitude, support)
 
 
 def bundle(problem: Problem) -> dict[str, bytes]:

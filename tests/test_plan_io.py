@@ -37,7 +37,9 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
     )
     held = (
         claims.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
-        claims.CutsSurface("cut/front", RNG.normal(size=(3, 3)), np.array([[0, 1, 2]]), 1e-3, 5e-4),
+        claims.CutsSurface(
+            "cut/front", RNG.normal(size=(3, 3)), np.array([[0, 1, 2]]), claims.KerfCurve.constant(1e-3), 5e-4
+        ),
         claims.ContactOnlyIn(("cut",), "doWirePower", 2.0),
         claims.FeedWindow("cut/front", 0.002, 0.01),
         claims.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
@@ -81,7 +83,7 @@ def _plan(exhibits: dict[str, Any] | None = None, metrics: dict[str, Any] | None
         "made up",
         "00ff",
         {"planner": "0.1.0"},
-        RNG.normal(size=(4, 4)),
+        (RNG.normal(size=(4, 4)),),
         {"left": np.eye(4), "right": -np.eye(4)},
         (operation,),
         metrics if metrics is not None else {"nan": float("nan"), "inf": -np.inf, 3: "three", "$odd": "key"},
@@ -184,7 +186,7 @@ def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
     elif edit == "field":
         plan["surplus"] = 1
     elif edit == "array":
-        plan["stock_pose"] = {"$array": "/nowhere"}
+        plan["places"] = [{"$array": "/nowhere"}]
     elif edit == "missing":
         del plan["digest"]
     else:

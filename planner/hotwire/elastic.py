@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit
@@ -95,7 +95,7 @@ def claims(operation: ElasticWire, stock: Stock, part: Part | None) -> tuple[Cla
                 segment,
                 face.vertices,
                 face.faces,
-                operation.kerf_mm * MM,
+                KerfCurve.constant(operation.kerf_mm * MM),
                 operation.shape_tol_mm * MM,
                 operation.share,
             )

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from planner.problem import Stock
+
 Face = Literal["front", "back"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
 
@@ -92,6 +94,10 @@ class ElasticWire(BaseModel):
     signal: Annotated[
         str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
     ] = "doWirePower"
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as it was: what is cut stays in its place."""
+        return stock
 
     @model_validator(mode="after")
     def _consistent(self) -> ElasticWire:

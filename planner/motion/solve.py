@@ -63,7 +63,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
         problem_name=problem.name,
         digest=problem.digest,
         versions=versions(),
-        stock_pose=place.stock,
+        places=(place.stock,),
         bases={arm.name: place.bases.get(arm.name, arm.base) for arm in problem.cell.arms},
         operations=tuple(operations),
         metrics=metrics,

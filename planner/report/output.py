@@ -66,7 +66,8 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
 def picture(model: CellModel, problem: Problem, plan: Plan | None) -> Picture:
     """The cell in the middle of its first cut, with the wire's earlier places; or with all arms at home."""
     seen = scene.extract(model)
-    meshes = [] if problem.part is None else [problem.part.front]
+    part = problem.part
+    meshes = [] if part is None or part.front is None else [part.front]
     home = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
     stock_pose = model.stock_pose
     for operation in plan.operations if plan is not None else ():

@@ -74,7 +74,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
         out.append(_tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
         out.append(_tile("wire, thickness", f"{wire.thickness / MM:g}", "mm"))
     for cut in [c for c in claims if isinstance(c, CutsSurface)][:1]:
-        out.append(_tile("kerf", f"{cut.kerf / MM:g}", "mm"))
+        out.append(_tile("kerf", f"{float(cut.kerf.width.min()) / MM:g}", "mm"))
         out.append(_tile("tolerance", f"±{cut.tolerance / MM:g}", "mm"))
     if proof is not None:
         for face in proof.surfaces:

@@ -33,7 +33,7 @@ def cut_face(claim: CutsSurface, rows: FloatArray) -> CutFace:
         deviation = np.full(len(points), np.nan)
     else:
         distance = distance_to_sweep(points, normals, _refined(rows))
-        deviation = distance - 0.5 * claim.kerf
+        deviation = distance - 0.5 * float(claim.kerf.width[0])
     good = np.abs(deviation) <= claim.tolerance  # NaN compares as not good
     known = np.isfinite(deviation)
     weight = area[known] / max(float(area[known].sum()), 1e-30)
@@ -156,7 +156,9 @@ def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[FloatArray, ...]) ->
         normals = _vertex_normals(claim.vertices, claim.faces)
         moved = claim.vertices
         if len(rows) >= 2:
-            deviation = distance_to_sweep(claim.vertices, normals, _refined(rows)) - 0.5 * claim.kerf
+            deviation = distance_to_sweep(claim.vertices, normals, _refined(rows)) - 0.5 * float(
+                claim.kerf.width[0]
+            )
             moved = claim.vertices + np.nan_to_num(deviation)[:, None] * normals
         lines.append(f"o {claim.segment.replace('/', '_')}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved * 1e3).tolist()]

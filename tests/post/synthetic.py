@@ -85,7 +85,7 @@ def operation(job, q, segment, stop=(), actions=ACTIONS, name="panel", step=0.5,
 
 def plan(*operations):
     """A plan of these operations."""
-    return Plan("test", DIGEST, {}, STOCK, BASES, operations, {})
+    return Plan("test", DIGEST, {}, (STOCK,), BASES, operations, {})
 
 
 def sweep(count, size=0.3, start=START):

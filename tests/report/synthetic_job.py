@@ -9,7 +9,7 @@ import numpy as np
 
 from planner import catalogue
 from planner.cell import robots
-from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
 from planner.geometry.rigid import from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
@@ -144,7 +144,7 @@ def plan(count: int = 90) -> Plan:
     surfaces = [("cut/front", job.part.front), ("cut/back", job.part.back)]
     held = (
         WireJoins(ARMS, LENGTH, 2.1e-2, 2.1e-2, 1.6e-2, 0.06, True, 40.0, 1.2e-3, 1e-4),
-        *(CutsSurface(name, m.vertices, m.faces, 1.4e-3, 5e-4) for name, m in surfaces),
+        *(CutsSurface(name, m.vertices, m.faces, KerfCurve.constant(1.4e-3), 5e-4) for name, m in surfaces),
         ContactOnlyIn(("cut",), "doWirePower", 4.0),
         FeedWindow("cut/front", 0.002, 0.006),
     )
@@ -186,7 +186,7 @@ def plan(count: int = 90) -> Plan:
     done = OperationPlan("faces", targets, q, np.zeros((n, 1)), time, entry, leave, ARMS, metrics)
     bases = {arm.name: arm.base for arm in job.cell.arms}
     versions = {"planner": "0.1.0", "drake": "1.45", "numpy": np.__version__, "python": "3.11"}
-    return Plan(job.name, job.digest, versions, PLACE, bases, (done,), {"stages": stages})
+    return Plan(job.name, job.digest, versions, (PLACE,), bases, (done,), {"stages": stages})
 
 
 def _placement() -> dict[str, object]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.cell.robots import forward
-from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write
@@ -112,7 +112,7 @@ def claims():
     """What the process claims."""
     wire = WireJoins(("left", "right"), LENGTH, 0.02, 0.02, 0.0154, 0.0, True, 8.0, 0.0006, 5e-5)
     faces = [
-        CutsSurface(f"cut/{name}", *face(low), KERF, TOLERANCE)
+        CutsSurface(f"cut/{name}", *face(low), KerfCurve.constant(KERF), TOLERANCE)
         for name, low in (("front", False), ("back", True))
     ]
     feeds = [FeedWindow(f"cut/{name}", 0.003, 0.012) for name in ("front", "back")]
@@ -205,7 +205,7 @@ def plan(count=24):
         order=("left", "right"),
         metrics={},
     )
-    return Plan("small", DIGEST, {}, STOCK, BASES, (operation,), {})
+    return Plan("small", DIGEST, {}, (STOCK,), BASES, (operation,), {})
 
 
 @functools.cache

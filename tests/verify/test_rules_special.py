@@ -12,7 +12,7 @@ import pytest
 
 from planner.catalogue import robot
 from planner.cell.plant import build
-from planner.claims import CutsSurface, FollowsPoses, WireJoins
+from planner.claims import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.rigid import from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Shape, Stock, Tool
 from planner.verify import rules_cell
@@ -222,7 +222,10 @@ def test_a_face_that_the_wire_does_not_reach():
 def test_the_wrong_kerf_shows_as_its_half():
     group = small_job.claims()["panel"]
     more = tuple(
-        dataclasses.replace(c, kerf=c.kerf + 0.001) if isinstance(c, CutsSurface) else c for c in group
+        dataclasses.replace(c, kerf=KerfCurve.constant(float(c.kerf.width[0]) + 0.001))
+        if isinstance(c, CutsSurface)
+        else c
+        for c in group
     )
     proof = Prover(small_job.problem(), {"panel": more}).prove(programs(), last="verify.surface")
     for face in proof.surfaces:

@@ -1,0 +1,223 @@
+"""The block of a problem file and what an operator changes between operations: schemas in mm and degrees, and
+their values in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, Discriminator, Field, Tag
+
+from planner import cell_file
+from planner.catalogue import robot
+from planner.cell_file import Angle, Name, PoseFile, Positive, ShapeFile, Strict, ToolFile
+from planner.geometry.rigid import from_rpy
+from planner.issues import Issue, TandemError
+from planner.materials import Foam, foam
+from planner.problem import Arm, Change, Problem, Setup, Stock
+from planner.units import DEG, MM
+
+
+def _word_or_mapping(value: object) -> str:
+    """Which alternative a value is meant to be, so that its faults are told of that one alone."""
+    return "mapping" if isinstance(value, dict | BaseModel) else "word"
+
+
+Auto = Annotated[Literal["auto"], Tag("word")]
+Choice = Discriminator(_word_or_mapping)
+PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice]
+Extra = Annotated[float, Field(ge=0, le=5000)]
+Sides = tuple[Extra, Extra]
+
+
+class StockFile(Strict):
+    """The block and where it stands; ``place: auto`` lets Tandem search.
+
+    ``oversize_mm``: how far the raw block stands out of the datum block below and above along x, y and z.
+    ``held_by``: the arm that holds the block by its bottom face; ``grip`` is the block's frame in that arm's
+    TCP frame, and ``place`` then the pose about which it is moved.
+    """
+
+    size_mm: tuple[Positive, Positive, Positive]
+    place: PlaceFile = "auto"
+    roll_pitch_deg: tuple[Angle, Angle] | None = None
+    support: tuple[ShapeFile, ...] = ()
+    oversize_mm: tuple[Sides, Sides, Sides] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    foam: Annotated[str, Field(max_length=60, description="name in the table of foams")] | None = None
+    held_by: Name | None = None
+    grip: PoseFile = PoseFile()
+
+
+class SetupFile(Strict):
+    """What the operator changes before an operation; what is not named stays as it was."""
+
+    tools: Annotated[
+        dict[Name, ToolFile],
+        Field(default_factory=dict, description="tool of each arm that gets another one"),
+    ]
+    place: PlaceFile | None = None
+    roll_pitch_deg: tuple[Angle, Angle] | None = None
+    support: tuple[ShapeFile, ...] | None = None
+    oversize_mm: tuple[Sides, Sides, Sides] | None = None
+    held_by: Annotated[Name | Literal["nobody"], Field(description="nobody: the block stands")] | None = None
+    grip: PoseFile | None = None
+    note: Annotated[str, Field(max_length=200, description="what else the operator is told")] = ""
+
+
+def stock(spec: StockFile, folder: Path) -> Stock:
+    """The block in SI units. Raises ``TandemError`` for mesh files and unknown foams."""
+    return Stock(
+        np.array(spec.size_mm) * MM,
+        **_placed(spec.place, spec.roll_pitch_deg),
+        support=tuple(cell_file.shape(s, folder) for s in spec.support),
+        oversize=_oversize(spec.oversize_mm),
+        foam=_foam(spec.foam),
+        held_by=spec.held_by,
+        grip=spec.grip.matrix(),
+    )
+
+
+def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) -> Change:
+    """The change that an operation's ``setup`` asks for. Raises ``TandemError`` for tools and mesh files.
+
+    ``number`` is the operation's index, for the fields of issues.
+    """
+    field = f"operations.{number}.setup"
+    known = {arm.name: arm for arm in arms}
+    tools, steps, issues = {}, [], []
+    for name, wanted in spec.tools.items():
+        if name not in known:
+            issues.append(_unknown_arm(f"{field}.tools", name, known))
+            continue
+        tools[name] = cell_file.tool(wanted, folder)
+        data = robot(known[name].robot)
+        if tools[name].mass > data.payload:
+            issues.append(cell_file.too_heavy(name, f"{field}.tools.{name}", tools[name], data))
+        steps.append(f"Mount the tool {tools[name].name} on arm {name}.")
+    fields: dict[str, Any] = {}
+    if spec.place is not None:
+        fields |= _placed(spec.place, spec.roll_pitch_deg)
+    elif spec.roll_pitch_deg is not None:
+        issues.append(Issue("problem.field", f"{field}.roll_pitch_deg needs place; add it", field=field))
+    if spec.support is not None:
+        fields["support"] = tuple(cell_file.shape(s, folder) for s in spec.support)
+    if spec.oversize_mm is not None:
+        fields["oversize"] = _oversize(spec.oversize_mm)
+    if spec.held_by is not None:
+        fields["held_by"] = None if spec.held_by == "nobody" else spec.held_by
+    if spec.grip is not None:
+        fields["grip"] = spec.grip.matrix()
+    if spec.held_by == "nobody":
+        steps.append("Take the block off its gripper and clamp it as the setup sheet says.")
+    elif spec.held_by is not None:
+        steps.append(f"Fix the block to the gripper of arm {spec.held_by} as the setup sheet says.")
+    elif set(fields) & {"place", "support"}:
+        steps.append("Clamp the block in its new place as the setup sheet says.")
+    steps += [spec.note] if spec.note else []
+    if issues:
+        raise TandemError(issues)
+    return Change(tools, fields, tuple(steps) or ("Look the setup over.",))
+
+
+def first_steps(problem: Problem) -> tuple[str, ...]:
+    """What the operator does before the first operation of a job in which something is changed or held."""
+    steps = []
+    if len(problem.setups) > 1:
+        steps += [f"Mount the tool {arm.tool.name} on arm {arm.name}." for arm in problem.cell.arms]
+    if problem.stock.held_by is not None:
+        steps.append(f"Fix the block to the gripper of arm {problem.stock.held_by} as the setup sheet says.")
+    elif len(problem.setups) > 1:
+        steps.append("Clamp the block as the setup sheet says.")
+    return tuple(steps)
+
+
+def check_setups(problem: Problem) -> Iterator[Issue]:
+    """Issues of blocks that are held: by whom, with what, and whether the arm can carry them."""
+    for setup in problem.setups:
+        if setup.stock.held_by is not None:
+            yield from _held(
+                setup, f"operations.{setup.operations[0]}.setup" if setup.number > 1 else "stock"
+            )
+
+
+def _held(setup: Setup, field: str) -> Iterator[Issue]:
+    block, name = setup.stock, setup.stock.held_by
+    known = {arm.name: arm for arm in setup.cell.arms}
+    if name not in known:
+        yield _unknown_arm(f"{field}.held_by", str(name), known)
+        return
+    arm = known[name]
+    if arm.tool.footprint is None:
+        yield Issue(
+            "stock.gripper",
+            f"{field}.held_by: arm {name} carries the tool {arm.tool.name}, which holds no block; give it a "
+            "gripper_plate or a vacuum_cup",
+            field=f"{field}.held_by",
+            arm=name,
+        )
+        return
+    if block.mass is None:
+        yield Issue(
+            "stock.foam_missing",
+            f"{field}: the block is held by arm {name}, but its weight is not known; name its foam",
+            field="stock.foam",
+        )
+        return
+    payload = robot(arm.robot).payload
+    if arm.tool.mass + block.mass > payload:
+        yield Issue(
+            "stock.too_heavy",
+            f"{field}: the block of {block.mass:.2f} kg and the tool of {arm.tool.mass:.2f} kg are "
+            f"{block.mass + arm.tool.mass:.2f} kg, {robot(arm.robot).title} carries {payload:g} kg; take a "
+            "lighter foam, a smaller block or a larger arm",
+            field=f"{field}.held_by",
+            arm=name,
+            value=block.mass + arm.tool.mass,
+            limit=payload,
+            unit="kg",
+        )
+    yield from _footprint(block, arm, field)
+
+
+def _footprint(block: Stock, arm: Arm, field: str) -> Iterator[Issue]:
+    """The gripper must lie within the block's bottom face."""
+    half = 0.5 * np.array(arm.tool.footprint)
+    corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    on_block = corners @ np.linalg.inv(block.grip).T
+    over = np.maximum(on_block[:, :2] - block.upper[:2], block.lower[:2] - on_block[:, :2]).max()
+    if over > 1e-9:
+        yield Issue(
+            "stock.footprint",
+            f"{field}.grip: the face of {arm.tool.name} stands {over / MM:.1f} mm out of the block's bottom "
+            "face; take a smaller gripper or move the grip",
+            field=f"{field}.grip",
+            arm=arm.name,
+            value=float(over / MM),
+            limit=0.0,
+            unit="mm",
+        )
+
+
+def _placed(place: Literal["auto"] | PoseFile, lean: tuple[float, float] | None) -> dict[str, Any]:
+    pose = None if isinstance(place, str) else place.matrix()
+    roll, pitch = np.array(lean or (0.0, 0.0)) * DEG
+    attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if pose is None else pose[:3, :3]
+    return {"place": pose, "attitude": attitude, "any_attitude": pose is None and lean is None}
+
+
+def _oversize(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.array(sides, dtype=np.float64).T * MM
+
+
+def _foam(name: str | None) -> Foam | None:
+    return None if name is None else foam(name)
+
+
+def _unknown_arm(field: str, name: str, known: Mapping[str, Arm]) -> Issue:
+    return Issue(
+        "problem.unknown_arm",
+        f"{field}: '{name}' is not an arm of the cell; it has {', '.join(known)}",
+        field=field,
+    )
