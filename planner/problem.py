@@ -184,6 +184,11 @@ class Stock:
         return np.asarray(np.array([0.5, 0.5, 1.0]) * self.size + self.oversize[1])
 
     @property
+    def box(self) -> FloatArray:
+        """Both corners (2, 3) [m] of the block as found, in the stock frame."""
+        return np.stack([self.lower, self.upper])
+
+    @property
     def mass(self) -> float | None:
         """Mass [kg] of the block as found, None without a foam."""
         return None if self.foam is None else float(np.prod(self.upper - self.lower)) * self.foam.density

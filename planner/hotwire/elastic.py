@@ -49,18 +49,18 @@ def make_targets(operation: ElasticWire, stock: Stock, part: Part | None) -> Tar
     moved = {name: offset(_mesh(face), 0.5 * operation.kerf_mm * MM) for name, face in wanted.items()}
     tried, degrees = _sweep(operation, wire, list(moved.values()))
     gravity = wire.load * stock.gravity
-    cuts = [_cut(operation, name, mesh, degrees, gravity, stock.size) for name, mesh in moved.items()]
+    cuts = [_cut(operation, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
     misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
     if misfits:
         raise TandemError(misfits)
     margin, radius = operation.margin_mm * MM, 0.5 * wire.width
     faces = [cut.face for cut in cuts]
-    route = lay_out(faces, stock.size, margin, radius, operation.step_mm * MM, operation.runs == "two")
-    route, off, miss = refine(route, faces, stock.size, _DRIVE_TOL * operation.shape_tol_mm * MM)
-    figures = measure(route, wire, stock.size)
+    route = lay_out(faces, stock.box, margin, radius, operation.step_mm * MM, operation.runs == "two")
+    route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * operation.shape_tol_mm * MM)
+    figures = measure(route, wire, stock.box)
     issues = [
         *_driven(operation, route, off, miss),
-        *check(operation, wire, route, cuts, figures, stock.size),
+        *check(operation, wire, route, cuts, figures, stock.box),
     ]
     if has_errors(issues):
         raise TandemError(aggregate(issues))
@@ -140,7 +140,7 @@ def _sweep(op: ElasticWire, wire: Wire, faces: list[TriangleMesh]) -> tuple[list
 
 
 def _cut(
-    op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, size: FloatArray
+    op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, box: FloatArray
 ) -> Cut:
     """Sections of one face and the family of wires that meets them."""
     spine = make_spine(mesh, direction_of(degrees), op.is_normal)
@@ -150,7 +150,7 @@ def _cut(
     sections = cut_sections(mesh, spine, p)
     _long_enough(op, name, sections.length)
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
-    reach = 0.5 * float(np.abs(spine.direction[:2]) @ size[:2]) + 2.0 * op.margin_mm * MM
+    reach = float(np.abs(spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + 2.0 * op.margin_mm * MM
     first = fit_first(sections, load, op.wire.length_mm * MM)
     hopeless = misfit(op, name, spine, sections, first.rows, first.fit.residual, _HOPELESS)
     if hopeless:
@@ -222,7 +222,7 @@ def _targets(
     shapes = route.wires.shapes()
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
-    foam = np.asarray(np.any(box_distance(points, stock.size) < 0.0, axis=1))
+    foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
     cutting = np.array([label.startswith("cut") for label in route.segment], dtype=np.bool_)
     burning = cutting & foam & np.concatenate([[False], foam[:-1]])
     feed = np.where(cutting, op.feed_mm_s * MM, AIR_FEED)
@@ -233,7 +233,7 @@ def _targets(
         freedoms=_freedoms(op, wire, stock, route),
         feed=feed,
         feed_min=np.where(burning, op.feed_min_mm_s * MM, 0.0),
-        travel=travel(route.wires, stock.size),
+        travel=travel(route.wires, stock.box),
         stop=route.stop,
         segment=route.segment,
         coupled=True,
@@ -249,7 +249,7 @@ def _freedoms(op: ElasticWire, wire: Wire, stock: Stock, route: Route) -> tuple[
     out: list[Freedom] = []
     margin = op.margin_mm * MM
     slack = slack_freedom(
-        route.wires, op.arms, op.slack_mm * MM, stock.size, margin, wire.section, wire.max_curvature
+        route.wires, op.arms, op.slack_mm * MM, stock.box, margin, wire.section, wire.max_curvature
     )
     if slack is not None:
         out.append(slack)

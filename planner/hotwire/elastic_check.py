@@ -57,12 +57,12 @@ class Figures:
     weight_at: NDArray[np.intp]
 
 
-def measure(route: Route, wire: Wire, size: FloatArray) -> Figures:
+def measure(route: Route, wire: Wire, box: FloatArray) -> Figures:
     """The figures of every target."""
     wires = route.wires
     shape = wires.shapes(65)
     points = wires.points(shape)
-    distance = box_distance(points, size)
+    distance = box_distance(points, box)
     inside = distance < 0.0
     place = np.linspace(0.0, wires.length, points.shape[1])
     first = np.where(inside, place, wires.length).min(axis=1)
@@ -87,13 +87,13 @@ def measure(route: Route, wire: Wire, size: FloatArray) -> Figures:
 
 
 def check(
-    op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, size: FloatArray
+    op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, box: FloatArray
 ) -> list[Issue]:
     """All issues of a job, errors first."""
     issues = [*_ends(op, route, figures), *_bending(wire, route, figures), *_stability(route, figures)]
     for cut in cuts:
         issues += _tolerance(op, wire, route, cut, figures)
-    issues += _touching(op, wire, route, size)
+    issues += _touching(op, wire, route, box)
     return sorted(issues, key=lambda issue: issue.severity is not Severity.ERROR)
 
 
@@ -310,11 +310,11 @@ def best_split(points: FloatArray, length: float) -> tuple[float, float]:
     return float(points[at[best], 0]), float(fitted[best])
 
 
-def _touching(op: ElasticWire, wire: Wire, route: Route, size: FloatArray) -> list[Issue]:
+def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> list[Issue]:
     """In the air the wire stays clear of the block."""
     air = np.array([not label.startswith("cut") for label in route.segment])
     wires = route.wires
-    near = box_distance(wires.points(wires.shapes(65)), size).min(axis=1) - 0.5 * wire.thickness
+    near = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
     near = np.where(air, near, np.inf)
     worst = int(np.argmin(near))
     if near[worst] >= 0.5 * op.margin_mm * MM:

@@ -51,36 +51,36 @@ class Route:
     stop: BoolArray
 
 
-def cut_range(face: Face, size: FloatArray, margin: float, radius: float) -> tuple[float, float]:
+def cut_range(face: Face, box: FloatArray, margin: float, radius: float) -> tuple[float, float]:
     """Places p between which the wire passes the block: at both it is just ``margin`` [m] clear of it."""
-    reach = 0.5 * float(np.abs(face.spine.direction[:2]) @ size[:2]) + margin + 2.0 * radius
-    lean = size[2] + 0.3  # planes may lean: look far enough
+    reach = float(np.abs(face.spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + margin + 2.0 * radius
+    lean = float(np.ptp(box[:, 2])) + 0.3  # planes may lean: look far enough
     p = np.arange(-reach - lean, reach + lean, 0.002)
     wires = face.wires(p)
-    clear = box_distance(wires.points(wires.shapes()), size).min(axis=1) - radius >= margin
+    clear = box_distance(wires.points(wires.shapes()), box).min(axis=1) - radius >= margin
     touched = np.nonzero(~clear)[0]
     if touched.size == 0:
         return float(face.family.lower), float(face.family.upper)
     return float(p[max(touched[0] - 1, 0)]), float(p[min(touched[-1] + 1, len(p) - 1)])
 
 
-def cut_places(face: Face, lower: float, upper: float, size: FloatArray, step: float) -> FloatArray:
+def cut_places(face: Face, lower: float, upper: float, box: FloatArray, step: float) -> FloatArray:
     """Places p (K,) from lower to upper, evenly spaced by the travel of the wire's fastest point in the
     block.
     """
     p = np.linspace(lower, upper, max(3, int(np.ceil((upper - lower) / _FINE)) // 4 + 1))
     wires = face.wires(p)
-    gone = np.concatenate([[0.0], np.cumsum(travel(wires, size)[1:])])
+    gone = np.concatenate([[0.0], np.cumsum(travel(wires, box)[1:])])
     count = max(3, int(np.ceil(gone[-1] / step)) + 1)
     return np.interp(np.linspace(0.0, gone[-1], count), gone, p)
 
 
-def travel(wires: Wires, size: FloatArray) -> FloatArray:
+def travel(wires: Wires, box: FloatArray) -> FloatArray:
     """How far (N,) [m] the fastest point in the block moves on the way to each wire; the fastest of all
     where none is in it.
     """
     points = wires.points(wires.shapes())
-    inside = box_distance(points, size) < 0.0
+    inside = box_distance(points, box) < 0.0
     move = np.linalg.norm(np.diff(points, axis=0), axis=2)
     near = inside[1:] | inside[:-1]
     near |= ~near.any(axis=1, keepdims=True)
@@ -88,7 +88,7 @@ def travel(wires: Wires, size: FloatArray) -> FloatArray:
 
 
 def lay_out(
-    faces: list[Face], size: FloatArray, margin: float, radius: float, step: float, two_runs: bool
+    faces: list[Face], box: FloatArray, margin: float, radius: float, step: float, two_runs: bool
 ) -> Route:
     """The route through all faces. The first sweeps along growing p; the next comes back, or with
     ``two_runs`` goes on anew.
@@ -106,8 +106,8 @@ def lay_out(
     forward = True
     for index, face in enumerate(faces):
         forward = index == 0 or two_runs or not forward
-        lower, upper = cut_range(face, size, margin, radius)
-        p = cut_places(face, lower, upper, size, step)
+        lower, upper = cut_range(face, box, margin, radius)
+        p = cut_places(face, lower, upper, box, step)
         p = p if forward else p[::-1]
         wires = face.wires(p)
         sense = face.spine.direction * (1.0 if forward else -1.0)
@@ -120,7 +120,7 @@ def lay_out(
             add("approach", lead[count // 2 + 1 :])
             stops += [0, len(labels) - 1]
         else:
-            link = _link(parts[-1][-1:], wires[:1], size, margin, radius, two_runs)
+            link = _link(parts[-1][-1:], wires[:1], box, margin, radius, two_runs)
             for leg in link:
                 add("link", leg)
                 stops.append(len(labels) - 1)
@@ -137,11 +137,11 @@ def lay_out(
     return Route(join(parts), tuple(labels), np.concatenate(places), stop)
 
 
-def _link(a: Wires, b: Wires, size: FloatArray, margin: float, radius: float, over: bool) -> list[Wires]:
+def _link(a: Wires, b: Wires, box: FloatArray, margin: float, radius: float, over: bool) -> list[Wires]:
     """Legs from wire a to wire b in the air; ``over`` the block where b begins at its other side."""
     way = [a, b]
     if over:
-        high = max(_lift(a, size, margin + radius), _lift(b, size, margin + radius))
+        high = max(_lift(a, box, margin + radius), _lift(b, box, margin + radius))
         top = float(max(a.frame[0, 2, 3], b.frame[0, 2, 3])) + high
         up = np.array([0.0, 0.0, 1.0])
         way = [a, a.moved((top - a.frame[0, 2, 3]) * up), b.moved((top - b.frame[0, 2, 3]) * up), b]
@@ -157,18 +157,18 @@ def _link(a: Wires, b: Wires, size: FloatArray, margin: float, radius: float, ov
     return legs
 
 
-def _lift(wire: Wires, size: FloatArray, margin: float) -> float:
+def _lift(wire: Wires, box: FloatArray, margin: float) -> float:
     """How far [m] to raise a wire so that all of it that may come over the block is ``margin`` above it."""
     points = wire.points(wire.shapes(65))[0]
-    flat = np.array([size[0], size[1]]) * 0.5 + margin
+    flat = np.abs(box[:, :2]).max(axis=0) + margin
     axis = wire.frame[0, :2, 0] / np.linalg.norm(wire.frame[0, :2, 0])
     over = np.abs(points[:, :2] @ axis) <= np.abs(axis) @ flat
     lowest = points[over, 2].min() if over.any() else points[:, 2].min()
-    return float(max(0.0, size[2] + margin - lowest))
+    return float(max(0.0, box[1, 2] + margin - lowest))
 
 
 def refine(
-    route: Route, faces: list[Face], size: FloatArray, tolerance: float
+    route: Route, faces: list[Face], box: FloatArray, tolerance: float
 ) -> tuple[Route, FloatArray, FloatArray]:
     """Insert targets until the wire half-way of every move, driven by its ends, is within ``tolerance`` [m]
     of the wanted one.
@@ -180,7 +180,7 @@ def refine(
     for turn in range(5):
         wanted, p = _halfway(route, by_name)
         now, miss, _ = driven(route.wires[:-1], route.wires[1:], 0.5)
-        off = _deviation(now, wanted, size, np.isfinite(p))
+        off = _deviation(now, wanted, box, np.isfinite(p))
         bad = (off > tolerance) | ~(miss < 1e-7)
         if not bad.any() or turn == 4:
             break
@@ -205,7 +205,7 @@ def _halfway(route: Route, by_name: dict[str, Face]) -> tuple[Wires, FloatArray]
     return dataclasses.replace(middle, frame=frame, bend=bend), p
 
 
-def _deviation(now: Wires, wanted: Wires, size: FloatArray, in_cut: BoolArray) -> FloatArray:
+def _deviation(now: Wires, wanted: Wires, box: FloatArray, in_cut: BoolArray) -> FloatArray:
     """Largest distance (N,) across the wire, in the block (anywhere in the air), from the wanted wires."""
     shape = wanted.shapes()
     a, b = now.points(now.shapes()), wanted.points(shape)
@@ -213,7 +213,7 @@ def _deviation(now: Wires, wanted: Wires, size: FloatArray, in_cut: BoolArray) -
     tangent = tangent / np.linalg.norm(tangent, axis=2, keepdims=True)
     gap = a - b
     gap = gap - tangent * np.sum(gap * tangent, axis=2, keepdims=True)
-    counted = (box_distance(b, size) < 0.0) | ~in_cut[:, None]
+    counted = (box_distance(b, box) < 0.0) | ~in_cut[:, None]
     return np.asarray(np.max(np.linalg.norm(gap, axis=2) * counted, axis=1))
 
 

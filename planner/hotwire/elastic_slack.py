@@ -22,7 +22,7 @@ def slack_freedom(
     wires: Wires,
     arms: tuple[str, str],
     reach: float,
-    size: FloatArray,
+    box: FloatArray,
     clear: float,
     section: Section,
     bend: float,
@@ -41,8 +41,8 @@ def slack_freedom(
         start, end = heavy.extend(shapes, np.broadcast_to(nodes, (len(wires), NODES)))
         first = wires.frame[:, None] @ planar_pose(start)
         last = wires.frame[:, None] @ planar_pose(end)
-        free = (box_distance(first[..., :3, 3], size) >= clear) & (
-            box_distance(last[..., :3, 3], size) >= clear
+        free = (box_distance(first[..., :3, 3], box) >= clear) & (
+            box_distance(last[..., :3, 3], box) >= clear
         )
         lower, upper = _range(nodes, free)
         # at the mount and the unmount stop the operator has the stated distance and angles of the clamps

@@ -145,11 +145,10 @@ def _flat(pose: FloatArray, theta: FloatArray) -> FloatArray:
     return np.stack([pose[:, 0, 3], pose[:, 1, 3], angle], axis=1)
 
 
-def box_distance(points: FloatArray, size: FloatArray) -> FloatArray:
-    """Signed distances (...,) of points (..., 3) in the stock frame from the block of ``size`` (3,),
-    negative inside.
+def box_distance(points: FloatArray, box: FloatArray) -> FloatArray:
+    """Signed distances (...,) of points (..., 3) in the stock frame from the block with the corners ``box``
+    (2, 3), negative inside.
     """
-    centre = np.array([0.0, 0.0, 0.5 * size[2]])
-    q = np.abs(points - centre) - 0.5 * size
+    q = np.abs(points - box.mean(axis=0)) - 0.5 * np.ptp(box, axis=0)
     outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
     return np.asarray(outside + np.minimum(q.max(axis=-1), 0.0))

@@ -74,12 +74,12 @@ def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
     steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
     mesh = elastic._mesh(part.front)
-    cut = elastic._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.size)
-    route = elastic_path.lay_out([cut.face], block.size, 0.02, 0.001, 0.005, False)
-    figures = elastic_check.measure(route, steel, block.size)
-    assert elastic_check.check(op, steel, route, [cut], figures, block.size) == []
+    cut = elastic._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.box)
+    route = elastic_path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
+    figures = elastic_check.measure(route, steel, block.box)
+    assert elastic_check.check(op, steel, route, [cut], figures, block.box) == []
     into = dataclasses.replace(route, wires=route.wires.moved(np.array([0.0, 0.03, 0.0])))
-    codes = {i.code for i in elastic_check.check(op, steel, into, [cut], figures, block.size)}
+    codes = {i.code for i in elastic_check.check(op, steel, into, [cut], figures, block.box)}
     assert codes == {"wire.touches"}
     off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
     assert elastic._driven(op, route, off, miss) == []
@@ -106,8 +106,8 @@ def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
 ) -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
     steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
-    cut = elastic._cut(op, "front", elastic._mesh(part.front), 90.0, steel.load * block.gravity, block.size)
-    route = elastic_path.lay_out([cut.face], block.size, 0.02, 0.001, 0.005, False)
+    cut = elastic._cut(op, "front", elastic._mesh(part.front), 90.0, steel.load * block.gravity, block.box)
+    route = elastic_path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
     issues = elastic_check._stability(route, figures(*values))
     assert [i.code for i in issues] == ["wire.unstable"] * len(want)
     assert [i.severity for i in issues] == want
