@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from planner.bow import bow
 from planner.catalogue import RobotData, robot
@@ -17,25 +17,9 @@ from planner.geometry.rigid import from_rpy
 from planner.grippers import gripper_plate, vacuum_cup
 from planner.issues import Issue, TandemError
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Tool
+from planner.schema import Angle, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tools import wire_holder
 from planner.units import DEG, LENGTH_UNITS, MM
-
-Far = Annotated[float, Field(ge=-100_000, le=100_000)]
-"""A coordinate [mm]: a cell is not larger than 100 m."""
-Angle = Annotated[float, Field(ge=-720, le=720)]
-Vector = tuple[Far, Far, Far]
-Unit = Literal["mm", "cm", "m", "in", "ft"]
-Name = Annotated[
-    str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
-]
-Positive = Annotated[float, Field(ge=0.01, le=100_000)]
-"""A length [mm] of a body."""
-
-
-class Strict(BaseModel):
-    """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PoseFile(Strict):
@@ -78,7 +62,7 @@ class MeshFile(Strict):
     """A mesh file in a stated unit; collision sees its convex hull."""
 
     kind: Literal["mesh"]
-    file: Annotated[str, Field(min_length=1, max_length=1000)]
+    file: FileName
     unit: Unit
     pose: PoseFile = PoseFile()
 
@@ -128,7 +112,7 @@ class PlainToolFile(Strict):
     tcp: PoseFile
     mass_kg: Annotated[float, Field(gt=0, le=1000)]
     cog_mm: Vector = (0.0, 0.0, 50.0)
-    shapes: list[ShapeFile] = []
+    shapes: tuple[ShapeFile, ...] = ()
 
 
 ToolFile = Annotated[
@@ -144,7 +128,7 @@ class ArmFile(Strict):
     base: PoseFile = PoseFile()
     base_auto: bool = False
     tool: ToolFile
-    home_deg: Annotated[list[Angle], Field(min_length=6, max_length=6)] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    home_deg: tuple[Angle, Angle, Angle, Angle, Angle, Angle] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ObstacleFile(Strict):
@@ -157,8 +141,8 @@ class ObstacleFile(Strict):
 class ControllerFile(Strict):
     """Names that the programs use."""
 
-    tasks: Annotated[list[Name], Field(min_length=1, max_length=2)] = ["T_ROB1", "T_ROB2"]
-    units: Annotated[list[Name], Field(min_length=1, max_length=2)] = ["ROB_1", "ROB_2"]
+    tasks: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)] = ("T_ROB1", "T_ROB2")
+    units: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)] = ("ROB_1", "ROB_2")
     wire_signal: Name = "doWirePower"
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
@@ -169,7 +153,7 @@ class CellFile(Strict):
 
     name: str = "cell"
     arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
-    obstacles: list[ObstacleFile] = []
+    obstacles: tuple[ObstacleFile, ...] = ()
     controller: ControllerFile = ControllerFile()
 
 

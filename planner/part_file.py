@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from planner.geometry.curves import ArcRail, CurveKind, Loft, tessellate
 from planner.geometry.mesh import (
@@ -25,25 +25,18 @@ from planner.geometry.placing import fit_into_block, overhang
 from planner.geometry.rigid import from_rpy, transform
 from planner.issues import Issue, TandemError
 from planner.problem import Mesh, Part
+from planner.schema import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
 from planner.units import DEG, LENGTH_UNITS, MM
 
 FloatArray = NDArray[np.float64]
-Far = Annotated[float, Field(ge=-100_000, le=100_000)]
-Vector = tuple[Far, Far, Far]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Positive = Annotated[float, Field(gt=0, le=100_000)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class RailFile(_Strict):
+class RailFile(Strict):
     """A horizontal arc about ``centre_mm``; profiles stand in its normal planes."""
 
     radius_mm: Positive
-    start_deg: Annotated[float, Field(ge=-720, le=720)]
-    end_deg: Annotated[float, Field(ge=-720, le=720)]
+    start_deg: Angle
+    end_deg: Angle
     centre_mm: Vector = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
@@ -53,7 +46,7 @@ class RailFile(_Strict):
         return self
 
 
-class CurveFile(_Strict):
+class CurveFile(Strict):
     """One profile or section: control points of a Bezier curve or of a clamped cubic B-spline."""
 
     at: Fraction
@@ -77,7 +70,7 @@ class CurveFile(_Strict):
         return self.bezier_mm or self.bspline_mm or []
 
 
-class RegionFile(_Strict):
+class RegionFile(Strict):
     """The piece of the surface that is the face: ``u`` along the row of curves, ``v`` along each curve."""
 
     u: tuple[Fraction, Fraction] = (0.0, 1.0)
@@ -90,12 +83,12 @@ class RegionFile(_Strict):
         return self
 
 
-class LoftFile(_Strict):
+class LoftFile(Strict):
     """A loft: profiles (out, up) along an arc ``rail``, or ``sections`` given as curves in space."""
 
     rail: RailFile | None = None
-    profiles: list[CurveFile] = []
-    sections: list[CurveFile] = []
+    profiles: tuple[CurveFile, ...] = ()
+    sections: tuple[CurveFile, ...] = ()
     region: RegionFile = RegionFile()
     chord_mm: Annotated[
         float, Field(ge=0.0005, le=1, description="how far facets may be off the surface")
@@ -142,16 +135,16 @@ class LoftFile(_Strict):
         return Loft(curves[0].kind, np.array([curve.at for curve in curves]), control, rail)
 
 
-class FaceMeshFile(_Strict):
+class FaceMeshFile(Strict):
     """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
 
-    file: Annotated[str, Field(min_length=1, max_length=1000)]
-    unit: Literal["mm", "cm", "m", "in", "ft"]
-    scale: Positive = 1.0
+    file: FileName
+    unit: Unit
+    scale: Scale = 1.0
     flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
 
 
-class FrontFile(_Strict):
+class FrontFile(Strict):
     """The front face: exactly one of ``loft`` and ``mesh``. Its normal points away from the part."""
 
     loft: LoftFile | None = None
@@ -164,7 +157,7 @@ class FrontFile(_Strict):
         return self
 
 
-class BackFile(_Strict):
+class BackFile(Strict):
     """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` of its own."""
 
     offset_mm: Annotated[float, Field(ge=0.5, le=10_000)] | None = None
@@ -177,14 +170,14 @@ class BackFile(_Strict):
         return self
 
 
-class PlaceFile(_Strict):
+class PlaceFile(Strict):
     """Where the part's own frame is in the stock frame."""
 
     xyz_mm: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
 
 
-class PartFile(_Strict):
+class PartFile(Strict):
     """The wanted part. ``in_stock: auto`` lays it into the block, front up, long side along long side."""
 
     front: FrontFile

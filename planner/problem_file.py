@@ -18,11 +18,12 @@ import yaml
 from pydantic import BaseModel, Field, Tag, ValidationError
 
 from planner import cell_file, part_file, stock_file, yaml_lines
-from planner.cell_file import CellFile, Name, Strict
+from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
 from planner.problem import Cell, Change, Operation, Problem, Settings
+from planner.schema import Name, Strict
 from planner.stock_file import Choice, SetupFile, StockFile
 from planner.units import DEG, MM
 from planner.yaml_lines import Document

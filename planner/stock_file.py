@@ -12,11 +12,12 @@ from pydantic import BaseModel, Discriminator, Field, Tag
 
 from planner import cell_file
 from planner.catalogue import robot
-from planner.cell_file import Angle, Name, PoseFile, Positive, ShapeFile, Strict, ToolFile
+from planner.cell_file import PoseFile, ShapeFile, ToolFile
 from planner.geometry.rigid import from_rpy
 from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
 from planner.problem import Arm, Change, Problem, Setup, Stock
+from planner.schema import Angle, Name, Positive, Strict
 from planner.units import DEG, MM
 
 
