@@ -21,7 +21,6 @@ CODES: Final[dict[str, str]] = {
     # blocks that are held, and what is known of them
     "stock.gripper": "the arm that is to hold the block carries no gripper",
     "stock.foam_missing": "something needs the block's foam, which the problem does not name",
-    "stock.unknown_foam": "a foam that is not built in",
     "stock.too_heavy": "the block and its gripper are beyond the payload of the arm that holds them",
     "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
