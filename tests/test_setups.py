@@ -1,4 +1,4 @@
-"""Setups: what an operator changes between operations, blocks that an arm holds, and what is refused of them."""
+"""Setups: what an operator changes between operations, blocks that an arm holds, and what is refused."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_a_gripper_ends_at_its_tcp(tool: Tool) -> None:
     half = 0.4 * np.array([*tool.footprint, 0.0])
     face = np.array([[0.0, 0.0, 0.0], half * [1, 0, 0], half * [0, 1, 0]])
     np.testing.assert_allclose(distance(tool, at_tcp(tool, face)), 0.0, atol=1e-9)
-    above = face + [0.0, 0.0, 0.01]
+    above = face + np.array([0.0, 0.0, 0.01])
     np.testing.assert_allclose(distance(tool, at_tcp(tool, above)), 0.01, atol=1e-9)
 
 
