@@ -15,6 +15,8 @@ from planner.issues import Issue, TandemError
 from planner.units import MM
 
 _FILE: Final = Path(__file__).resolve().parent / "data" / "materials.yaml"
+ROOM: Final = 20.0
+"""Temperature [C] of the air and of a block before the cut."""
 REFERENCE_TEMPERATURE: Final = 20.0
 """Temperature [C] at which cold lengths and sections are measured."""
 
@@ -63,15 +65,25 @@ class WireMaterial:
 
 
 @dataclasses.dataclass(frozen=True)
+class KerfTests:
+    """What test cuts tried: ``power_per_length`` [W/m] and ``speed`` [m/s], each from lowest to highest, in
+    foam of ``thickness`` [m] with a round wire of ``wire_diameter`` [m]; up to ``burnt_speed`` [m/s] the
+    faces were burnt (None: nowhere)."""
+
+    power_per_length: tuple[float, float]
+    speed: tuple[float, float]
+    thickness: float
+    wire_diameter: float
+    burnt_speed: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class KerfFit:
     """What test cuts of a foam say of the slot that a hot wire melts in it.
 
-    Kerf = ``chi`` * ideal - ``offset``, where the ideal is the width whose foam the wire's whole power would
-    just heat to melting. ``spread`` [m] is the residuals' standard deviation over ``count`` cuts whose
-    ideals have the mean ``mean_ideal`` [m] and the sum of squares ``scatter`` [m^2] about it. Tested were
-    ``power_per_length`` [W/m] and ``speed`` [m/s], each from lowest to highest, in foam of ``thickness`` [m]
-    with a round wire of ``wire_diameter`` [m]; up to ``burnt_speed`` [m/s] the faces were burnt (None:
-    nowhere).
+    Kerf = ``chi`` * ideal - ``offset`` [m], where the ideal is the width whose foam the wire's whole power
+    would just heat to melting. ``spread`` [m] is the residuals' standard deviation over ``count`` cuts whose
+    ideals have the mean ``mean_ideal`` [m] and the sum of squares ``scatter`` [m^2] about it.
     """
 
     chi: float
@@ -80,11 +92,7 @@ class KerfFit:
     count: int
     mean_ideal: float
     scatter: float
-    power_per_length: tuple[float, float]
-    speed: tuple[float, float]
-    thickness: float
-    wire_diameter: float
-    burnt_speed: float | None = None
+    tests: KerfTests
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,7 +199,7 @@ def _foam(name: str, entry: dict[str, Any]) -> Foam:
 
 
 def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
-    power, speed = (tuple(float(v) for v in entry[key]) for key in ("power_per_length_w_m", "speed_mm_s"))
+    (least, most), (slowest, fastest) = entry["power_per_length_w_m"], entry["speed_mm_s"]
     burnt = entry.get("burnt_speed_mm_s")
     return KerfFit(
         chi=float(entry["chi"]),
@@ -200,11 +208,13 @@ def _kerf_fit(entry: dict[str, Any]) -> KerfFit:
         count=int(entry["count"]),
         mean_ideal=float(entry["mean_ideal_mm"]) * MM,
         scatter=float(entry["scatter_mm2"]) * MM * MM,
-        power_per_length=(power[0], power[1]),
-        speed=(speed[0] * MM, speed[1] * MM),
-        thickness=float(entry["thickness_mm"]) * MM,
-        wire_diameter=float(entry["wire_diameter_mm"]) * MM,
-        burnt_speed=None if burnt is None else float(burnt) * MM,
+        tests=KerfTests(
+            power_per_length=(float(least), float(most)),
+            speed=(float(slowest) * MM, float(fastest) * MM),
+            thickness=float(entry["thickness_mm"]) * MM,
+            wire_diameter=float(entry["wire_diameter_mm"]) * MM,
+            burnt_speed=None if burnt is None else float(burnt) * MM,
+        ),
     )
 
 

@@ -1,28 +1,42 @@
 """Width of the slot that a hot wire melts in foam: forward, backward and as a table.
 
-Two models: ``energy`` (the default, `kerf_energy`) and ``dissertation`` (`kerf_convection`). All functions
-take arrays that broadcast, so that every point along a wire has its own speed. `docs/kerf.md` tells where
-the figures come from and how far they are to be trusted.
+Models: ``energy`` (the default, `kerf_energy`), ``general`` for foams without test cuts (`kerf_general`),
+``measured`` for cuts like the tests' (`kerf_measured`) and ``dissertation`` for traceability
+(`kerf_convection`). All functions take arrays that broadcast, so that every point along a wire has its own
+speed. `docs/kerf.md` tells where the figures come from and how far they are to be trusted.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Final, Literal, get_args
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import stdtrit
 
 from planner import materials
 from planner.claims import KerfCurve
-from planner.hotwire import kerf_convection, kerf_cuts, kerf_energy
-from planner.hotwire.kerf_flag import KerfFlag
-from planner.hotwire.wire import Wire
+from planner.hotwire.kerf_flag import KerfFlag, explain
+from planner.hotwire.kerf_forms import Model, choose
+from planner.hotwire.kerf_wire import TEST_WIRE, HotWire
 from planner.issues import Issue, TandemError
-from planner.materials import Foam, KerfFit
+from planner.materials import Foam
 from planner.units import MM
+
+__all__ = [
+    "DOMAIN",
+    "TEST_WIRE",
+    "HotWire",
+    "KerfEstimate",
+    "KerfFlag",
+    "Model",
+    "curve",
+    "explain",
+    "power_for",
+    "speed_for",
+    "width",
+]
 
 DOMAIN: Final = (0.8e-3, 3.0e-3)
 """Kerfs [m] that leave usable faces: thinner the wire drags, wider it burns (dissertation, chapter 3)."""
@@ -33,33 +47,10 @@ CURVE_ERROR: Final = 1e-6
 CURVE_SPEEDS: Final = (0.5e-3, 50e-3)
 """Range [m/s] of a curve when no speeds are given."""
 
-Model = Literal["energy", "dissertation"]
+DISSERTATION_TESTS: Final = materials.KerfTests((35.7 / 0.43, 54.9 / 0.43), (2e-3, 10e-3), 0.05, 0.0004)
+"""What a foam without test cuts of its own is held against."""
+
 Array = NDArray[np.float64]
-
-
-@dataclasses.dataclass(frozen=True)
-class HotWire:
-    """What a kerf needs to know of a wire: ``diameter`` [m] and heated ``length`` [m], over which its power
-    is spread evenly."""
-
-    diameter: float
-    length: float
-
-    def __post_init__(self) -> None:
-        for name in ("diameter", "length"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                text = f"{name} of the hot wire: got {value / MM:g} mm, allowed above 0"
-                raise TandemError(Issue("kerf.input", text, field=name, hint=f"give the wire's {name}"))
-
-    @staticmethod
-    def of(wire: Wire, length: float) -> HotWire:
-        """The wire over its heated length [m]; a strip counts by its thickness."""
-        return HotWire(wire.thickness, length)
-
-
-TEST_WIRE: Final = HotWire(kerf_cuts.TEST_DIAMETER, kerf_cuts.TEST_LENGTH)
-"""The wire of the dissertation's test cuts."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,23 +75,14 @@ def width(
     """Kerf of ``wire`` in ``foam`` (a built-in name or a value) at a power over the heated length [W], the
     speed across the wire [m/s] and the foam's thickness along the wire [m].
 
-    The energy model's kerf is nowhere below the wire's diameter. Raises `TandemError`: kerf.unknown_foam,
-    kerf.no_data, kerf.input, kerf.model.
+    But for the dissertation's form, no kerf is below the wire's diameter. Raises `TandemError`:
+    kerf.unknown_foam, kerf.no_data, kerf.input, kerf.model.
     """
-    data, fit = _foam(foam, model)
+    data, form = choose(foam, model)
     power, speed, thickness = _numbers(power_w=power_w, speed_m_s=speed_m_s, thickness_m=thickness_m)
-    if model == "energy":
-        ideal = kerf_energy.ideal(data, power / wire.length, speed)
-        middle, half = kerf_energy.width(fit, ideal), kerf_energy.margin(fit, ideal)
-        low, high = (np.maximum(middle + s * half, wire.diameter) for s in (-1.0, 1.0))
-        middle = np.maximum(middle, wire.diameter)
-    else:
-        middle = kerf_convection.width(data, wire.diameter, wire.length, power, speed, thickness)
-        error, count = kerf_convection.spread(data.name)
-        half = np.asarray(float(stdtrit(count, 0.5 + 0.5 * kerf_energy.LEVEL)) * error)
-        low, high = middle - half, middle + half
+    middle, low, high = form.width(data, wire, power, speed, thickness)
     shape = np.broadcast_shapes(power.shape, speed.shape, thickness.shape)
-    flag = np.broadcast_to(_flags(fit, wire, middle, power / wire.length, speed, thickness), shape)
+    flag = np.broadcast_to(_flags(data, wire, middle, power / wire.length, speed, thickness), shape)
     low, middle, high = (np.broadcast_to(values, shape) for values in (low, middle, high))
     return KerfEstimate(middle, low, high, flag)
 
@@ -118,14 +100,10 @@ def speed_for(
     `width` of this module then tells the interval and the doubts. Raises `TandemError` as `width` does, and
     kerf.impossible.
     """
-    data, fit = _foam(foam, model)
+    data, form = choose(foam, model, backward=True)
     power, wanted, thickness = _numbers(power_w=power_w, width=width, thickness_m=thickness_m)
     _refuse_narrow(wanted, wire)
-    if model == "dissertation":
-        return kerf_convection.speed_for(data, wire.diameter, wire.length, power, wanted, thickness)
-    ideal = _possible(kerf_energy.ideal_for(fit, wanted), wanted)
-    shape = np.broadcast_shapes(power.shape, wanted.shape, thickness.shape)
-    return np.array(np.broadcast_to(power / wire.length / (kerf_energy.heat(data) * ideal), shape))
+    return _possible(form.speed_for(data, wire, power, wanted, thickness), power, wanted, thickness)
 
 
 def power_for(
@@ -138,14 +116,10 @@ def power_for(
 ) -> Array:
     """Power [W] over the wire's heated length at which the expected kerf is ``width`` [m] at a speed [m/s];
     the inputs broadcast. Raises as `speed_for` does."""
-    data, fit = _foam(foam, model)
+    data, form = choose(foam, model, backward=True)
     speed, wanted, thickness = _numbers(speed_m_s=speed_m_s, width=width, thickness_m=thickness_m)
     _refuse_narrow(wanted, wire)
-    shape = np.broadcast_shapes(speed.shape, wanted.shape, thickness.shape)
-    if model == "energy":
-        ideal = _possible(kerf_energy.ideal_for(fit, wanted), wanted)
-        return np.array(np.broadcast_to(ideal * kerf_energy.heat(data) * speed * wire.length, shape))
-    return kerf_convection.power_for(data, wire.diameter, wire.length, speed, wanted, thickness)
+    return _possible(form.power_for(data, wire, speed, wanted, thickness), speed, wanted, thickness)
 
 
 def curve(
@@ -190,22 +164,22 @@ def _dense(rows: Callable[[Array], Array], first: float, last: float) -> Array:
 
 
 def _flags(
-    fit: KerfFit, wire: HotWire, kerf: Array, power_per_length: Array, speed: Array, thickness: Array
+    foam: Foam, wire: HotWire, kerf: Array, power_per_length: Array, speed: Array, thickness: Array
 ) -> NDArray[np.uint8]:
+    tests = DISSERTATION_TESTS if foam.kerf is None else foam.kerf.tests
     hot = kerf > DOMAIN[1]
-    if fit.burnt_speed is not None:
-        hot = hot | (speed <= fit.burnt_speed)
-    cold = kerf < DOMAIN[0]
-    away = np.abs(thickness - fit.thickness) > SAME_THICKNESS * fit.thickness
-    slack = 1e-6  # for figures that were converted from mm and W
-    untested = _outside(power_per_length, fit.power_per_length, slack) | _outside(speed, fit.speed, slack)
-    other = abs(wire.diameter - fit.wire_diameter) > SAME_THICKNESS * fit.wire_diameter
+    if tests.burnt_speed is not None:
+        hot = hot | (speed <= tests.burnt_speed)
+    untested = _outside(power_per_length, tests.power_per_length) | _outside(speed, tests.speed)
     named = (
         (KerfFlag.TOO_HOT, hot),
-        (KerfFlag.TOO_COLD, cold),
-        (KerfFlag.THICKNESS, away),
-        (KerfFlag.UNTESTED, untested),
-        (KerfFlag.OTHER_WIRE, np.asarray(other)),
+        (KerfFlag.TOO_COLD, kerf < DOMAIN[0]),
+        (KerfFlag.THICKNESS, abs(thickness - tests.thickness) > SAME_THICKNESS * tests.thickness),
+        (KerfFlag.UNTESTED, untested | (foam.kerf is None)),
+        (
+            KerfFlag.OTHER_WIRE,
+            abs(wire.diameter - tests.wire_diameter) > SAME_THICKNESS * tests.wire_diameter,
+        ),
     )
     total: NDArray[np.uint8] = np.zeros((), np.uint8)
     for flag, where in named:
@@ -213,27 +187,9 @@ def _flags(
     return np.asarray(total, np.uint8)
 
 
-def _outside(values: Array, bounds: tuple[float, float], slack: float) -> NDArray[np.bool_]:
+def _outside(values: Array, bounds: tuple[float, float]) -> NDArray[np.bool_]:
+    slack = 1e-6  # for figures that were converted from mm and W
     return (values < bounds[0] * (1.0 - slack)) | (values > bounds[1] * (1.0 + slack))
-
-
-def _foam(foam: str | Foam, model: str) -> tuple[Foam, KerfFit]:
-    data = materials.foam(foam) if isinstance(foam, str) else foam
-    if model not in get_args(Model):
-        text = f"kerf model: got {model!r}, allowed {', '.join(get_args(Model))}"
-        raise TandemError(
-            Issue("kerf.model", text, field="model", hint="take energy, which is the better one")
-        )
-    if data.kerf is None or data.specific_heat is None or data.melt_temperature is None:
-        known = ", ".join(sorted(name for name, one in materials.foams().items() if one.kerf is not None))
-        text = f"kerf in {data.name}: got no test cuts of this foam, allowed {known} or a foam of your own"
-        hint = "cut the four squares of problems/kerf_test and run: tandem kerf fit tests.csv"
-        raise TandemError(Issue("kerf.no_data", text, field="foam", hint=hint))
-    tested = data.name in kerf_cuts.dissertation_tables()
-    if model == "dissertation" and (data.wire_rise is None or data.radiation is None or not tested):
-        text = f"kerf in {data.name} by the dissertation's form: got no wire temperatures for this foam"
-        raise TandemError(Issue("kerf.no_data", text, field="foam", hint="take model energy"))
-    return data, data.kerf
 
 
 def _numbers(**inputs: ArrayLike) -> tuple[Array, ...]:
@@ -263,26 +219,22 @@ def _numbers(**inputs: ArrayLike) -> tuple[Array, ...]:
 
 
 def _refuse_narrow(wanted: Array, wire: HotWire) -> None:
-    narrowest = float(wanted.min())
-    if narrowest <= wire.diameter:
-        least = wire.diameter / MM
-        text = f"wanted kerf: got {narrowest / MM:.3f} mm, allowed above the wire's own {least:.3f} mm"
-        raise TandemError(
-            Issue(
-                "kerf.impossible",
-                text,
-                value=narrowest / MM,
-                limit=least,
-                unit="mm",
-                hint=f"ask for {DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm, or take a thinner wire",
-            )
-        )
+    narrowest, least = float(wanted.min()) / MM, wire.diameter / MM
+    if narrowest <= least:
+        text = f"wanted kerf: got {narrowest:.3f} mm, allowed above the wire's own {least:.3f} mm"
+        hint = f"ask for {DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm, or take a thinner wire"
+        raise TandemError(Issue("kerf.impossible", text, value=narrowest, limit=least, unit="mm", hint=hint))
 
 
-def _possible(ideal: Array, wanted: Array) -> Array:
-    if np.any(ideal <= 0.0):
-        least = float(wanted[ideal <= 0.0].max())
-        text = f"wanted kerf: got {least / MM:.3f} mm, which this foam's fit gives at no speed or power"
-        hint = "ask for a wider kerf"
-        raise TandemError(Issue("kerf.impossible", text, value=least / MM, unit="mm", hint=hint))
-    return ideal
+def _possible(found: Array, given: Array, wanted: Array, thickness: Array) -> Array:
+    """What a backward model found, in the inputs' common shape; refuses what is not a positive number."""
+    shape = np.broadcast_shapes(given.shape, wanted.shape, thickness.shape)
+    found, asked = (np.array(np.broadcast_to(values, shape)) for values in (found, wanted))
+    wrong = ~(np.isfinite(found) & (found > 0.0))
+    if np.any(wrong):
+        least = float(asked[wrong].flat[0]) / MM
+        text = f"wanted kerf: got {least:.3f} mm"
+        text += f" ({int(wrong.sum())} of {wrong.size}), which no speed or power gives"
+        hint = f"ask for {DOMAIN[0] / MM:g} to {DOMAIN[1] / MM:g} mm, with more power or at another speed"
+        raise TandemError(Issue("kerf.impossible", text, value=least, unit="mm", hint=hint))
+    return found
