@@ -80,7 +80,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
     tell = progress or _silent
     tell("targets", 0.0)
-    targets = [processes.make_targets(problem, operation) for operation in problem.operations]
+    targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
     made = solve.solve(problem, targets, tell)
     tell("programs", 0.0)
     programs = write.programs(made, problem)
@@ -93,7 +93,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
 def check(problem: Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
     try:
-        targets = [processes.make_targets(problem, operation) for operation in problem.operations]
+        targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
         found = [issue for item in targets for issue in item.issues]
         return aggregate([*found, *solve.check(problem, targets)])
     except TandemError as error:

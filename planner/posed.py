@@ -19,7 +19,7 @@ from planner.claims import Claim, FollowsPoses
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Stock
+from planner.problem import Part, Setup, Stock
 from planner.targets import ScrewFreedom, Targets
 from planner.units import DEG, MM
 
@@ -96,7 +96,7 @@ class Posed(BaseModel):
         return self
 
 
-def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
+def make_targets(operation: Posed, setup: Setup, part: Part | None) -> Targets:
     """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
     column.
     """
@@ -129,11 +129,11 @@ def make_targets(operation: Posed, stock: Stock, part: Part | None) -> Targets:
         stop=stop,
         segment=segment,
         coupled=operation.coupled,
-        claims=claims(operation, stock, part),
+        claims=claims(operation, setup, part),
     )
 
 
-def claims(operation: Posed, stock: Stock, part: Part | None) -> tuple[Claim, ...]:
+def claims(operation: Posed, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """Each TCP follows the file's poses up to its free axes."""
     rows = _rows(operation)
     out = []

@@ -13,18 +13,18 @@ from planner import posed
 from planner.claims import Claim
 from planner.hotwire import elastic
 from planner.hotwire.operation import ElasticWire
-from planner.problem import Operation, Part, Problem, Stock
+from planner.problem import Part, Problem, Setup
 from planner.targets import Targets
 
 
 class Process(NamedTuple):
-    """Schema of the operation, and the two functions that a process exports: (operation, stock, part) ->
+    """Schema of the operation, and the two functions that a process exports: (operation, setup, part) ->
     ...
     """
 
     schema: type[BaseModel]
-    make_targets: Callable[[Any, Stock, Part | None], Targets]
-    claims: Callable[[Any, Stock, Part | None], tuple[Claim, ...]]
+    make_targets: Callable[[Any, Setup, Part | None], Targets]
+    claims: Callable[[Any, Setup, Part | None], tuple[Claim, ...]]
 
 
 PROCESSES: Final[Mapping[str, Process]] = {
@@ -38,13 +38,17 @@ def schemas() -> dict[str, type[BaseModel]]:
     return {name: process.schema for name, process in PROCESSES.items()}
 
 
-def make_targets(problem: Problem, operation: Operation) -> Targets:
-    """The targets of one operation; raises ``TandemError`` where the process cannot make the part."""
-    return PROCESSES[operation.process].make_targets(operation, problem.stock, problem.part)
+def make_targets(problem: Problem, index: int) -> Targets:
+    """The targets of one operation, by its index; raises ``TandemError`` where the process cannot make the
+    part.
+    """
+    operation = problem.operations[index]
+    return PROCESSES[operation.process].make_targets(operation, problem.setup_of(index), problem.part)
 
 
 def claims(problem: Problem) -> dict[str, tuple[Claim, ...]]:
     """What must hold of each operation, by its name, from the problem alone."""
     return {
-        op.name: PROCESSES[op.process].claims(op, problem.stock, problem.part) for op in problem.operations
+        op.name: PROCESSES[op.process].claims(op, problem.setup_of(i), problem.part)
+        for i, op in enumerate(problem.operations)
     }

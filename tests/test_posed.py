@@ -12,9 +12,11 @@ from pydantic import ValidationError
 
 from planner.issues import TandemError
 from planner.posed import POSE_COLUMNS, Posed, make_targets
-from planner.problem import Stock
+from planner.problem import Cell, Controller, Setup, Stock
 
-STOCK = Stock(np.array([0.1, 0.1, 0.1]), np.eye(4), np.eye(3))
+SETUP = Setup(
+    1, Cell("none", (), (), Controller()), Stock(np.array([0.1, 0.1, 0.1]), np.eye(4), np.eye(3)), (0,)
+)
 LEFT = dict(zip(POSE_COLUMNS, (1, 2, 3, 1, 0, 0, 0), strict=True))
 RIGHT = dict(zip(POSE_COLUMNS, (9, 2, 3, 0, 1, 0, 0), strict=True))
 ROW = {
@@ -40,7 +42,7 @@ def write(folder: Path, rows: list[dict[str, Any]], name: str = "targets.csv") -
 @pytest.mark.parametrize("name", ["targets.csv", "targets.json"])
 def test_both_formats_give_the_same_targets(tmp_path: Path, name: str) -> None:
     write(tmp_path, [ROW, {**ROW, "left.x_mm": 4, "right.y_mm": 7}], name)
-    targets = make_targets(operation(tmp_path, name), STOCK, None)
+    targets = make_targets(operation(tmp_path, name), SETUP, None)
     assert targets.count == 2
     np.testing.assert_allclose(targets.pose["left"][:, :3, 3], [[1e-3, 2e-3, 3e-3], [4e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(targets.pose["right"][0, :3, :3], np.diag([1.0, -1, -1]), atol=1e-15)
@@ -52,7 +54,7 @@ def test_both_formats_give_the_same_targets(tmp_path: Path, name: str) -> None:
 def test_free_axes_become_shared_freedoms(tmp_path: Path) -> None:
     write(tmp_path, [ROW, ROW])
     free = [{"name": "spin", "arms": ["left", "right"], "axis": "x", "turn_deg": [-180, 180]}]
-    (freedom,) = make_targets(operation(tmp_path, free=free), STOCK, None).freedoms
+    (freedom,) = make_targets(operation(tmp_path, free=free), SETUP, None).freedoms
     assert freedom.periodic
     np.testing.assert_allclose(freedom.upper, np.pi)
     assert set(freedom.axis) == {"left", "right"}
@@ -70,7 +72,7 @@ def test_free_axes_become_shared_freedoms(tmp_path: Path) -> None:
 def test_a_wrong_value_is_named_by_row_and_column(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     write(tmp_path, [ROW, {**ROW, **change}])
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path), STOCK, None)
+        make_targets(operation(tmp_path), SETUP, None)
     (issue,) = caught.value.issues
     assert issue.code == "targets.file"
     assert issue.index == 1
@@ -79,14 +81,14 @@ def test_a_wrong_value_is_named_by_row_and_column(tmp_path: Path, change: dict[s
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path), STOCK, None)
+        make_targets(operation(tmp_path), SETUP, None)
     assert caught.value.issues[0].code == "problem.missing_file"
 
 
 def test_a_broken_json_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.json").write_text("[{")
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path, "t.json"), STOCK, None)
+        make_targets(operation(tmp_path, "t.json"), SETUP, None)
     assert caught.value.issues[0].code == "targets.file"
 
 
@@ -94,7 +96,7 @@ def test_a_free_axis_is_a_turn_or_a_slide(tmp_path: Path) -> None:
     write(tmp_path, [ROW, ROW])
     free = [{"name": "both", "arms": ["left"], "axis": "z", "turn_deg": [0, 1], "slide_mm": [0, 1]}]
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path, free=free), STOCK, None)
+        make_targets(operation(tmp_path, free=free), SETUP, None)
     assert caught.value.issues[0].code == "targets.freedom"
 
 

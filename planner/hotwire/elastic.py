@@ -25,7 +25,7 @@ from planner.hotwire.elastic_wires import box_distance
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.problem import Mesh, Part, Stock
+from planner.problem import Mesh, Part, Setup, Stock
 from planner.targets import Action, Edge, Freedom, ScrewFreedom, Targets
 from planner.units import MM
 
@@ -40,11 +40,11 @@ _HOPELESS = 3.0  # times the tolerance: single sections this far off are not fit
 _DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
 
 
-def make_targets(operation: ElasticWire, stock: Stock, part: Part | None) -> Targets:
+def make_targets(operation: ElasticWire, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
     wire cannot do it.
     """
-    wire = _wire(operation)
+    stock, wire = setup.stock, _wire(operation)
     wanted = _wanted(operation, part)
     moved = {name: offset(_mesh(face), 0.5 * operation.kerf_mm * MM) for name, face in wanted.items()}
     tried, degrees = _sweep(operation, wire, list(moved.values()))
@@ -65,13 +65,13 @@ def make_targets(operation: ElasticWire, stock: Stock, part: Part | None) -> Tar
     if has_errors(issues):
         raise TandemError(aggregate(issues))
     return _targets(
-        operation, wire, stock, part, route, issues, exhibits(operation, wire, route, cuts, figures, tried)
+        operation, wire, setup, part, route, issues, exhibits(operation, wire, route, cuts, figures, tried)
     )
 
 
-def claims(operation: ElasticWire, stock: Stock, part: Part | None) -> tuple[Claim, ...]:
+def claims(operation: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    del stock
+    del setup
     wire = _wire(operation)
     out: list[Claim] = [
         WireJoins(
@@ -213,13 +213,13 @@ def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) ->
 def _targets(
     op: ElasticWire,
     wire: Wire,
-    stock: Stock,
+    setup: Setup,
     part: Part | None,
     route: Route,
     issues: list[Issue],
     pictures: dict[str, object],
 ) -> Targets:
-    shapes = route.wires.shapes()
+    stock, shapes = setup.stock, route.wires.shapes()
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
     foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
@@ -239,7 +239,7 @@ def _targets(
         coupled=True,
         edge=Edge(points, 0.5 * wire.width),
         actions=_actions(op, wire, route),
-        claims=claims(op, stock, part),
+        claims=claims(op, setup, part),
         exhibits=pictures,
         issues=aggregate(issues),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.hotwire.operation import ElasticWire
 from planner.part_file import PartFile, build
-from planner.problem import Part, Stock
+from planner.problem import Cell, Controller, Part, Setup, Stock
 
 ARCH = ((-70.0, 0.0), (-25.0, 21.0), (25.0, 21.0), (70.0, 0.0))
 LEVEL = np.eye(3)
@@ -28,6 +28,11 @@ def loft(profile: tuple[tuple[float, float], ...], rises: tuple[float, ...] = (0
 def stock(attitude: np.ndarray = LEVEL, size: tuple[float, float, float] = (0.16, 0.23, 0.10)) -> Stock:
     """A block."""
     return Stock(np.array(size), None, attitude)
+
+
+def setup(block: Stock | None = None) -> Setup:
+    """A block in a cell without arms, which a process does not look at."""
+    return Setup(1, Cell("none", (), (), Controller()), block or stock(), (0,))
 
 
 def part(front: dict[str, Any] | None = None, back: float | None = 15.0, block: Stock | None = None) -> Part:

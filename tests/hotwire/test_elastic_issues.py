@@ -35,7 +35,7 @@ def issues_of(path: Path) -> list[Issue]:
         part = part_file.build(PartFile.model_validate(data["part"]), path.parent, size)
         block = Stock(size, None, from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3])
         for raw in data["operations"]:
-            elastic.make_targets(ElasticWire.model_validate(raw), block, part)
+            elastic.make_targets(ElasticWire.model_validate(raw), panels.setup(block), part)
     except TandemError as error:
         return list(error.issues)
     return []
@@ -50,7 +50,7 @@ def test_a_bundled_infeasible_problem_gives_its_codes(name: str) -> None:
 
 def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]:
     with pytest.raises(TandemError) as caught:
-        elastic.make_targets(panels.operation(wire_of, **more), panels.stock(), panels.part())
+        elastic.make_targets(panels.operation(wire_of, **more), panels.setup(), panels.part())
     return {issue.code: issue for issue in caught.value.issues}
 
 
@@ -61,7 +61,7 @@ def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> Non
     assert issue.hint is not None
     assert 215 < issue.limit < 260
     enough = steel | {"length_mm": 5 * np.ceil(issue.limit / 5)}
-    assert elastic.make_targets(panels.operation(enough), panels.stock(), panels.part()).count > 50
+    assert elastic.make_targets(panels.operation(enough), panels.setup(), panels.part()).count > 50
 
 
 def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
