@@ -13,6 +13,7 @@ from pydrake.multibody.tree import BodyIndex
 from planner.catalogue import RobotData
 from planner.cell.distance import Solid
 from planner.cell.robots import link_frames
+from planner.geometry.rigid import from_parts
 from planner.problem import Cell, Shape, Stock
 
 FloatArray = NDArray[np.float64]
@@ -21,9 +22,10 @@ FloatArray = NDArray[np.float64]
 def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
     """Shapes by body, in the body's frame, of everything but the robots' links."""
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
-    lift = np.eye(4)
-    lift[2, 3] = 0.5 * stock.size[2]
-    out["stock"] = (Shape("box", (float(stock.size[0]), float(stock.size[1]), float(stock.size[2])), lift),)
+    out.update({f"{arm.name}/edge": (arm.tool.edge,) for arm in cell.arms if arm.tool.edge is not None})
+    lower, upper = stock.lower, stock.upper
+    x, y, z = (upper - lower).tolist()
+    out["stock"] = (Shape("box", (x, y, z), from_parts(np.eye(3), 0.5 * (lower + upper))),)
     if stock.support:
         out["support"] = stock.support
     out.update({obstacle.name: obstacle.shapes for obstacle in cell.obstacles})

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.distance import Solid, extent
+from planner.cell.filters import fixed as is_fixed
 from planner.geometry.rigid import from_parts
 
 FloatArray = NDArray[np.float64]
@@ -161,10 +162,13 @@ class _NearBox:
     along: FloatArray
 
 
-def prepare(solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]]) -> Bounds:
-    """The bounds of a cell's solids; ``filtered`` are pairs of bodies that are not held apart."""
+def prepare(
+    solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]], holder: str | None = None
+) -> Bounds:
+    """The bounds of a cell's solids; ``filtered`` are pairs of bodies that are not held apart, ``holder`` is
+    the arm that holds the stock, if any."""
     skip = {frozenset(pair[:2]) for pair in filtered}
-    boxed = [_is_fixed(s.body) and s.shape.kind in ("box", "mesh") for s in solids]
+    boxed = [is_fixed(s.body, holder) and s.shape.kind in ("box", "mesh") for s in solids]
     boxes = [s for s, fixed in zip(solids, boxed, strict=True) if fixed]
     rows = [_capsule(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed]
     capsules = tuple(_as_box(s) for s, fixed in zip(solids, boxed, strict=True) if not fixed)
@@ -198,10 +202,6 @@ def prepare(solids: Sequence[Solid], filtered: Sequence[tuple[str, str, str]]) -
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
         box_pairs=np.array(box_pairs, dtype=np.intp).reshape(-1, 2),
     )
-
-
-def _is_fixed(body: str) -> bool:
-    return "/" not in body or body.endswith("/base_link")
 
 
 def _as_box(solid: Solid) -> Solid:

@@ -142,7 +142,7 @@ def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str,
 def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
     bases = [f"{arm}/base_link" for arm in model.arms]
     obstacles = [obstacle.name for obstacle in model.cell.obstacles]
-    pairs = [("stock", other) for other in [*bases, *obstacles]]
+    pairs = [("stock", other) for other in [*bases, *obstacles]] if model.stock.held_by is None else []
     pairs += [(a, b) for i, a in enumerate(bases) for b in bases[i + 1 :]]
     if model.stock.support:
         pairs += [("support", base) for base in bases]

@@ -20,24 +20,39 @@ NEAR: Final = 0.012
 """Bodies of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
 
 CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
+EDGE: Final = {
+    "tool": "the edge belongs to the tool",
+    "link_6": "the edge is fixed to the flange",
+    "link_5": "kept apart by the robot's own build",
+}
+HELD: Final = {
+    "tool": "the block is held by the tool",
+    "link_6": "the block is fixed to the flange",
+    "link_5": "of one arm and always near each other",
+}
+"""Why an arm's own edge, and a block that it holds, are not held apart from these bodies of the arm."""
+
 BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""
 
 
 def filter_pairs(
-    checker: SceneGraphCollisionChecker, names: Mapping[int, str], limits: tuple[FloatArray, FloatArray]
+    checker: SceneGraphCollisionChecker,
+    names: Mapping[int, str],
+    limits: tuple[FloatArray, FloatArray],
+    holder: str | None = None,
 ) -> tuple[FilteredPair, ...]:
     """Filters pairs of one arm in the checker and returns all filtered pairs with reasons, sorted.
 
-    Neighbours and the pairs of BUILT_APART are filtered by structure. Other pairs of one arm are filtered
-    when they come within 12 mm in more than 95 % of 200 random postures (seeded) within the limits (nq,),
-    (nq,).
+    Neighbours and the pairs of BUILT_APART, EDGE and HELD are filtered by structure; ``holder`` is the arm
+    that holds the stock, if any. Other pairs of one arm are filtered when they come within 12 mm in more than
+    95 % of 200 random postures (seeded) within the limits (nq,), (nq,).
     """
     shaped = {index for index in names if _has_solids(checker, index)}
     out: list[FilteredPair] = []
     for a in sorted(shaped):
         for b in sorted(shaped):
-            if a < b and (reason := _structural(names[a], names[b])):
+            if a < b and (reason := _structural(names[a], names[b], holder)):
                 out.append((names[a], names[b], reason))
                 if "fixed to the world" not in reason:
                     checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
@@ -52,16 +67,24 @@ def _has_solids(checker: Any, index: int) -> bool:
     return bool(checker.plant().GetCollisionGeometriesForBody(checker.plant().get_body(BodyIndex(index))))
 
 
-def _fixed(name: str) -> bool:
+def fixed(name: str, holder: str | None) -> bool:
+    """Whether a body stands in the world; ``holder`` is the arm that holds the stock, if any."""
+    if name == "stock" and holder is not None:
+        return False
     return "/" not in name or name.endswith("/base_link")
 
 
-def _structural(a: str, b: str) -> str | None:
-    if _fixed(a) and _fixed(b):
+def _structural(a: str, b: str, holder: str | None) -> str | None:
+    if fixed(a, holder) and fixed(b, holder):
         return "both fixed to the world"
     (arm_a, _, link_a), (arm_b, _, link_b) = a.partition("/"), b.partition("/")
+    if holder is not None and "stock" in (a, b):
+        arm, link = (arm_a, link_a) if b == "stock" else (arm_b, link_b)
+        return HELD.get(link) if arm == holder else None
     if not link_a or not link_b or arm_a != arm_b:
         return None
+    if "edge" in (link_a, link_b):
+        return EDGE.get(link_a if link_b == "edge" else link_b)
     pair = (CHAIN.index(link_a), CHAIN.index(link_b))
     if pair in BUILT_APART:
         return "kept apart by the robot's own build"

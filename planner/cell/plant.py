@@ -33,6 +33,7 @@ STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
 SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
 OBSTACLE_COLOUR = np.array([0.60, 0.62, 0.66, 1.0])
 TOOL_COLOUR = np.array([0.20, 0.30, 0.42, 1.0])
+EDGE_COLOUR = np.array([0.85, 0.30, 0.10, 1.0])
 
 
 @dataclasses.dataclass
@@ -57,8 +58,9 @@ class CellModel:
     Models made by :meth:`with_stock` and :meth:`with_bases` share one diagram, whose contexts are set to a
     model's placement when that model is asked; a model is therefore not for use by several threads at once.
     q is the concatenation of six serial joint angles [rad] per arm, in the order of ``cell.arms``. Bodies
-    are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "stock", "support",
-    "<obstacle>".
+    are named "<arm>/base_link", "<arm>/link_1" ... "<arm>/link_6", "<arm>/tool", "<arm>/edge" (a tool's own
+    edge, if it has one), "stock", "support", "<obstacle>". A held stock moves with its holder;
+    ``stock_pose`` is then only remembered.
     """
 
     cell: Cell
@@ -145,11 +147,16 @@ class CellModel:
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
             out.update(body_poses(arm.name, self.robots[arm.name], self.bases[arm.name], rows))
+            if arm.tool.edge is not None:
+                out[f"{arm.name}/edge"] = out[f"{arm.name}/tool"]
+        if self.stock.held_by is not None:
+            held = self.cell.arm(self.stock.held_by).tool.tcp @ self.stock.grip
+            out["stock"] = out[f"{self.stock.held_by}/tool"] @ held
         return out
 
     def with_stock(self, pose: FloatArray) -> CellModel:
         """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is
-        rebuilt."""
+        rebuilt. A held stock stays in its holder's tool."""
         return dataclasses.replace(self, stock_pose=np.array(pose, dtype=np.float64))
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
@@ -181,28 +188,37 @@ def build(
     """The model of a cell, with the stock at ``stock_pose`` (4, 4) in the world and arms at ``bases`` or
     their own.
 
-    With ``meshcat`` a visualizer of the visible shapes is part of the diagram. Raises :class:`TandemError`
-    for an unknown robot and for names of obstacles or arms that clash (``cell.body_name``).
+    A held stock is fixed to its holder's tool. With ``meshcat`` a visualizer of the visible shapes is part of
+    the diagram. Raises :class:`TandemError` for an unknown robot and for names of bodies that clash
+    (``cell.body_name``), ``KeyError`` for an unknown holder, ``ValueError`` for a held stock on a support.
     """
     _check_names(cell)
+    if stock.held_by is not None and stock.support:
+        raise ValueError("a held stock has no support")
     placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
     robots = {arm.name: catalogue.robot(arm.robot) for arm in cell.arms}
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
     mounts: dict[str, FixedOffsetFrame] = {}
+    own = own_shapes(cell, stock)
     instances = []
+    flanges: dict[str, tuple[Any, Any]] = {}
     for arm in cell.arms:
         parser = Parser(plant=plant, scene_graph=builder.scene_graph(), model_name_prefix=arm.name)
         (instance,) = parser.AddModels(str(catalogue.urdf_path(arm.robot)))
         instances.append(instance)
         mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))
-        tool = plant.AddRigidBody(f"{arm.name}/tool", instance, SpatialInertia.Zero())
-        plant.WeldFrames(plant.GetFrameByName("tool0", instance), tool.body_frame())
-        _add_shapes(plant, tool, arm.tool.shapes, TOOL_COLOUR)
-    mounts["stock"] = _mount(plant, "stock/mount", np.asarray(stock_pose))
-    own = own_shapes(cell, stock)
-    _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
+        flanges[arm.name] = instance, plant.GetFrameByName("tool0", instance)
+        for body, colour in ((f"{arm.name}/tool", TOOL_COLOUR), (f"{arm.name}/edge", EDGE_COLOUR)):
+            if body in own:
+                _on_flange(plant, body, flanges[arm.name], np.eye(4), own[body], colour)
+    if stock.held_by is not None:
+        held = cell.arm(stock.held_by).tool.tcp @ stock.grip
+        _on_flange(plant, "stock", flanges[stock.held_by], held, own["stock"], STOCK_COLOUR)
+    else:
+        mounts["stock"] = _mount(plant, "stock/mount", np.asarray(stock_pose))
+        _fixed(plant, "stock", mounts["stock"], own["stock"], STOCK_COLOUR)
     if stock.support:
         _fixed(plant, "support", mounts["stock"], own["support"], SUPPORT_COLOUR)
     for obstacle in cell.obstacles:
@@ -215,12 +231,11 @@ def build(
     checker = SceneGraphCollisionChecker(
         model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
     )
-    filtered = filter_pairs(checker, names, _limits(cell, robots))
+    filtered = filter_pairs(checker, names, _limits(cell, robots), stock.held_by)
     inspector = checker.model().scene_graph().model_inspector()
     solids = collect(plant, inspector, names, own)
-    shared = _Shared(
-        plant, checker.model(), checker, mounts, names, filtered, solids, prepare(solids, filtered)
-    )
+    bounds = prepare(solids, filtered, stock.held_by)
+    shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
     return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
 
 
@@ -258,6 +273,21 @@ def _fixed(
 ) -> None:
     body = plant.AddRigidBody(name, plant.AddModelInstance(name), SpatialInertia.Zero())
     plant.WeldFrames(mount, body.body_frame())
+    _add_shapes(plant, body, shapes, colour)
+
+
+def _on_flange(
+    plant: MultibodyPlant,
+    name: str,
+    flange: tuple[Any, Any],
+    pose: FloatArray,
+    shapes: tuple[Shape, ...],
+    colour: FloatArray,
+) -> None:
+    """A body of the robot's own model (instance, tool0), fixed at ``pose`` (4, 4) to its flange."""
+    instance, frame = flange
+    body = plant.AddRigidBody(name, instance, SpatialInertia.Zero())
+    plant.WeldFrames(frame, body.body_frame(), rigid(pose))
     _add_shapes(plant, body, shapes, colour)
 
 

@@ -1,0 +1,130 @@
+"""A tool with a rigid edge, and a block that an arm holds: bodies of their own, held apart."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner.bow import bow
+from planner.cell import clearance, plant
+from planner.cell.bodies import own_shapes
+from planner.geometry.rigid import from_rpy, inverse
+from planner.grippers import gripper_plate
+from planner.problem import Arm, Cell, Controller, Shape, Stock
+from tests.cell.cells import BLOCK, UP, WIDE, alone
+
+GRIP = from_rpy((0.01, -0.02, 0.0), (0.0, 0.0, 0.3))
+SIZE = np.array([0.30, 0.24, 0.20])
+WIRE = 0.0002
+AHEAD = 0.515 + 0.060 + 0.400
+"""[m] how far ahead of an IRB 140 at zero the wire of a bow of 400 mm stands upright, about 0.712 m up."""
+
+
+def _held() -> plant.CellModel:
+    home = np.deg2rad([0.0, -10.0, 10.0, 0.0, 60.0, 0.0])
+    arms = (
+        Arm("left", "irb140", from_rpy((-0.8, 0.0, 0.0), UP), bow(), home),
+        Arm("right", "irb140", from_rpy((0.8, 0.0, 0.0), (0.0, 0.0, np.pi)), gripper_plate(0.1, 0.1), home),
+    )
+    stock = Stock(SIZE, None, np.eye(3), held_by="right", grip=GRIP)
+    return plant.build(Cell("held", arms, (), Controller()), stock, np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def held() -> plant.CellModel:
+    return _held()
+
+
+def _random(seed: int, count: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
+
+
+@pytest.mark.parametrize("gap", [0.025, 0.012, 0.008, -0.010])
+def test_the_wire_of_a_bow_has_the_distance_of_plane_geometry(gap: float) -> None:
+    place = from_rpy((AHEAD + WIRE + gap + 0.08, 0.0, 0.712 - 0.05), UP)
+    model = plant.build(alone("irb140", bow()), BLOCK, place)
+    q = {"arm": np.zeros((1, 6))}
+    hand = frozenset({frozenset(("arm/link_4", "arm/tool"))})
+    found = clearance.least(model, q, 0.1, hand)
+    assert found.pair[0] == ("arm/edge", "stock")
+    assert found.distance[0] == pytest.approx(gap, abs=1e-5)
+    assert clearance.free(model, q, 0.010)[0] == (gap > 0.010)
+    assert clearance.free(model, {"arm": np.zeros((40, 6))}, 0.010).all() == (gap > 0.010)
+    through = frozenset({frozenset(("arm/edge", "stock"))})
+    assert clearance.free(model, q, 0.010, ignore=through)[0]
+    assert clearance.least(model, q, 0.1, through | hand).distance[0] >= 0.1 - 1e-9
+    assert all(
+        set(pair) != {"arm/edge", "stock"}
+        for _, _, pair in clearance.gradients(model, np.zeros(6), 0.1, through)
+    )
+
+
+def test_a_held_block_moves_with_the_hand(held: plant.CellModel) -> None:
+    q = _random(2, 4)
+    poses, rows = held.poses(q), held.stack(q)
+    np.testing.assert_allclose(poses["stock"], held.tcp(q)["right"] @ GRIP, atol=1e-12)
+    for i, row in enumerate(rows):
+        context = held.checker.UpdatePositions(row)
+        for name in ("stock", "left/edge"):
+            drake = held.plant.EvalBodyPoseInWorld(context, held.body(name)).GetAsMatrix4()
+            np.testing.assert_allclose(poses[name][i], drake, atol=1e-12)
+
+
+def test_another_stock_pose_changes_nothing_of_a_held_block(held: plant.CellModel) -> None:
+    moved = held.with_stock(from_rpy((3.0, 0.0, 0.0), UP)).with_bases({})
+    q = _random(3, 100)
+    np.testing.assert_array_equal(clearance.free(held, q, 0.01), clearance.free(moved, q, 0.01))
+    np.testing.assert_array_equal(held.poses(q)["stock"], moved.poses(q)["stock"])
+    assert clearance.overlaps(moved) == ()
+
+
+def test_pairs_of_edge_and_held_block_are_filtered_with_reasons(held: plant.CellModel) -> None:
+    listed = {frozenset(pair[:2]): pair[2] for pair in held.pairs_filtered}
+    for link in ("tool", "link_6", "link_5"):
+        assert frozenset((f"left/{link}", "left/edge")) in listed
+        assert frozenset((f"right/{link}", "stock")) in listed
+    for pair in (
+        ("left/edge", "stock"),
+        ("left/edge", "left/link_3"),
+        ("right/link_4", "stock"),
+        ("left/tool", "stock"),
+    ):
+        assert frozenset(pair) not in listed
+    assert frozenset(("right/base_link", "stock")) not in listed
+
+
+def test_bounds_and_drake_agree_on_a_held_block(held: plant.CellModel) -> None:
+    """Both hands are brought together, so that bow and block meet in many postures."""
+    q = _random(5, 300)
+    model = held.with_bases({"left": from_rpy((-0.45, 0.0, 0.0), UP)})
+    batch = clearance.free(model, q, 0.01)
+    each = [clearance.free(model, {a: v[i : i + 1] for a, v in q.items()}, 0.01)[0] for i in range(300)]
+    np.testing.assert_array_equal(batch, each)
+    found = [clearance.least(model, {a: v[i : i + 1] for a, v in q.items()}, 0.2) for i in range(300)]
+    lower, upper = model.bounds.least(model.poses(q), 0.2)
+    exact = np.array([f.distance[0] for f in found])
+    apart = exact >= 0.0
+    assert np.all(np.minimum(lower, 0.2)[apart] <= exact[apart] + 1e-5)
+    assert np.all(lower[~apart] < 1e-5)
+    assert np.all(exact[upper < 0.0] < 0.0)
+    assert {"stock"} <= {name for f in found for name in f.pair[0]}
+
+
+def test_the_block_stands_out_of_the_datum_block_by_its_oversize() -> None:
+    over = np.array([[0.01, 0.0, 0.0], [0.03, 0.005, 0.02]])
+    stock = dataclasses.replace(BLOCK, oversize=over)
+    (shape,) = own_shapes(alone("irb140"), stock)["stock"]
+    np.testing.assert_allclose(shape.size, BLOCK.size + over.sum(axis=0))
+    np.testing.assert_allclose(shape.pose[:3, 3], [0.01, 0.0025, 0.06])
+
+
+def test_a_held_block_needs_a_holder_and_no_support(held: plant.CellModel) -> None:
+    post = Shape("cylinder", (0.05, 0.4), from_rpy((0.0, 0.0, -0.2), UP))
+    with pytest.raises(ValueError, match="support"):
+        plant.build(held.cell, dataclasses.replace(held.stock, support=(post,)), np.eye(4))
+    with pytest.raises(KeyError):
+        plant.build(held.cell, dataclasses.replace(held.stock, held_by="nobody"), np.eye(4))
+    assert np.allclose(inverse(GRIP) @ GRIP, np.eye(4))
