@@ -51,6 +51,10 @@ class Operation:
     process: str = "elastic_wire"
     arms: tuple[str, ...] = ("left", "right")
 
+    def leaves(self, stock):
+        """The block stays as it was."""
+        return stock
+
 
 def half_angle(y):
     """Half the angle [rad] of the arc of the section at y."""
