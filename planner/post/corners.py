@@ -7,31 +7,44 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.problem import Tool
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 DEVIATION: Final = 0.02
 """How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
 LEVER: Final = 100.0
-"""Turning counts as the way [mm/rad] of a point so far from the TCP, for what the tool holds is long."""
+"""Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
+long."""
 _SHARE: Final = 0.5
 
 
+def lever(tool: Tool) -> float:
+    """How far [mm] from its TCP a tool cuts: to the far end of a straight wire, or :data:`LEVER`."""
+    if tool.edge is None:
+        return LEVER
+    half = np.array([[0.0, 0.0, sign * 0.5 * tool.edge.size[1]] for sign in (-1.0, 1.0)])
+    ends = half @ tool.edge.pose[:3, :3].T + tool.edge.pose[:3, 3] - tool.tcp[:3, 3]
+    return max(LEVER, 1e3 * float(np.linalg.norm(ends, axis=1).max()))
+
+
 def room(
-    position: FloatArray, quaternion: FloatArray, duration: FloatArray, stop: BoolArray
+    position: FloatArray, quaternion: FloatArray, duration: FloatArray, stop: BoolArray, arm: float = LEVER
 ) -> tuple[FloatArray, FloatArray]:
     """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops.
 
     A corner that is rounded over the time h before and behind it passes the target at h |dv| / 4, dv being
     the change of velocity (the quadratic Bezier curve with the corner as its control point). The share of the
-    moves is what keeps that below ``DEVIATION``, and at most one half of the shorter one.
+    moves is what keeps that below ``DEVIATION``, and at most one half of the shorter one. Turning counts
+    as the way of a point ``arm`` [mm] from the TCP.
     """
     way, turn = np.diff(position, axis=0), np.diff(quaternion, axis=0)
     distance = np.linalg.norm(way, axis=1)
     angle = 4.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(turn, axis=1), 0.0, 1.0))
     span = duration[:, None]
     change = np.linalg.norm(np.diff(way / span, axis=0), axis=1)
-    change += LEVER * 2.0 * np.linalg.norm(np.diff(turn / span, axis=0), axis=1)
+    change += arm * 2.0 * np.linalg.norm(np.diff(turn / span, axis=0), axis=1)
     passed = np.minimum(duration[:-1], duration[1:]) * change / 4.0
     share = np.minimum(_SHARE, DEVIATION / np.maximum(passed, 1e-9))
     share = np.where(stop, 0.0, np.append(share, 0.0))

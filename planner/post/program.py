@@ -65,6 +65,25 @@ class Do:
 
 
 @dataclasses.dataclass(frozen=True)
+class Load:
+    """What an arm's tool holds in a setup, in its TCP frame: ``mass`` [kg], centre ``cog`` (3,) [m], and the
+    moments of inertia ``inertia`` (3,) [kg m^2] about the axes ``axes`` (3, 3) through the centre."""
+
+    setup: int
+    mass: float
+    cog: FloatArray
+    axes: FloatArray
+    inertia: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Carry:
+    """From here on the arm carries ``load``, or nothing."""
+
+    load: Load | None
+
+
+@dataclasses.dataclass(frozen=True)
 class Track:
     """Moves of one arm in one operation, one row a target that is moved to.
 
@@ -94,14 +113,19 @@ class Run:
     synchronised: bool
 
 
-Step = Joints | Meet | SyncOn | SyncOff | Do | Run
+Step = Joints | Meet | SyncOn | SyncOff | Do | Carry | Run
 
 
 @dataclasses.dataclass(frozen=True)
 class OperationProgram:
-    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``."""
+    """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``.
+
+    ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then.
+    """
 
     name: str
+    setup: int
+    arm: Arm
     track: Track | None
     ids: IntArray
     stop: BoolArray
@@ -111,7 +135,7 @@ class OperationProgram:
 
 @dataclasses.dataclass(frozen=True)
 class TaskProgram:
-    """The program of one arm; ``number`` counts the tasks from 1."""
+    """The program of one arm; ``number`` counts the tasks from 1. ``arm`` is as the first setup has it."""
 
     number: int
     task: str

@@ -12,6 +12,7 @@ from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.layout import Part, parts
 from planner.post.program import (
+    Carry,
     Do,
     Job,
     Joints,
@@ -27,10 +28,11 @@ from planner.post.rapid_data import (
     ENTRY_SPEED,
     TASKS,
     Stations,
+    Tools,
     block,
     data_lines,
+    load_name,
     meet,
-    tool_name,
     wobj_name,
 )
 from planner.post.rapid_format import action_lines, box, comment, identifier, quoted, short
@@ -46,6 +48,7 @@ _NO_WIRE = (
     "Take off what joins them, see that their ways are clear, then press OK."
 )
 _READY = "Is the stock in place and the way of each arm clear? Press OK to start."
+_CLEAR = "Is the way of each arm to its home clear, and nobody in the cell? Press OK to start."
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -94,12 +97,13 @@ def _zones(job: Job, operation: int) -> dict[int, NameArray]:
 def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]]) -> list[list[str]]:
     """The move instructions of each operation."""
     out: list[list[str]] = []
+    tools = Tools(task)
     for i, program in enumerate(task.operations):
         if program.track is None:
             out.append([])
             continue
         ids = program.ids if len(_moving(job, i)) > 1 else None
-        names = (tool_name(task.arm.tool), wobj_name(program.track.frame))
+        names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
         out.append(move_lines(task.robot, program.track, ids, zone[i][task.number], *names))
     return out
 
@@ -120,12 +124,13 @@ class _Task:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
         self.margins, self.layout, self.moves = margins, layout, moves
         self.stations = Stations(task)
-        self.tool = tool_name(task.arm.tool)
+        self.tools = Tools(task)
 
     def files(self, zone_names: set[str]) -> dict[str, str]:
         """The task's files by relative name."""
         n = self.task.number
-        data = data_lines(self.task, self.job, self.plan, self.problem, self.stations, zone_names)
+        names = (self.tools, self.stations)
+        data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
         bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main()}
         own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
         for module in dict.fromkeys(part.module for part in own):
@@ -164,9 +169,8 @@ class _Task:
         out = comment(
             f"Written by Tandem {__version__} for task {task.task}, {task.unit}: {task.robot.title}."
         )
-        out += comment(
-            f"Arm {task.arm.name}, tool {task.arm.tool.name}. Written, not taught: plan again to change it."
-        )
+        tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
+        out += comment(f"Arm {task.arm.name}, tool {tools}. Written, not taught: plan again to change it.")
         out += comment(f"Problem {self.plan.problem_name}, SHA-256 {self.plan.digest}.")
         for name, value in self.margins.items():
             out += comment(f"Proven: {name} {value}.")
@@ -190,7 +194,8 @@ class _Task:
         if self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box("Tandem", _NO_WIRE if self.job.coupled else _READY)
+            clear = _CLEAR if self.problem.setups[0].steps else _READY
+            body += box("Tandem", _NO_WIRE if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         out = self._procedure("main", body, undo=False)
@@ -209,7 +214,8 @@ class _Task:
         match step:
             case Joints():
                 name = self.stations.of(step, operation + 1)
-                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{self.tool};"]
+                tool = self.tools.of(self.task.operations[operation].arm.tool)
+                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{tool};"]
             case Meet(number, reached):
                 return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASKS};"]
             case SyncOn(number):
@@ -218,6 +224,8 @@ class _Task:
                 return [f"SyncMoveOff {block(number, 'off')};"]
             case Do(action):
                 return action_lines(action)
+            case Carry(load):
+                return [f"GripLoad {load_name(load)};"]
             case Run():
                 inside = (p for p in self.layout if p.operation == step.operation)
                 return [f"{p.name};" for p in inside if step.first <= p.first < step.last]

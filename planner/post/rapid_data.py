@@ -8,9 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post.program import Job, Joints, TaskProgram
+from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram
 from planner.post.rapid_format import identifier, jointtarget, number, pose, quoted, short, vector
 from planner.post.rapid_moves import own_zones
 from planner.problem import Problem, Tool
@@ -34,14 +35,42 @@ def block(n: int, end: str) -> str:
     return f"block_{n}_{end}"
 
 
-def tool_name(tool: Tool) -> str:
-    """Name of the tooldata."""
-    return identifier(f"t_{tool.name}"[:_TOOL_NAME])
+def wobj_name(frame: str, setup: int) -> str:
+    """Name of the wobjdata of a work frame of the targets in a setup; the world has a predefined one."""
+    if frame == "world":
+        return "wobj0"
+    return ("w_stock" if frame == "stock" else "w_held") + _number(setup)
 
 
-def wobj_name(frame: str) -> str:
-    """Name of the wobjdata of a work frame of the targets; the world has a predefined one."""
-    return "wobj0" if frame == "world" else identifier("w_stock" if frame == "stock" else "w_held")
+def load_name(load: Load | None) -> str:
+    """Name of the loaddata of what is carried."""
+    return "load0" if load is None else f"load_block{_number(load.setup)}"
+
+
+def _number(setup: int) -> str:
+    return "" if setup == 1 else f"_{setup}"
+
+
+class Tools:
+    """Names for the tools of a task, a tool's data under one name in all setups."""
+
+    def __init__(self, task: TaskProgram) -> None:
+        self.names: dict[tuple[str, str], str] = {}
+        for operation in task.operations:
+            self.of(operation.arm.tool)
+
+    def of(self, tool: Tool) -> str:
+        """Name of a tool's tooldata."""
+        key = (tool.name, _tool(tool))
+        if key not in self.names:
+            stem = identifier(f"t_{tool.name}"[:_TOOL_NAME])
+            count = sum(name == stem or name.startswith(f"{stem}_") for name in self.names.values())
+            self.names[key] = stem if count == 0 else f"{stem}_{count + 1}"
+        return self.names[key]
+
+    def lines(self) -> list[str]:
+        """The declarations."""
+        return [f"TASK PERS tooldata {name}:={data};" for (_, data), name in self.names.items()]
 
 
 class Stations:
@@ -71,7 +100,12 @@ class Stations:
 
 
 def data_lines(
-    task: TaskProgram, job: Job, plan: Plan, problem: Problem, stations: Stations, zones: Iterable[str]
+    task: TaskProgram,
+    job: Job,
+    plan: Plan,
+    problem: Problem,
+    names: tuple[Tools, Stations],
+    zones: Iterable[str],
 ) -> list[str]:
     """The declarations of a task, without indentation; empty strings are blank lines."""
     out = ["! what this program was planned for; the proof starts from these"]
@@ -79,11 +113,9 @@ def data_lines(
         out.append(f"CONST string problem_digest{'' if i == 1 else f'_{i}'}:={quoted(part)};")
     out += ["! base frame that the controller must have for this arm, in the world"]
     out += [f"CONST pose base_frame:={pose(task.base)};", ""]
-    out += [
-        "! tool and work objects",
-        f"TASK PERS tooldata {tool_name(task.arm.tool)}:={_tool(task.arm.tool)};",
-    ]
-    out += [*_wobjs(task, job, plan), ""]
+    tools, stations = names
+    out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
+    out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
     speed = short(problem.settings.tcp_speed * 1e3, 3)
     out += ["! on the way to the first target and home again"]
     out += [
@@ -94,9 +126,9 @@ def data_lines(
     if own:
         out += ["", "! zones that fit the distances of the targets", *own]
     if len(job.tasks) > 1:
-        names = ",".join(f"[{quoted(other.task)}]" for other in job.tasks)
+        listed = ",".join(f"[{quoted(other.task)}]" for other in job.tasks)
         out += ["", "! where the tasks meet; each point is used once"]
-        out += [f"PERS tasks {TASKS}{{{len(job.tasks)}}}:=[{names}];"]
+        out += [f"PERS tasks {TASKS}{{{len(job.tasks)}}}:=[{listed}];"]
         out += [f"VAR syncident {meet(n)};" for n in range(1, job.meets + 1)]
         out += [f"VAR syncident {block(n, end)};" for n in range(1, job.blocks + 1) for end in ("on", "off")]
     return out
@@ -111,26 +143,46 @@ def _tool(tool: Tool) -> str:
 
 
 def _wobjs(task: TaskProgram, job: Job, plan: Plan) -> list[str]:
-    """Work objects of the frames that the task's targets are in.
+    """Work objects of the frames that the task's targets are in, setup by setup.
 
     ``TASK PERS``, though equal in all tasks: a shared ``PERS`` keeps the value of a program loaded before.
     """
-    identity = pose(np.eye(4))
-    out = []
-    for frame in dict.fromkeys(item.track.frame for item in task.operations if item.track is not None):
+    out: dict[str, str] = {}
+    for index, operation in enumerate(task.operations):
+        if operation.track is None or operation.track.frame == "world":
+            continue
+        frame = operation.track.frame
         if frame == "stock":
-            out.append(
-                f'TASK PERS wobjdata {wobj_name(frame)}:=[FALSE,TRUE,"",{pose(plan.stock_pose)},{identity}];'
-            )
+            data = f'[FALSE,TRUE,"",{pose(plan.places[operation.setup - 1])},{pose(np.eye(4))}]'
         elif frame.startswith("held:"):
             holder = next((t for t in job.tasks if t.arm.name == frame.removeprefix("held:")), None)
             if holder is None:
                 message = f"targets of {task.arm.name} lie in {frame!r}, but that arm has no program"
                 raise TandemError(Issue("post.frame", message, hint="name an arm that takes part"))
-            # the user frame rides on the other arm's flange; the held work's frame is that arm's tool frame
-            unit = f"[FALSE,FALSE,{quoted(holder.unit)},{pose(holder.arm.tool.tcp)},{identity}]"
-            out.append(f"TASK PERS wobjdata {wobj_name(frame)}:={unit};")
-        elif frame != "world":
+            data = _held(holder, holder.operations[index])
+        else:
             message = f"targets of {task.arm.name} lie in the unknown frame {frame!r}"
             raise TandemError(Issue("post.frame", message, hint="allowed: stock, world, held:<arm>"))
+        out[wobj_name(frame, operation.setup)] = data
+    return [f"TASK PERS wobjdata {name}:={data};" for name, data in out.items()]
+
+
+def _held(holder: TaskProgram, operation: OperationProgram) -> str:
+    """A work object that rides on the holder's flange, its object frame being the holder's TCP frame.
+
+    The controller itself keeps a moving user frame at the flange of the unit named; what a program states
+    for it is not relied on. The offset from there to the work therefore stands in the object frame.
+    """
+    return f"[FALSE,FALSE,{quoted(holder.unit)},{pose(np.eye(4))},{pose(operation.arm.tool.tcp)}]"
+
+
+def _loads(task: TaskProgram) -> list[str]:
+    """What the arm carries; the centre and the axes of the moments of inertia are in the tool's frame."""
+    steps = (step for operation in task.operations for step in operation.steps)
+    out = []
+    for load in (step.load for step in steps if isinstance(step, Carry) and step.load is not None):
+        axes, cog = vector(to_quaternion(load.axes), 8), vector(load.cog * 1e3, 3)
+        moments = ",".join(number(float(value), 6) for value in load.inertia)
+        data = f"[{number(load.mass, 4)},{cog},{axes},{moments}]"
+        out.append(f"TASK PERS loaddata {load_name(load)}:={data};")
     return out

@@ -12,11 +12,13 @@ from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import corners
+from planner.post.loads import carries
 from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
     BoolArray,
+    Carry,
     Do,
     FloatArray,
     IntArray,
@@ -31,8 +33,8 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import Arm, Problem
-from planner.targets import Targets
+from planner.problem import Arm, Problem, Setup
+from planner.targets import Action, Targets
 
 MAX_TASKS = 2
 SAME_JOINTS = 1e-6
@@ -50,8 +52,19 @@ def build(plan: Plan, problem: Problem) -> Job:
         raise TandemError(
             Issue("post.tasks", got, hint="name one task and one unit for each arm of the cell")
         )
+    setups = {index: setup for setup in problem.setups for index in setup.operations}
+    if len(plan.operations) > len(setups) or len(plan.places) < len(problem.setups):
+        message = (
+            f"the plan has {len(plan.operations)} operations in {len(plan.places)} setups, the problem "
+            f"{len(setups)} in {len(problem.setups)}"
+        )
+        raise TandemError(Issue("post.plan", message, hint="plan this problem again"))
     builder = _Builder([arm.name for arm in arms])
-    parts = [builder.operation(i, operation, arms) for i, operation in enumerate(plan.operations)]
+    loads = carries(plan, problem)
+    parts = [
+        builder.operation(i, operation, setups[i], plan.places[setups[i].number - 1], loads.get(i, {}))
+        for i, operation in enumerate(plan.operations)
+    ]
     place = {arm.name: i for i, arm in enumerate(problem.cell.arms)}
     tasks = tuple(
         TaskProgram(
@@ -80,25 +93,40 @@ class _Builder:
         self.blocks = 0
         self.steps: dict[str, list[Step]] = {}
 
-    def operation(self, number: int, plan: OperationPlan, cell: Sequence[Arm]) -> dict[str, OperationProgram]:
-        """The operation's program for each task."""
+    def operation(
+        self,
+        number: int,
+        plan: OperationPlan,
+        setup: Setup,
+        place: FloatArray,
+        loads: Mapping[str, Carry],
+    ) -> dict[str, OperationProgram]:
+        """The operation's program for each task; ``loads``: what arms carry from its beginning on."""
         targets = plan.targets
         _check(plan)
-        written = _written(plan)
+        frames = _frames(plan, setup)
+        written = _written(plan, frames, place)
         keep = _kept(written)
-        tracks = {arm: _track(plan, arm, keep, *written[arm]) for arm in targets.arms}
+        arms = {arm.name: arm for arm in setup.cell.arms}
+        tracks = {arm: _track(plan, arms[arm], frames[arm], keep, *written[arm]) for arm in targets.arms}
         stop = _stops(targets, keep)
         labels = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
-        homes = {arm.name: arm.home for arm in cell}
+        homes = {arm: arms[arm].home for arm in self.arms}
+        opened = number == setup.operations[0] and bool(setup.steps)
         for arm in self.arms:
-            if number == 0 and arm not in targets.arms:
+            if number == 0 and (opened or arm not in targets.arms):
                 self._alone(arm, [Joints(homes[arm], "entry")], f"{arm} stands at home")
+        if opened:
+            self._setup(setup)
+        for arm, carry in loads.items():
+            self.steps[arm].append(carry)
         for arm in plan.order:
             steps = _joints((homes[arm], *plan.entry[arm], plan.q[arm][0]), "entry")
             steps[-1] = Joints(plan.q[arm][0], "start")
-            self._alone(arm, steps if number == 0 else steps[1:], f"{arm} stands at its first target")
+            from_home = number > 0 or opened
+            self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
         self._blocks(number, targets, keep, labels)
         for arm in reversed(plan.order):
@@ -106,9 +134,17 @@ class _Builder:
             self._alone(arm, steps[1:], f"{arm} is home again")
         ids = np.arange(1, len(keep) + 1)
         return {
-            arm: OperationProgram(plan.name, tracks.get(arm), ids, stop, labels, tuple(self.steps[arm]))
+            arm: OperationProgram(
+                plan.name, setup.number, arms[arm], tracks.get(arm), ids, stop, labels, tuple(self.steps[arm])
+            )
             for arm in self.arms
         }
+
+    def _setup(self, setup: Setup) -> None:
+        """The first task tells what is to be done and asks whether it is; nobody moves before all met."""
+        told = [Action(0, "message", text=text) for text in setup.steps]
+        asked = Action(0, "confirm", text=setup.confirmation)
+        self._alone(self.arms[0], [Do(action) for action in (*told, asked)], f"setup {setup.number} is done")
 
     def _meet(self, reached: str) -> None:
         if len(self.arms) > 1:
@@ -184,10 +220,27 @@ def _check(plan: OperationPlan) -> None:
         raise TandemError(issues)
 
 
-def _written(plan: OperationPlan) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as written."""
+def _frames(plan: OperationPlan, setup: Setup) -> dict[str, str]:
+    """Frame in which each arm's moves are written: a holder's, planned about the block's place, are the
+    world's, for no work object can be what the arm itself carries."""
+    holder = setup.stock.held_by
+    frames = plan.targets.frame
+    return {
+        arm: "world" if arm == holder and frames[arm] == "stock" else frames[arm] for arm in plan.targets.arms
+    }
+
+
+def _written(
+    plan: OperationPlan, frames: Mapping[str, str], place: FloatArray
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Positions (N, 3) [mm] and quaternions (N, 4) of each arm at all targets, rounded as written.
+
+    ``frames``: as :func:`_frames` has them; ``place`` (4, 4) is the stock's in the world.
+    """
     out = {}
-    for arm, pose in plan.targets.poses(plan.values).items():
+    for arm, planned in plan.targets.poses(plan.values).items():
+        moved = frames[arm] != plan.targets.frame[arm]
+        pose = place @ planned if moved else planned
         quaternion = to_quaternion(pose[:, :3, :3])
         flips = np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0.0
         sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
@@ -218,7 +271,12 @@ def _stops(targets: Targets, keep: IntArray) -> BoolArray:
 
 
 def _track(
-    plan: OperationPlan, arm: str, keep: IntArray, position: FloatArray, quaternion: FloatArray
+    plan: OperationPlan,
+    arm: Arm,
+    frame: str,
+    keep: IntArray,
+    position: FloatArray,
+    quaternion: FloatArray,
 ) -> Track:
     clock = np.round(plan.time, TIME_DECIMALS)
     duration = np.round(clock[keep] - clock[keep - 1], TIME_DECIMALS)
@@ -232,6 +290,6 @@ def _track(
         )
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
-    room = corners.room(position[stations], quaternion[stations], duration, _stops(plan.targets, keep))
-    frame = plan.targets.frame[arm]
-    return Track(position[keep], quaternion[keep], plan.q[arm][keep], duration, distance, *room, frame)
+    stop = _stops(plan.targets, keep)
+    room = corners.room(position[stations], quaternion[stations], duration, stop, corners.lever(arm.tool))
+    return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

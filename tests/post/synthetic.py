@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
+from planner.bow import bow
 from planner.catalogue import robot
 from planner.cell.robots import forward
+from planner.claims import HoldsStock
 from planner.geometry.rigid import from_rpy, inverse
+from planner.grippers import gripper_plate
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock, Tool
+from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock, Tool
 from planner.targets import Action, Targets
 
 HOME = np.deg2rad([0.0, 0.0, 0.0, 0.0, 30.0, 0.0])
@@ -24,6 +28,19 @@ ACTIONS = (
     Action(0, "wait", seconds=12.5),
     Action(0, "confirm", text='Take up the slack at the slide, then press "OK".'),
 )
+
+
+@dataclasses.dataclass(frozen=True)
+class Work:
+    """An operation with nothing but what every operation has."""
+
+    name: str = "work"
+    process: str = "posed"
+    arms: tuple = ("left", "right")
+
+    def leaves(self, stock):
+        """The block as it was."""
+        return stock
 
 
 def tool(name="Holder", tcp=None, mass=1.25):
@@ -41,7 +58,7 @@ def problem(arms=("left", "right"), model="irb140", **controller):
         Controller(**controller),
     )
     stock = Stock(np.array([0.4, 0.3, 0.2]), STOCK, np.eye(3))
-    return Problem("test", cell, stock, None, (), Settings(), Path("problem.yaml"), DIGEST)
+    return Problem("test", cell, stock, None, (Work(),) * 3, Settings(), Path("problem.yaml"), DIGEST)
 
 
 def world_tcp(job, arm, q):
@@ -50,12 +67,26 @@ def world_tcp(job, arm, q):
     return item.base @ forward(robot(item.robot), q) @ item.tool.tcp
 
 
-def operation(job, q, segment, stop=(), actions=ACTIONS, name="panel", step=0.5, coupled=True, frame="stock"):
-    """An operation with joints ``q`` {arm: (N, 6)}; it stops at targets ``stop``, the first and the last."""
+def operation(
+    job,
+    q,
+    segment,
+    stop=(),
+    actions=ACTIONS,
+    name="panel",
+    step=0.5,
+    coupled=True,
+    frame="stock",
+    place=STOCK,
+):
+    """An operation with joints ``q`` {arm: (N, 6)}; it stops at targets ``stop``, the first and the last.
+
+    ``job``: whatever has the cell as it is then, a problem or a setup.
+    """
     count = len(segment)
     stops = np.zeros(count, dtype=bool)
     stops[[0, -1, *stop]] = True
-    place = inverse(STOCK) if frame == "stock" else np.eye(4)
+    place = inverse(place) if frame == "stock" else np.eye(4)
     targets = Targets(
         arms=tuple(q),
         pose={arm: place @ world_tcp(job, arm, joints) for arm, joints in q.items()},
@@ -83,9 +114,9 @@ def operation(job, q, segment, stop=(), actions=ACTIONS, name="panel", step=0.5,
     )
 
 
-def plan(*operations):
+def plan(*operations, places=(STOCK,)):
     """A plan of these operations."""
-    return Plan("test", DIGEST, {}, (STOCK,), BASES, operations, {})
+    return Plan("test", DIGEST, {}, places, BASES, operations, {})
 
 
 def sweep(count, size=0.3, start=START):
@@ -111,3 +142,71 @@ def small(actions=ACTIONS, **settings):
     q = {"left": sweep(9), "right": sweep(9, 0.25)}
     off = (Action(6, "off", signal="doWirePower"), Action(8, "confirm", text="Take the wire off."))
     return plan(operation(job, q, labels, stop=(6,), actions=(*actions, *off))), job
+
+
+TURNED = from_rpy([0.5, 0.1, 0.25], [0.0, np.pi / 2, 0.3])
+
+
+def two_setups():
+    """A bow on the left arm cuts alone, then both arms work on the turned block; returns (plan, problem)."""
+    job = problem()
+    changes = {
+        0: Change(steps=("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says.")),
+        1: Change(
+            tools={"left": tool()},
+            stock={"place": TURNED, "attitude": TURNED[:3, :3]},
+            steps=("Mount the tool Holder on arm left.", "Turn the block and clamp it again."),
+        ),
+    }
+    arms = (dataclasses.replace(job.cell.arms[0], tool=bow()), job.cell.arms[1])
+    cell = dataclasses.replace(job.cell, arms=arms)
+    work = (Work("sides", arms=("left",)), Work("faces"))
+    job = dataclasses.replace(job, cell=cell, operations=work, changes=changes)
+    first, second = job.setups
+    alone = {"left": sweep(7)}
+    labels = ["approach", "approach", "cut/trim_left", "cut/trim_left", "cut/trim_left", "retreat", "retreat"]
+    both = {"left": sweep(6), "right": sweep(6, 0.25)}
+    made = plan(
+        operation(first, alone, labels, name="sides", actions=(), coupled=False),
+        operation(second, both, ["mount", *["cut/front"] * 4, "retreat"], name="faces", place=TURNED),
+        places=(STOCK, TURNED),
+    )
+    return made, job
+
+
+GRIP = from_rpy([0.02, -0.01, 0.0], [0.0, 0.0, 0.4])
+FREE = Change(stock={"held_by": None}, steps=("Take the block off its gripper and clamp it.",))
+
+
+def held(released=False):
+    """The right arm holds the block while the left one cuts it with a bow; returns (plan, problem).
+
+    ``released``: afterwards the block stands, and the left arm works alone.
+    """
+    job = problem()
+    tools = (bow(), gripper_plate(0.16, 0.12))
+    arms = tuple(dataclasses.replace(a, tool=t) for a, t in zip(job.cell.arms, tools, strict=True))
+    stock = Stock(np.array([0.3, 0.2, 0.25]), STOCK, np.eye(3), held_by="right", grip=GRIP)
+    changes = {0: Change(steps=("Fix the block to the gripper of arm right as the setup sheet says.",))}
+    if released:
+        changes[1] = FREE
+    work = (Work("held"), Work("standing", arms=("left",)))[: 2 if released else 1]
+    cell = dataclasses.replace(job.cell, arms=arms)
+    job = dataclasses.replace(job, cell=cell, stock=stock, operations=work, changes=changes)
+    q = {"left": sweep(8), "right": sweep(8, 0.2)}
+    labels = ["approach", "approach", *["cut/side"] * 5, "retreat"]
+    made = operation(job, q, labels, name="held", actions=(), coupled=False)
+    tcp = {arm: world_tcp(job, arm, joints) for arm, joints in q.items()}
+    targets = dataclasses.replace(
+        made.targets,
+        pose={"left": inverse(tcp["right"]) @ tcp["left"], "right": inverse(STOCK) @ tcp["right"]},
+        frame={"left": "held:right", "right": "stock"},
+        claims=(HoldsStock("right", GRIP, 0.9, np.array([0.02, -0.01, 0.125])),),
+    )
+    operations = [dataclasses.replace(made, targets=targets)]
+    if released:
+        alone = {"left": sweep(4)}
+        operations.append(
+            operation(job.setups[1], alone, ["cut/top"] * 4, name="standing", actions=(), coupled=False)
+        )
+    return plan(*operations, places=(STOCK,) * len(job.setups)), job

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planner.bow import bow
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import from_quaternion
@@ -17,47 +18,9 @@ from planner.post.write import programs
 from planner.targets import Action
 from planner.verify.rapid_reader import read_task
 from tests.post import synthetic
+from tests.post.reading import flat, modules, moves, numbers
 
 GOLDEN = Path(__file__).with_name("golden")
-MOVE = re.compile(
-    r"^ +MoveL \[\[([-\d.,]+)\],\[([-\d.,]+)\],\[([-\d,]+)\],\[9E9,9E9,9E9,9E9,9E9,9E9\]\]"
-    r"(?:\\ID:=(\d+))?,v(\w+)\\T:=([\d.]+),(\w+),(\w+)\\WObj:=(\w+);$"
-)
-
-
-def modules(files, task, kind=""):
-    return {
-        name: text
-        for name, text in files.items()
-        if name.startswith(f"{task}/Tandem{kind}") and ".mod" in name
-    }
-
-
-def moves(files, task):
-    lines = "\n".join(modules(files, task, "Cut").values()).split("\n")
-    return [found.groups() for line in lines if "MoveL" in line for found in [MOVE.match(line)] if found]
-
-
-def numbers(rows, column):
-    return np.array([[float(value) for value in row[column].split(",")] for row in rows])
-
-
-def flat(files, task):
-    """The task's statements in the order in which they run, procedure calls followed."""
-    text = "\n".join(modules(files, task).values())
-    bodies = {
-        name: [line.strip() for line in body.split("\n  ERROR")[0].split("\n")]
-        for name, body in re.findall(r"PROC (\w+)\(\)\n(.*?)\n  ENDPROC", text, re.DOTALL)
-    }
-
-    def walk(name):
-        for line in bodies[name]:
-            if line.rstrip(";") in bodies:
-                yield from walk(line.rstrip(";"))
-            elif line and not line.startswith("!"):
-                yield line
-
-    return list(walk("main"))
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +148,7 @@ def test_written_targets_are_the_planned_poses(small):
         item = problem.cell.arm(arm)
         q = plan.operations[0].q[arm][1:]
         world = item.base @ forward(robot(item.robot), q) @ item.tool.tcp
-        expected = np.linalg.inv(plan.stock_pose) @ world
+        expected = np.linalg.inv(plan.places[0]) @ world
         assert np.abs(position / 1e3 - expected[:, :3, 3]).max() <= 0.51e-7
         assert np.abs(from_quaternion(quaternion) - expected[:, :3, :3]).max() < 3e-8
 
@@ -330,11 +293,11 @@ def test_work_held_by_the_other_arm_rides_on_its_flange():
     operation = synthetic.operation(job, q, ["cut/a"] * 4, actions=(), coupled=False)
     targets = dataclasses.replace(operation.targets, frame={"left": "held:right", "right": "world"})
     files = programs(synthetic.plan(dataclasses.replace(operation, targets=targets)), job)
-    # the user frame is the right arm's tool frame: 150 mm out of its flange, turned by 90 degrees about y
-    assert (
-        'w_held:=[FALSE,FALSE,"ROB_2",[[0.0000,0.0000,150.0000],[0.70710678,'
-        in files["T_ROB1/TandemData_1.mod"]
-    )
+    # on the user frame of the unit, its flange, stands the right arm's tool frame: 150 mm out, turned by 90
+    # degrees about y
+    flange = "[[0.0000,0.0000,0.0000],[1.00000000,0.00000000,0.00000000,0.00000000]]"
+    start = f'w_held:=[FALSE,FALSE,"ROB_2",{flange},[[0.0000,0.0000,150.0000],[0.70710678,'
+    assert start in files["T_ROB1/TandemData_1.mod"]
     assert "wobjdata" not in files["T_ROB2/TandemData_2.mod"]
     assert "\\WObj:=wobj0;" in files["T_ROB2/TandemCut1_2.mod"]
 
@@ -405,3 +368,46 @@ def test_persistent_data_of_one_task_cannot_be_kept_from_an_older_program(small)
     for text in small[2].values():
         shared = re.findall(r"^ +PERS (\w+) (\w+)", text, re.MULTILINE)
         assert all(kind == "tasks" for kind, _ in shared)
+
+
+def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
+    """Between two cuts at a right angle the bow turns by 90 degrees in one move; only a small zone is left,
+    but a zone it is."""
+    still, turned = (
+        np.tile([1.0, 0.0, 0.0, 0.0], (11, 1)),
+        np.tile([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], (10, 1)),
+    )
+    way = np.concatenate(
+        [np.linspace([0.0, 0, 0], [30.0, 0, 0], 11), np.linspace([30.0, 3, 0], [30.0, 30, 0], 10)]
+    )
+    turn = np.concatenate([still, turned])
+    duration = np.where(np.arange(20) == 10, 40.0, 0.5)
+    reach, reach_turn = corners.room(way, turn, duration, np.arange(20) == 19, corners.lever(bow(span=0.65)))
+    assert (reach[:19] > 0.0).all() and reach[19] == 0.0
+    step = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    assert (reach[:19] <= 0.5 * np.minimum(step[:-1], step[1:]) + 1e-12).all()
+    assert reach_turn[9] == 0.0  # before the corner nothing turns
+    # rounded off over the time h a corner is passed at h |dv| / 4, also by the wire's end, 325 mm away
+    speed = np.linalg.norm(np.diff(way, axis=0)[[9, 10]] / duration[[9, 10], None], axis=1)
+    change = speed.sum() + 325.0 * 0.5 * np.pi / 40.0
+    h = reach[9] / step[9] * duration[9]
+    assert (
+        0.5 * corners.DEVIATION <= h * change / 4.0 <= 1.03 * corners.DEVIATION
+    )  # turning is taken by its chord
+
+
+def test_turning_counts_at_the_end_of_the_wire():
+    assert corners.lever(bow(span=0.65)) == pytest.approx(325.0)
+    assert corners.lever(bow(span=0.1)) == corners.LEVER == corners.lever(synthetic.tool())
+
+
+def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
+    job = synthetic.problem(("left",))
+    q = np.repeat(synthetic.START[None, :], 7, axis=0)
+    q[:4, 0] += 1e-7 * np.arange(4)  # steps of some 0.0001 mm
+    q[4:, 0] = q[3, 0]
+    q[4:, 4] += 0.2 * np.arange(1, 4)
+    files = programs(
+        synthetic.plan(synthetic.operation(job, {"left": q}, ["cut/a"] * 7, actions=(), coupled=False)), job
+    )
+    assert "fine" not in [row[6] for row in moves(files, "T_ROB1")[:-1]]
