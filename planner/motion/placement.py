@@ -88,15 +88,18 @@ class Search:
         settings: Settings,
         start: FloatArray | None = None,
         seed: int | None = None,
+        cells: Sequence[Cell] | None = None,
     ) -> None:
-        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some candidates lie."""
+        """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some lie; ``cells`` are
+        the cells of the jobs where their tools differ."""
         self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
         self._fixed = stock.place is not None
         self._start = start
-        self._coarse = [_few(t, COARSE_TARGETS) for t in jobs]
-        self._fine = [_few(t, FINE_TARGETS) for t in jobs]
+        each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
+        self._coarse = [_few(c, t, COARSE_TARGETS) for c, t in each]
+        self._fine = [_few(c, t, FINE_TARGETS) for c, t in each]
 
     def run(self, model: CellModel | None = None) -> tuple[list[Place], Trace]:
         """Places in the order in which to try them, and the trace; the list is empty if none is reachable."""
@@ -184,9 +187,7 @@ class Search:
             stock = np.array([self._stock_pose(p) for p in part])[:, None]
             moved = [self._bases(p) for p in part]
             bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
-            scores = [
-                margin(self._cell, f.targets, f.values, f.index, stock, bases, self._settings) for f in few
-            ]
+            scores = [margin(f.cell, f.targets, f.values, f.index, stock, bases, self._settings) for f in few]
             out[first : first + 64] = np.min(scores, axis=0)
         return out
 
@@ -206,10 +207,10 @@ class Search:
         placed = model.with_stock(place.stock).with_bases(place.bases)
         if clearance.overlaps(placed):
             return False
-        return all(self._few_free(placed, place, few) for few in self._coarse)
+        return all(self._few_free(placed, place, few) for few in self._coarse if few.cell is self._cell)
 
     def _few_free(self, model: CellModel, place: Place, few: _Few) -> bool:
-        scene = Scene.of(self._cell, few.targets.arms, place.stock, self._settings, model, place.bases)
+        scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
         margins, q = margins_at(
             scene, few.targets, few.values, few.index, place.stock[None, None], self._settings
         )
@@ -224,19 +225,20 @@ class Search:
 
 @dataclasses.dataclass(frozen=True)
 class _Few:
-    """Some targets with samples of their freedoms, one after the other."""
+    """Some targets with samples of their freedoms, one after the other, and the cell with their tools."""
 
+    cell: Cell
     targets: Targets
     values: FloatArray
     index: NDArray[np.intp]
 
 
-def _few(targets: Targets, count: int) -> _Few:
+def _few(cell: Cell, targets: Targets, count: int) -> _Few:
     rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
     few = subset(targets, rows)
     grid = sample(few, SPIN_STEP, slides=1)
     index = np.repeat(np.arange(few.count), grid.samples)
-    return _Few(few, grid.values.reshape(len(index), -1), index)
+    return _Few(cell, few, grid.values.reshape(len(index), -1), index)
 
 
 def margin(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ from planner.motion.reach import sample
 from planner.motion.scene import Scene
 from planner.motion.search import Blocked, search
 from planner.plans import OperationPlan, Plan
-from planner.problem import Problem
+from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]
@@ -36,35 +37,31 @@ PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
 def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | None = None) -> Plan:
     """The plan of all operations of a problem, given the targets of each.
 
-    Raises :class:`TandemError` with the reasons when there is none.
+    Every setup has a cell and a block of its own. Where the block is not moved between setups, one place is
+    found for all of them; bases that may be moved are found with the first place and stay. Raises
+    :class:`TandemError` with the reasons when there is no plan.
     """
     tell = progress or _silent
-    started = time.perf_counter()
-    fixed = problem.stock.place
-    base = fixed if fixed is not None else from_parts(problem.stock.attitude, np.zeros(3))
     tell("cell", 0.0)
-    model = plant.build(problem.cell, problem.stock, base)
-    metrics: dict[str, Any] = {"stages": {"cell": time.perf_counter() - started}}
-    if fixed is not None and not any(arm.base_auto for arm in problem.cell.arms):
-        place = Place(fixed, {}, 0.0, 0)
-        operations = _plan(problem, targets, model, place, tell)
-    else:
-        _require_home(problem, targets, model)
-        tell("placement", 0.0)
-        lap = time.perf_counter()
-        places, trace = Search(problem.cell, problem.stock, targets, problem.settings).run(model)
-        metrics["stages"]["placement"] = time.perf_counter() - lap
-        place, operations = _first_that_works(problem, targets, model, places, trace, tell)
-        metrics["placement"] = trace.metrics(place.number)
-        metrics["placement_score_deg"] = float(np.rad2deg(place.score))
+    metrics: dict[str, Any] = {"stages": {}}
+    bases = {arm.name: arm.base for arm in problem.cell.arms}
+    places: list[FloatArray] = []
+    operations: list[OperationPlan] = []
+    for stand in stands(problem, targets):
+        stand = stand if not places else stand.based(bases)
+        place, made = _settle(problem, stand, metrics, tell)
+        bases.update(place.bases)
+        places += [place.stock] * len(stand.setups)
+        operations += made
+    tell("motion", 1.0)
     issues = [issue for t in targets for issue in t.issues]
     issues += [issue for operation in operations for issue in operation.issues]
     return Plan(
         problem_name=problem.name,
         digest=problem.digest,
         versions=versions(),
-        places=(place.stock,),
-        bases={arm.name: place.bases.get(arm.name, arm.base) for arm in problem.cell.arms},
+        places=tuple(places),
+        bases=bases,
         operations=tuple(operations),
         metrics=metrics,
         issues=aggregate(issues),
@@ -73,18 +70,71 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
 
 def check(problem: Problem, targets: Sequence[Targets]) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path."""
-    fixed = problem.stock.place
-    base = fixed if fixed is not None else from_parts(problem.stock.attitude, np.zeros(3))
-    model = plant.build(problem.cell, problem.stock, base)
-    if fixed is not None and not any(arm.base_auto for arm in problem.cell.arms):
-        return _no_path(problem, targets, model, Place(fixed, {}, 0.0, 0))
-    places, trace = Search(problem.cell, problem.stock, targets, problem.settings).run(model)
-    reasons: list[Issue] = []
-    for place in places[:PLACES_TRIED]:
-        reasons = _no_path(problem, targets, model, place)
-        if not reasons:
-            return []
-    return [_unplaced(trace), *reasons]
+    bases: Mapping[str, FloatArray] | None = None
+    for stand in stands(problem, targets):
+        place, reasons = _look(problem, stand if bases is None else stand.based(bases))
+        if place is None:
+            return reasons
+        bases = {**(bases or {}), **place.bases}
+    return []
+
+
+@dataclasses.dataclass(frozen=True)
+class Stand:
+    """Setups through which the block stays where it is; ``jobs``: the targets of each setup's operations."""
+
+    setups: tuple[Setup, ...]
+    jobs: tuple[tuple[Targets, ...], ...]
+
+    @property
+    def settled(self) -> bool:
+        """Whether there is nothing to be searched: the block's place and all bases are given."""
+        first = self.setups[0]
+        return first.stock.place is not None and not any(arm.base_auto for arm in first.cell.arms)
+
+    @property
+    def place(self) -> FloatArray:
+        """The given place of the block (4, 4), or its attitude at the origin."""
+        stock = self.setups[0].stock
+        return stock.place if stock.place is not None else from_parts(stock.attitude, np.zeros(3))
+
+    def based(self, bases: Mapping[str, FloatArray]) -> Stand:
+        """The same with the arms on given bases, which stay."""
+
+        def cell(setup: Setup) -> Cell:
+            arms = tuple(
+                dataclasses.replace(arm, base=bases.get(arm.name, arm.base), base_auto=False)
+                for arm in setup.cell.arms
+            )
+            return dataclasses.replace(setup.cell, arms=arms)
+
+        setups = tuple(dataclasses.replace(setup, cell=cell(setup)) for setup in self.setups)
+        return dataclasses.replace(self, setups=setups)
+
+    def models(self) -> list[CellModel]:
+        """The collision model of each setup."""
+        return [plant.build(setup.cell, setup.stock, self.place) for setup in self.setups]
+
+    def search(self, settings: Settings) -> Search:
+        """The search of a place for all operations."""
+        first = self.setups[0]
+        jobs = [(setup.cell, job) for setup, some in zip(self.setups, self.jobs, strict=True) for job in some]
+        cells = [cell for cell, _ in jobs]
+        return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells)
+
+
+def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
+    """The setups of a problem with their targets, those together between which the block is not moved."""
+    out: list[Stand] = []
+    for setup in problem.setups:
+        jobs = tuple(targets[i] for i in setup.operations)
+        change = problem.changes.get(setup.operations[0])
+        moved = change is None or "place" in change.stock or "held_by" in change.stock
+        if out and not moved and setup.stock.held_by is None:
+            out[-1] = Stand((*out[-1].setups, setup), (*out[-1].jobs, jobs))
+        else:
+            out.append(Stand((setup,), (jobs,)))
+    return out
 
 
 def versions() -> dict[str, str]:
@@ -98,26 +148,46 @@ def versions() -> dict[str, str]:
     return out
 
 
+def _settle(
+    problem: Problem, stand: Stand, metrics: dict[str, Any], tell: Progress
+) -> tuple[Place, list[OperationPlan]]:
+    """A place and the plans of all operations of one stand."""
+    stages = metrics["stages"]
+    lap = time.perf_counter()
+    models = stand.models()
+    stages["cell"] = stages.get("cell", 0.0) + time.perf_counter() - lap
+    if stand.settled:
+        place = Place(stand.place, {}, 0.0, 0)
+        return place, _plan(problem, stand, models, place, tell)
+    _require_home(problem, stand, models)
+    tell("placement", 0.0)
+    lap = time.perf_counter()
+    places, trace = stand.search(problem.settings).run(models[0])
+    stages["placement"] = stages.get("placement", 0.0) + time.perf_counter() - lap
+    place, operations = _first_that_works(problem, stand, models, places, trace, tell)
+    name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
+    metrics[name] = trace.metrics(place.number)
+    metrics[f"{name}_score_deg"] = float(np.rad2deg(place.score))
+    return place, operations
+
+
 def _plan(
-    problem: Problem, targets: Sequence[Targets], model: CellModel, place: Place, tell: Progress
+    problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place, tell: Progress
 ) -> list[OperationPlan]:
-    placed = model.with_stock(place.stock).with_bases(place.bases)
     out = []
-    for number, (operation, job) in enumerate(zip(problem.operations, targets, strict=True)):
-        tell("motion", number / len(targets))
-        out.append(
-            plan_operation(
-                operation.name, problem.cell, job, problem.settings, place.stock, placed, place.bases
-            )
-        )
-    tell("motion", 1.0)
+    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
+        placed = model.with_stock(place.stock).with_bases(place.bases)
+        for index, job in zip(setup.operations, jobs, strict=True):
+            tell("motion", index / len(problem.operations))
+            name, settings = problem.operations[index].name, problem.settings
+            out.append(plan_operation(name, setup.cell, job, settings, place.stock, placed, place.bases))
     return out
 
 
 def _first_that_works(
     problem: Problem,
-    targets: Sequence[Targets],
-    model: CellModel,
+    stand: Stand,
+    models: Sequence[CellModel],
     places: Sequence[Place],
     trace: Trace,
     tell: Progress,
@@ -125,30 +195,47 @@ def _first_that_works(
     reasons: tuple[Issue, ...] = ()
     for place in places[:PLACES_TRIED]:
         try:
-            return place, _plan(problem, targets, model, place, tell)
+            return place, _plan(problem, stand, models, place, tell)
         except TandemError as error:
             reasons = reasons or error.issues
     raise TandemError([_unplaced(trace), *reasons])
 
 
-def _require_home(problem: Problem, targets: Sequence[Targets], model: CellModel) -> None:
+def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
     """Homes that are not free wherever the stock is need no search for its place."""
     away = from_parts(np.eye(3), np.array([0.0, 0.0, AWAY]))
-    for job in targets:
-        entry.require_home(
-            Scene.of(problem.cell, job.arms, away, problem.settings, model.with_stock(away)), job
-        )
+    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
+        for job in jobs:
+            scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
+            entry.require_home(scene, job)
 
 
-def _no_path(problem: Problem, targets: Sequence[Targets], model: CellModel, place: Place) -> list[Issue]:
-    placed = model.with_stock(place.stock).with_bases(place.bases)
+def _look(problem: Problem, stand: Stand) -> tuple[Place | None, list[Issue]]:
+    """A place at which every operation of a stand has a path, or why there is none."""
+    models = stand.models()
+    if stand.settled:
+        place = Place(stand.place, {}, 0.0, 0)
+        reasons = _no_path(problem, stand, models, place)
+        return (None if reasons else place), reasons
+    places, trace = stand.search(problem.settings).run(models[0])
+    reasons = []
+    for place in places[:PLACES_TRIED]:
+        reasons = _no_path(problem, stand, models, place)
+        if not reasons:
+            return place, []
+    return None, [_unplaced(trace), *reasons]
+
+
+def _no_path(problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place) -> list[Issue]:
     out: list[Issue] = []
-    for job in targets:
-        scene = Scene.of(problem.cell, job.arms, place.stock, problem.settings, placed, place.bases)
-        grid = sample(job)
-        found = search(scene, job, grid)
-        if isinstance(found, Blocked):
-            out += diagnose.no_path(scene, job, grid, found)
+    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
+        placed = model.with_stock(place.stock).with_bases(place.bases)
+        for job in jobs:
+            scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
+            grid = sample(job)
+            found = search(scene, job, grid)
+            if isinstance(found, Blocked):
+                out += diagnose.no_path(scene, job, grid, found)
     return out
 
 

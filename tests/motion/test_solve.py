@@ -19,13 +19,14 @@ from planner.motion.reach import sample
 from planner.motion.scene import Scene
 from planner.motion.search import Found, search
 from planner.motion.solve import check, solve
-from planner.problem import Problem, Settings
+from planner.problem import Change, Problem, Settings
 from planner.targets import Targets
+from planner.tools import wire_holder
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
 
 
 def problem(cell, targets: Targets, place: np.ndarray | None, settings: Settings | None = None) -> Problem:  # type: ignore[no-untyped-def]
-    operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms)
+    operation = SimpleNamespace(name="faces", process="elastic_wire", arms=targets.arms, leaves=lambda b: b)
     return Problem(
         "job", cell, block(SIZE, place), None, (operation,), settings or Settings(), Path("job.yaml"), "0"
     )
@@ -188,3 +189,47 @@ def test_a_collision_names_target_and_bodies() -> None:
     assert "wall" in issue.bodies
     assert issue.value is not None
     assert issue.limit == pytest.approx(10.0)
+
+
+def test_every_setup_has_its_own_place_and_tools_unless_the_block_stays(targets: Targets) -> None:
+    """Three setups: holders changed with the block where it is, then the block put elsewhere, given."""
+    cell, few = two_arms(1.8), arc_wire(16)
+    job = problem(cell, few, None)
+    names = ("first", "second", "third")
+    operations = tuple(
+        SimpleNamespace(name=n, process="elastic_wire", arms=few.arms, leaves=lambda b: b) for n in names
+    )
+    longer = {
+        side: wire_holder("across", end, reach=0.13) for side, end in (("left", "start"), ("right", "end"))
+    }
+    changes = {1: Change(tools=longer), 2: Change(stock={"place": HIGH}, steps=("Put the block down.",))}
+    job = dataclasses.replace(job, operations=operations, changes=changes)
+    plan = solve(job, [few] * 3)
+    assert len(plan.places) == 3
+    assert np.array_equal(plan.places[0], plan.places[1])
+    assert np.array_equal(plan.places[2], HIGH)
+    assert [op.name for op in plan.operations] == list(names)
+    for number, (setup, op) in enumerate(zip(job.setups, plan.operations, strict=True)):
+        scene = Scene.of(setup.cell, few.arms, plan.places[number], Settings())
+        wanted = scene.tcp(few, op.values)
+        for arm in few.arms:
+            np.testing.assert_allclose(scene.chains[arm].pose(op.q[arm]), wanted[arm], atol=1e-9)
+    assert check(job, [few] * 3) == []
+
+
+def test_bases_found_in_the_first_setup_hold_for_later_ones() -> None:
+    cell, few = two_arms(1.6), arc_wire(16)
+    far = cell.arms[1].base.copy()
+    far[0, 3] += 0.45
+    arms = (cell.arms[0], dataclasses.replace(cell.arms[1], base=far, base_auto=True))
+    job = problem(dataclasses.replace(cell, arms=arms), few, HIGH)
+    operations = (*job.operations, SimpleNamespace(name="b", process="", arms=few.arms, leaves=lambda b: b))
+    there = HIGH.copy()
+    there[2, 3] += 0.02
+    job = dataclasses.replace(job, operations=operations, changes={1: Change(stock={"place": there})})
+    plan = solve(job, [few] * 2)
+    assert not np.array_equal(plan.bases["right"], far)
+    for place, op in zip(plan.places, plan.operations, strict=True):
+        scene = Scene.of(cell, few.arms, place, Settings(), bases=plan.bases)
+        wanted = scene.tcp(few, op.values)
+        np.testing.assert_allclose(scene.chains["right"].pose(op.q["right"]), wanted["right"], atol=1e-9)
