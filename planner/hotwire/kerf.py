@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner import materials
 from planner.claims import KerfCurve
-from planner.hotwire.kerf_flag import KerfFlag, explain
+from planner.hotwire.kerf_flag import DOMAIN, KerfFlag, explain
 from planner.hotwire.kerf_forms import Model, choose
 from planner.hotwire.kerf_wire import TEST_WIRE, HotWire
 from planner.issues import Issue, TandemError
@@ -38,8 +38,6 @@ __all__ = [
     "width",
 ]
 
-DOMAIN: Final = (0.8e-3, 3.0e-3)
-"""Kerfs [m] that leave usable faces: thinner the wire drags, wider it burns (dissertation, chapter 3)."""
 SAME_THICKNESS: Final = 0.1
 """Foam and wire count as those of the tests up to this part of their thickness."""
 CURVE_ERROR: Final = 1e-6

@@ -57,7 +57,7 @@ def ideal(foam: Foam, power_per_length: Array, speed: Array) -> Array:
     return power_per_length / (heat(foam) * speed)
 
 
-def margin(fit: KerfFit, ideal_width: Array) -> Array:
+def margin(fit: KerfFit, ideal_width: Array | float) -> Array:
     """Half the interval [m] for one new cut of an ideal width [m]."""
     quantile = float(stdtrit(fit.count - 2, 0.5 + 0.5 * LEVEL))
     away = (ideal_width - fit.mean_ideal) ** 2 / fit.scatter

@@ -5,6 +5,9 @@ from __future__ import annotations
 import enum
 from typing import Final
 
+DOMAIN: Final = (0.8e-3, 3.0e-3)
+"""Kerfs [m] that leave usable faces: thinner the wire drags, wider it burns (dissertation, chapter 3)."""
+
 
 class KerfFlag(enum.IntFlag):
     """Doubts about one estimate; 0 is none. Arrays of flags are uint8."""
