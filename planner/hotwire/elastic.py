@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
+from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, KerfWithin, WireJoins
 from planner.geometry.mesh import TriangleMesh, offset
+from planner.hotwire import elastic_kerf
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit
 from planner.hotwire.elastic_exhibits import exhibits, mount_figures
@@ -37,6 +38,7 @@ AIR_FEED = 0.1
 _SECTION_STEP = 0.006  # m between the sections that the fit sees
 _CELLS = (16, 32)  # cells of the family's spline, coarse first
 _HOPELESS = 3.0  # times the tolerance: single sections this far off are not fitted any further
+_KERF_ROUNDS = 2  # local speeds follow from the wires, which follow from the kerf: twice settles it
 _DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
 
 
@@ -46,10 +48,16 @@ def make_targets(operation: ElasticWire, setup: Setup, part: Part | None) -> Tar
     """
     stock, wire = setup.stock, _wire(operation)
     wanted = _wanted(operation, part)
-    moved = {name: offset(_mesh(face), 0.5 * operation.kerf_mm * MM) for name, face in wanted.items()}
+    curve, feed = _kerf(operation, setup), operation.feed_mm_s * MM
+    moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}
     tried, degrees = _sweep(operation, wire, list(moved.values()))
     gravity = wire.load * stock.gravity
     cuts = [_cut(operation, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
+    for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
+        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
+            slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
+            mesh = offset(_mesh(face), 0.5 * slot)
+            cuts[i] = _cut(operation, cut.face.name, mesh, degrees, gravity, stock.box)
     misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
     if misfits:
         raise TandemError(misfits)
@@ -71,8 +79,7 @@ def make_targets(operation: ElasticWire, setup: Setup, part: Part | None) -> Tar
 
 def claims(operation: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    del setup
-    wire = _wire(operation)
+    wire, curve = _wire(operation), _kerf(operation, setup)
     out: list[Claim] = [
         WireJoins(
             operation.arms,
@@ -95,13 +102,22 @@ def claims(operation: ElasticWire, setup: Setup, part: Part | None) -> tuple[Cla
                 segment,
                 face.vertices,
                 face.faces,
-                KerfCurve.constant(operation.kerf_mm * MM),
+                curve,
                 operation.shape_tol_mm * MM,
                 operation.share,
             )
         )
         out.append(FeedWindow(segment, operation.feed_min_mm_s * MM, operation.feed_mm_s * MM))
+        if operation.power_w is not None:
+            lower, upper = (width * MM for width in operation.kerf_range_mm)
+            out.append(KerfWithin(segment, curve, lower, upper))
     return tuple(out)
+
+
+def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:
+    """Kerf over the local speed; the foam's thickness along the wire is taken as the block's shorter side."""
+    diameter, thickness = (op.wire.diameter_mm or 0.0) * MM, float(setup.stock.size[:2].min())
+    return op.kerf_curve(setup.stock.foam, diameter, op.wire.length_mm * MM, thickness)
 
 
 def _wire(op: ElasticWire) -> Wire:

@@ -94,7 +94,7 @@ def _huber(foam: Foam, cuts: Cuts, thickness: float, diameter: float, left_out: 
         if abs(fit.chi - before.chi) < 1e-9:
             break
     if fit.chi <= 0.0:
-        text = f"test cuts: got a kerf that falls with power over speed (chi {fit.chi:.2f}), allowed one that grows"
+        text = f"test cuts: got a kerf that falls with power over speed (chi {fit.chi:.2f}), allowed a rise"
         raise TandemError(Issue("kerf.no_trend", text, hint="see to the columns and units of the file"))
     return fit
 

@@ -71,26 +71,28 @@ def conducted(foam: Foam, speed: Array) -> Array:
 @functools.lru_cache(maxsize=1)
 def constants() -> Constants:
     """Fitted to the tables that come with Tandem."""
-    names = list(kerf_cuts.dissertation_tables())
-    every = fit(names)
-    errors = np.concatenate([_error(fit([n for n in names if n != one]), one) for one in names])
+    cells = {name: table.valid for name, table in kerf_cuts.dissertation_tables().items()}
+    every = fit(cells)
+    errors = np.concatenate(
+        [_error(fit({n: mask for n, mask in cells.items() if n != one}), one, cells[one]) for one in cells]
+    )
     return Constants(*every, float(np.sqrt(np.mean(errors**2))), len(errors))
 
 
-def fit(foams: list[str]) -> tuple[float, float]:
-    """chi and chi * lambda by least squares on the valid cells of these foams."""
-    rows, widths = zip(*(_rows(name) for name in foams), strict=True)
+def fit(cells: dict[str, NDArray[np.bool_]]) -> tuple[float, float]:
+    """chi and chi * lambda by least squares on some cells (foam to mask) of the dissertation's tables."""
+    rows, widths = zip(*(_rows(name, mask) for name, mask in cells.items()), strict=True)
     chi, minus = np.linalg.lstsq(np.concatenate(rows), np.concatenate(widths))[0]
     return float(chi), -float(minus)
 
 
-def _rows(name: str) -> tuple[Array, Array]:
+def _rows(name: str, mask: NDArray[np.bool_]) -> tuple[Array, Array]:
     table, foam = kerf_cuts.dissertation_tables()[name], materials.foam(name)
-    cuts = table.cuts.only(table.valid)
+    cuts = table.cuts.only(mask)
     columns = (ideal(foam, cuts.power_per_length, cuts.speed), conducted(foam, cuts.speed))
     return np.stack(columns, axis=1), cuts.width
 
 
-def _error(found: tuple[float, float], name: str) -> Array:
-    rows, widths = _rows(name)
+def _error(found: tuple[float, float], name: str, mask: NDArray[np.bool_]) -> Array:
+    rows, widths = _rows(name, mask)
     return np.asarray(rows @ np.array([found[0], -found[1]]) - widths)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from planner.hotwire.heat import Heat
 from planner.problem import Stock
 
 Face = Literal["front", "back"]
@@ -45,10 +46,8 @@ class WireFile(BaseModel):
         return self.diameter_mm is not None
 
 
-class ElasticWire(BaseModel):
+class ElasticWire(Heat):
     """Two arms bend one hot wire and sweep it through the block along the faces of the part."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     name: Name
     process: Literal["elastic_wire"]
@@ -68,7 +67,6 @@ class ElasticWire(BaseModel):
             description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip"
         ),
     ] = "auto"
-    kerf_mm: Annotated[float, Field(ge=0, le=20, description="width of the slot that the wire melts")]
     feed_mm_s: Annotated[
         float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
     ] = 8.0
@@ -105,6 +103,8 @@ class ElasticWire(BaseModel):
             raise ValueError("arms: two different arms hold the wire's ends")
         if len(set(self.faces)) != len(self.faces):
             raise ValueError("faces: each face is cut once")
+        if self.power_w is not None and not self.wire.is_round:
+            raise ValueError("power_w: the kerf of strips is not known; give kerf_mm")
         if self.feed_min_mm_s > self.feed_mm_s:
             raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
         return self
