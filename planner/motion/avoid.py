@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
+from planner.cell.clearance import Pairs
+from planner.cell.distance import extent
 from planner.cell.plant import CellModel
+from planner.geometry.rigid import transform
 from planner.motion.hinges import Rows
 
 FloatArray = NDArray[np.float64]
@@ -27,11 +32,10 @@ are again."""
 STRIDE: Final = 16
 TOUCH: Final = 1e-4
 HAND: Final = 0.1
-"""How far [m] a tool reaches beyond its TCP at most, for how far joints carry it; tools are smaller than
-this."""
+"""How far [m] a hand is taken to reach beyond its TCP at least, for how far joints carry it."""
 
 WRIST: Final = 0.25
-"""Lever [m] of the wrist's axes for pairs of hand and forearm."""
+"""Least lever [m] of the wrist's axes for pairs of hand and forearm."""
 
 
 class Avoid:
@@ -39,14 +43,27 @@ class Avoid:
 
     Drake is asked for exact distances only at rows where cheap bounds do not show that nothing is near. Pairs
     that only the wrist moves against each other (hand and forearm of one arm) are always near, and would
-    spoil the bounds: they are followed by their gradients.
+    spoil the bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with
+    the rows where they may.
     """
 
-    def __init__(self, model: CellModel, arms: tuple[str, ...], wanted: float, weight: float) -> None:
+    def __init__(
+        self,
+        model: CellModel,
+        arms: tuple[str, ...],
+        wanted: float,
+        weight: float,
+        kinds: Sequence[tuple[Pairs, IndexArray]] = (),
+    ) -> None:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
         self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
         self._levers = np.concatenate([_levers(model, arm) for arm in arms])
-        self._bounds = model.bounds.among(_local_pairs(arms))
+        self._wrist = max(WRIST, *(_hand(model, arm) for arm in arms if _is_long(model, arm)), 0.0)
+        self._meeting = [pairs for pairs, _ in kinds] or [frozenset()]
+        self._kinds = list(kinds)
+        self._kind = np.zeros(0, dtype=np.intp)
+        local = _local_pairs(model, arms)
+        self._bounds = [model.bounds.among(local | pairs) for pairs in self._meeting]
         self._masks: dict[tuple[str, str], FloatArray] = {}
         self._bound_at = self._at = np.zeros((0, 0))
         self._bound = np.zeros(0)
@@ -78,11 +95,12 @@ class Avoid:
         near = self._lower(q) < limit
         step = q - self._at
         part = np.einsum("nkj,nj->nk", self._mask, np.abs(step))
-        linear = self._distance + np.einsum("nkj,nj->nk", self._gradient, step) - 0.5 * WRIST * part * part
+        linear = self._distance + np.einsum("nkj,nj->nk", self._gradient, step)
+        linear -= 0.5 * self._wrist * part * part
         local = (self._mask.sum(axis=-1) <= 2.0) & (linear < limit)
         wrist = np.abs(step).reshape(len(q), -1, 6)[:, :, 4:].sum(axis=-1).max(axis=-1)
-        near |= local.any(axis=1) | (QUERY - WRIST * wrist < limit)
-        curved = linear + 0.5 * (WRIST - self._levers.max()) * part * part
+        near |= local.any(axis=1) | (QUERY - self._wrist * wrist < limit)
+        curved = linear + 0.5 * (self._wrist - self._levers.max()) * part * part
         beyond = QUERY - np.abs(step) @ self._levers
         near &= ~(self._own & (np.minimum(beyond, curved.min(axis=1, initial=np.inf)) > limit))
         index = np.flatnonzero(near)
@@ -94,12 +112,14 @@ class Avoid:
         matter."""
         limit = self._wanted + SOFT
         bound = self._bound - np.abs(q - self._bound_at) @ self._levers
-        index = np.flatnonzero(bound < limit)
-        if len(index):
+        for kind, bounds in enumerate(self._bounds):
+            index = np.flatnonzero((bound < limit) & (self._kind == kind))
+            if not len(index):
+                continue
             part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
             rows = self._model.stack(part)
             every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
-            lower, _ = self._bounds.least(self._model.poses(every), limit + FAR)
+            lower, _ = bounds.least(self._model.poses(every), limit + FAR)
             bound[index] = np.minimum(lower, limit + FAR) - TOUCH
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
@@ -109,6 +129,9 @@ class Avoid:
         self._at, self._bound_at = q.copy(), q.copy()
         self._bound = np.full(len(q), -np.inf)
         self._own = np.zeros(len(q), dtype=bool)
+        self._kind = np.zeros(len(q), dtype=np.intp)
+        for kind, (_, rows) in enumerate(self._kinds):
+            self._kind[rows] = kind
         index = np.arange(0, len(q), STRIDE)
         self._ask(q, index)
         source = index[np.arange(len(q)) // STRIDE]
@@ -124,7 +147,7 @@ class Avoid:
         for i in index:
             full = self._model.home.copy()
             full[self._columns] = q[i]
-            found.append(clearance.gradients(self._model, full, QUERY))
+            found.append(clearance.gradients(self._model, full, QUERY, self._meeting[self._kind[i]]))
         self.queries += len(index)
         self._widen(len(q), max(len(one) for one in found))
         self._at[index] = q[index]
@@ -155,7 +178,7 @@ class Avoid:
         if pair not in self._masks:
             mask = np.zeros(len(self._columns))
             for k, arm in enumerate(self._arms):
-                ends = [_link(name) for name in pair if name.startswith(f"{arm}/")]
+                ends = [_link(name) for name in pair if _carrier(self._model, name) == arm]
                 low = min(ends) if len(ends) == 2 else 0
                 mask[6 * k + low : 6 * k + max(ends, default=0)] = 1.0
             self._masks[pair] = mask
@@ -164,19 +187,53 @@ class Avoid:
 
 def _levers(model: CellModel, arm: str) -> FloatArray:
     """How far (6,) [m/rad] each joint can at most carry a point of its arm."""
-    tool = model.cell.arm(arm).tool
-    hand = model.robots[arm].opw.c4 + float(np.linalg.norm(tool.tcp[:3, 3])) + HAND
+    hand = _hand(model, arm)
     return np.array([model.robots[arm].reach + hand] * 3 + [hand] * 3)
 
 
-def _local_pairs(arms: tuple[str, ...]) -> frozenset[frozenset[str]]:
+def _hand(model: CellModel, arm: str) -> float:
+    """Greatest distance [m] of the hand, with what it holds, from the wrist's centre."""
+    tool = model.cell.arm(arm).tool
+    out = float(np.linalg.norm(tool.tcp[:3, 3])) + HAND
+    return model.robots[arm].opw.c4 + max(out, _outermost(model, arm))
+
+
+def _outermost(model: CellModel, arm: str) -> float:
+    """Distance [m] from the flange within which the tool, its edge and a held block lie."""
+    far = 0.0
+    for solid in model.solids:
+        if _carrier(model, solid.body) != arm or not solid.body.endswith(("/tool", "/edge", "stock")):
+            continue
+        pose = solid.shape.pose
+        if solid.body == "stock":
+            pose = model.cell.arm(arm).tool.tcp @ model.stock.grip @ pose
+        corners = 0.5 * extent(solid) * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+        far = max(far, float(np.linalg.norm(transform(pose, corners), axis=1).max()))
+    return far
+
+
+def _is_long(model: CellModel, arm: str) -> bool:
+    """Whether a hand reaches farther than wire holders do: it holds a block or has a rigid edge."""
+    return model.stock.held_by == arm or model.cell.arm(arm).tool.edge is not None
+
+
+def _local_pairs(model: CellModel, arms: tuple[str, ...]) -> Pairs:
     """Pairs of bodies of one arm that axes 5 and 6 alone move against each other."""
-    ends = ("link_5", "link_6", "tool")
-    return frozenset(frozenset((f"{arm}/link_4", f"{arm}/{end}")) for arm in arms for end in ends)
+    ends = ("link_5", "link_6", "tool", "edge")
+    pairs = {frozenset((f"{arm}/link_4", f"{arm}/{end}")) for arm in arms for end in ends}
+    if model.stock.held_by in arms:
+        pairs.add(frozenset((f"{model.stock.held_by}/link_4", "stock")))
+    return frozenset(pairs)
+
+
+def _carrier(model: CellModel, body: str) -> str | None:
+    """The arm that a body belongs to or is held by."""
+    return model.stock.held_by if body == "stock" else body.partition("/")[0]
 
 
 def _link(name: str) -> int:
-    """Number of joints between the base and a body "<arm>/link_4", "<arm>/tool", "<arm>/base_link"."""
+    """Number of joints between the base and a body "<arm>/link_4", "<arm>/base_link"; the hand has
+    all six."""
     last = name.rsplit("/", 1)[-1]
     if last == "base_link":
         return 0

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import clearance
 from planner.issues import Issue, TandemError
 from planner.motion.joints import Dense
 from planner.motion.reach import Grid, Reach, reach, sample
@@ -152,7 +151,7 @@ def describe(
     if scene.model is None:
         raise ValueError("there are no collisions without a model")
     one = {arm: angles[None] for arm, angles in q.items()}
-    found = clearance.least(scene.model, one, 0.2)
+    found = scene.least(targets, one, np.array([index]), 0.2)
     distance, pair = float(found.distance[0]), found.pair[0]
     wire, wire_pair = scene.edge_clearance(targets, one, np.array([index]))
     if float(wire[0]) < distance:
@@ -202,7 +201,7 @@ def clear(scene: Scene, targets: Targets, samples: Dense) -> NDArray[np.bool_]:
     """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
     target."""
     near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
-    return scene.free(targets, samples.q, np.maximum(near, 0))
+    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move)
 
 
 def keeps_clear(scene: Scene, targets: Targets, samples: Dense) -> bool:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from planner.geometry.rigid import interpolate
-from planner.motion.scene import Scene
+from planner.geometry.rigid import inverse
+from planner.motion.scene import Scene, holders
 from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]
@@ -66,7 +66,8 @@ def dense(
 ) -> Dense:
     """Samples of all moves at most ``stride`` [rad] apart in the joints, at least ``least`` a move.
 
-    Joints are NaN where a linear move leaves the branch or reach between its targets.
+    Joints are NaN where a linear move leaves the branch or reach between its targets. TCPs in frames that
+    another arm holds move straight in these.
     """
     turn = np.max([np.abs(np.diff(angles, axis=0)).max(axis=1) for angles in q.values()], axis=0)
     parts = np.clip(np.ceil(turn / stride).astype(np.intp), least, MOST_SAMPLES)
@@ -75,14 +76,15 @@ def dense(
     share = np.ones(len(move))
     share[1:] = (np.arange(len(move) - 1) - np.repeat(starts[:-1], parts) + 1) / np.repeat(parts, parts)
     inner = np.flatnonzero(share < 1.0)
-    out: dict[str, FloatArray] = {}
-    for arm, angles in q.items():
-        chain = scene.chains[arm]
-        out[arm] = angles[move]
-        if len(inner):
-            ends = chain.pose(angles)
-            between = interpolate(ends[move[inner] - 1], ends[move[inner]], share[inner])
-            found = chain.inverse(between, [branch[arm]])[:, 0]
+    out = {arm: angles[move] for arm, angles in q.items()}
+    if len(inner):
+        ends = {arm: scene.chains[arm].pose(angles) for arm, angles in q.items()}
+        start = {arm: pose[move[inner] - 1] for arm, pose in ends.items()}
+        end = {arm: pose[move[inner]] for arm, pose in ends.items()}
+        between = scene.between(targets, start, end, share[inner])
+        for arm, angles in q.items():
+            chain = scene.chains[arm]
+            found = chain.inverse(between[arm], [branch[arm]])[:, 0]
             near = angles[move[inner] - 1] + share[inner, None] * (
                 angles[move[inner]] - angles[move[inner] - 1]
             )
@@ -94,7 +96,9 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
     in space."""
     q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
-    places = [scene.chains[arm].pose(samples.q[arm])[:, :3, 3] for arm in targets.arms]
+    poses = {arm: scene.chains[arm].pose(samples.q[arm]) for arm in targets.arms}
+    places = [poses[arm][:, :3, 3] for arm in targets.arms]
+    straight = _in_work_frames(targets, poses)
     way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
     way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
@@ -105,7 +109,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
         rows = np.arange(at_target[first], at_target[last] + 1)
         spline = CubicSpline(way[rows], q[rows], bc_type="natural" if len(rows) < 4 else "not-a-knot")
         pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
-        worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in places]))
+        worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in straight]))
     return JointPath(targets.count, tuple(pieces), worst)
 
 
@@ -113,13 +117,37 @@ def _deviation(
     scene: Scene, targets: Targets, spline: CubicSpline, way: FloatArray, places: list[FloatArray]
 ) -> float:
     """Greatest distance [m] of TCPs on a spline, half way between samples, from the chords between the
-    samples."""
+    samples at ``places``, both in the frame in which a TCP moves straight."""
     middle = spline(0.5 * (way[1:] + way[:-1]))
+    poses = {arm: scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6]) for k, arm in enumerate(targets.arms)}
     worst = 0.0
-    for k, (arm, place) in enumerate(zip(targets.arms, places, strict=True)):
-        at = scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6])[:, :3, 3] - place[:-1]
+    for found, place in zip(_in_work_frames(targets, poses), places, strict=True):
+        at = found - place[:-1]
         chord = np.diff(place, axis=0)
         along = np.einsum("ij,ij->i", at, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-18)
         away = at - np.clip(along, 0.0, 1.0)[:, None] * chord
         worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
     return worst
+
+
+def _in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> list[FloatArray]:
+    """Places (K, 3) of the TCPs of world poses {arm: (K, 4, 4)}: in the world, or in a frame that is held."""
+    held = dict(holders(targets))
+    out = []
+    for arm in targets.arms:
+        holder = held[arm]
+        pose = poses[arm] if holder is None else inverse(poses[holder]) @ poses[arm]
+        out.append(pose[..., :3, 3])
+    return out
+
+
+def tcp_ways(scene: Scene, targets: Targets, samples: Dense) -> dict[str, FloatArray]:
+    """How far {arm: (N,)} [m] each TCP would go in the world on the way to each target if it kept its
+    greatest speed on that way; between targets a TCP in a held frame speeds up and slows down."""
+    parts = np.bincount(samples.move, minlength=targets.count)[samples.move]
+    out = {}
+    for arm in targets.arms:
+        place = scene.chains[arm].pose(samples.q[arm])[:, :3, 3]
+        step = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)) * parts
+        out[arm] = np.maximum.reduceat(step, np.flatnonzero(np.diff(samples.move, prepend=-1)))
+    return out

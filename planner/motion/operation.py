@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import clearance
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnose, entry, transit
 from planner.motion.avoid import Avoid
-from planner.motion.joints import Dense, dense, joint_path
+from planner.motion.joints import Dense, dense, joint_path, tcp_ways
 from planner.motion.reach import SLIDES, Grid, sample, slides_only
 from planner.motion.scene import Scene
 from planner.motion.search import Blocked, Found, search, speed_limits
@@ -54,7 +53,7 @@ def plan_operation(
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnose.require_moves(scene, targets, found.path.branch, samples)
-    ticks, deviation, issues = _clock(scene, targets, better.q, samples)
+    ticks, deviation, issues = _clock(scene, targets, samples)
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
@@ -138,7 +137,8 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
     for weight in CLEARANCE_WEIGHTS:
         avoid = None
         if scene.model is not None:
-            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, weight)
+            kinds = scene.by_kind(targets, np.arange(targets.count))
+            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, weight, kinds)
         better = improve(scene, targets, found.path.branch, found.values, found.q, avoid)
         cost = path_cost(scene, targets, better.values, better.q)
         better = dataclasses.replace(better, cost=cost, cost_before=plain)
@@ -154,16 +154,11 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
     return Improved(found.values, found.q, plain, plain, 0), False
 
 
-def _clock(
-    scene: Scene, targets: Targets, q: Mapping[str, FloatArray], samples: Dense
-) -> tuple[Clock, float, list[Issue]]:
+def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Clock, float, list[Issue]]:
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
     strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
-    lengths = {
-        arm: np.append(0.0, np.linalg.norm(np.diff(scene.chains[arm].pose(q[arm])[:, :3, 3], axis=0), axis=1))
-        for arm in targets.arms
-    }
+    lengths = tcp_ways(scene, targets, samples)
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     path = joint_path(scene, targets, samples, speed)
     try:
@@ -221,7 +216,7 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        found = clearance.least(scene.model, q, REPORTED_REACH)
+        found = scene.least(targets, q, np.arange(targets.count), REPORTED_REACH)
         worst = found.worst()
         out["clearance_mm"] = float(found.distance[worst]) / MM
         out["clearance_pair"] = list(found.pair[worst])

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell import clearance
+from planner.cell.clearance import LeastClearance, Pairs
 from planner.cell.edge import Against
 from planner.cell.edge import edge as edge_clearance
 from planner.cell.plant import CellModel
-from planner.geometry.rigid import transform
+from planner.geometry.rigid import interpolate, inverse, transform
 from planner.motion.chain import Chain
 from planner.problem import Cell, Settings
 from planner.targets import Targets, segment_kind
@@ -24,7 +26,10 @@ SKIP_ENDS = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
 
 CUTTING = "cut"
-"""The kind of segment in which the edge may touch the stock."""
+"""The kind of segment in which an edge may touch the stock."""
+
+HELD = "held:"
+"""Work frames that another arm's tool carries are named by this and that arm."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,12 +61,11 @@ class Scene:
     def world(self, targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """TCP poses in the world of poses {arm: (..., 4, 4)} in the work frames of the targets."""
         done: dict[str, FloatArray] = {}
-        for arm in sorted(targets.arms, key=lambda a: targets.frame.get(a, "stock").startswith("held:")):
-            frame = targets.frame.get(arm, "stock")
-            if frame.startswith("held:"):
-                done[arm] = done[frame.removeprefix("held:")] @ poses[arm]
+        for arm, holder in holders(targets):
+            if holder is not None:
+                done[arm] = done[holder] @ poses[arm]
             else:
-                done[arm] = poses[arm] if frame == "world" else self.stock @ poses[arm]
+                done[arm] = poses[arm] if targets.frame.get(arm) == "world" else self.stock @ poses[arm]
         return done
 
     def tcp(
@@ -79,16 +83,82 @@ class Scene:
         points = targets.edge.points[index]
         return points if frame == "world" else transform(self.stock, points)
 
-    def free(self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray) -> NDArray[np.bool_]:
-        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edge
-        included."""
+    @functools.cached_property
+    def passing(self) -> Pairs:
+        """Pairs of bodies that may meet in cut segments: the stock and the rigid edges of the tools that take
+        part."""
+        if self.model is None:
+            return frozenset()
+        arms = (arm for arm in self.chains if self.model.cell.arm(arm).tool.edge is not None)
+        return frozenset(frozenset((f"{arm}/edge", "stock")) for arm in arms)
+
+    def by_kind(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
+        """Rows of ``move`` (B,), targets that moves lead to, with the pairs of bodies that may meet there."""
+        if not self.passing:
+            return [(frozenset(), np.arange(len(move)))]
+        cuts = cutting(targets)[move]
+        parts = [(self.passing, np.flatnonzero(cuts)), (frozenset(), np.flatnonzero(~cuts))]
+        return [(pairs, rows) for pairs, rows in parts if len(rows)]
+
+    def free(
+        self,
+        targets: Targets,
+        q: Mapping[str, FloatArray],
+        index: IndexArray,
+        move: IndexArray | None = None,
+    ) -> NDArray[np.bool_]:
+        """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edges
+        included.
+
+        ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
+        ``index``.
+        """
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
-        ok = np.asarray(clearance.free(self.model, q, self.settings.clearance), dtype=bool)
+        ok = np.zeros(len(index), dtype=bool)
+        for ignore, part in self.by_kind(targets, index if move is None else move):
+            some = {arm: v[part] for arm, v in q.items()}
+            ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore)
         rows = np.flatnonzero(ok)
         distance, _ = self.edge_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
         ok[rows] = distance >= self.settings.clearance
         return ok
+
+    def least(
+        self, targets: Targets, q: Mapping[str, FloatArray], move: IndexArray, reach: float
+    ) -> LeastClearance:
+        """Least distances (B,) between bodies at joints {arm: (B, 6)} on the moves to targets ``move`` (B,),
+        of those within ``reach`` [m]; without the flexible edge."""
+        distance, pair = np.full(len(move), reach), [("", "")] * len(move)
+        if self.model is None:
+            return LeastClearance(distance, tuple(pair))
+        for ignore, rows in self.by_kind(targets, move):
+            part = {arm: v[rows] for arm, v in q.items()}
+            found = clearance.least(self.model, part, reach, ignore)
+            distance[rows] = found.distance
+            for row, names in zip(rows, found.pair, strict=True):
+                pair[row] = names
+        return LeastClearance(distance, tuple(pair))
+
+    def between(
+        self,
+        targets: Targets,
+        start: Mapping[str, FloatArray],
+        end: Mapping[str, FloatArray],
+        share: FloatArray,
+    ) -> dict[str, FloatArray]:
+        """TCP poses in the world {arm: (..., 4, 4)} at ``share`` (...,) of linear moves between world poses.
+
+        A TCP whose work frame is held by another arm moves straight in that frame, which itself moves.
+        """
+        out: dict[str, FloatArray] = {}
+        for arm, holder in holders(targets):
+            if holder is None:
+                out[arm] = interpolate(start[arm], end[arm], share)
+            else:
+                first, last = inverse(start[holder]) @ start[arm], inverse(end[holder]) @ end[arm]
+                out[arm] = out[holder] @ interpolate(first, last, share)
+        return {arm: out[arm] for arm in targets.arms}
 
     def edge_clearance(
         self, targets: Targets, q: Mapping[str, FloatArray], index: IndexArray
@@ -101,7 +171,7 @@ class Scene:
         points = self.edge(targets, index)
         if points is None or targets.edge is None or self.model is None:
             return distance, pairs
-        cuts = np.array([segment_kind(targets.segment[i]) == CUTTING for i in index], dtype=bool)
+        cuts = cutting(targets)[index]
         choices: tuple[tuple[Against, NDArray[np.intp]], ...] = (
             ("no_stock", np.flatnonzero(cuts)),
             ("all", np.flatnonzero(~cuts)),
@@ -116,3 +186,15 @@ class Scene:
                 for row, pair in zip(rows, found.pair, strict=True):
                     pairs[row] = pair
         return distance, pairs
+
+
+def holders(targets: Targets) -> list[tuple[str, str | None]]:
+    """Arms, each with the arm that holds its work frame or None, holders first."""
+    frames = {arm: targets.frame.get(arm, "stock") for arm in targets.arms}
+    pairs = [(arm, f.removeprefix(HELD) if f.startswith(HELD) else None) for arm, f in frames.items()]
+    return sorted(pairs, key=lambda pair: pair[1] is not None)
+
+
+def cutting(targets: Targets) -> NDArray[np.bool_]:
+    """(N,) whether the move to each target cuts."""
+    return np.array([segment_kind(label) == CUTTING for label in targets.segment], dtype=bool)
