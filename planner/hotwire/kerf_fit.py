@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from planner.hotwire import kerf_energy
 from planner.hotwire.kerf_cuts import Cuts
@@ -18,6 +20,8 @@ from planner.units import MM
 HUBER: Final = 1.345
 """Residuals beyond so many standard deviations count less: 95 % as good as least squares where none is wrong
 (Huber, Robust Statistics, 1981)."""
+TUKEY: Final = 4.685
+"""Residuals beyond so many do not count, at the same efficiency (Beaton and Tukey, 1974)."""
 FEWEST: Final = 4
 
 Array = NDArray[np.float64]
@@ -60,43 +64,73 @@ def robust(
     by the reading, because choosing cuts by their readings would bend the line. Raises `TandemError`:
     kerf.few_cuts, kerf.no_trend.
     """
-    hot, cold = burnt.copy(), dragging & ~burnt
     ideal = kerf_energy.ideal(foam, cuts.power_per_length, cuts.speed)
+    hot, cold = burnt, dragging & ~burnt
+    known_hot, known_cold, known = hot, cold, hot | cold | good
+    seen: set[bytes] = set()
     while True:
         kept = ~(hot | cold)
-        fit = _huber(foam, cuts.only(kept), thickness, diameter, (int(hot.sum()), int(cold.sum())))
+        fit = _draw(foam, cuts.only(kept), thickness, diameter, (int(hot.sum()), int(cold.sum())))
         expected = fit.chi * ideal - fit.offset
-        newly_hot, newly_cold = kept & ~good & (expected > DOMAIN[1]), kept & ~good & (expected < DOMAIN[0])
-        if not np.any(newly_hot | newly_cold):
+        now_hot = np.where(known, known_hot, expected > DOMAIN[1])
+        now_cold = np.where(known, known_cold, expected < DOMAIN[0])
+        if np.array_equal(now_hot, hot) and np.array_equal(now_cold, cold):
             break
-        hot, cold = hot | newly_hot, cold | newly_cold
+        key = now_hot.tobytes() + now_cold.tobytes()
+        if key in seen:  # it goes round: out stays what was out before or after
+            now_hot, now_cold = now_hot | hot, (now_cold | cold) & ~(now_hot | hot)
+            known_hot, known_cold, known = now_hot, now_cold, np.ones_like(known)
+        seen.add(key)
+        hot, cold = now_hot, now_cold
     slowest = cuts.speed[burnt].max() if np.any(burnt) else -np.inf
     burnt_speed = float(slowest) if np.any(burnt) and slowest < cuts.speed[kept].min() else None
     fit = dataclasses.replace(fit, tests=dataclasses.replace(fit.tests, burnt_speed=burnt_speed))
     return FitReport(fit, hot, cold, cuts.width - expected)
 
 
-def _huber(foam: Foam, cuts: Cuts, thickness: float, diameter: float, left_out: tuple[int, int]) -> KerfFit:
-    """Iteratively reweighted least squares from a plain line, with the median of residuals as their
-    scale."""
+def _draw(foam: Foam, cuts: Cuts, thickness: float, diameter: float, left_out: tuple[int, int]) -> KerfFit:
+    """Iteratively reweighted least squares, residuals scaled by their median: with Huber's weights from a
+    plain line, then with Tukey's, under which readings far off do not count at all."""
     if len(cuts) < FEWEST:
         raise TandemError(_few(len(cuts), left_out))
-    weights = np.ones(len(cuts))
     ideal = kerf_energy.ideal(foam, cuts.power_per_length, cuts.speed)
-    fit = _line(foam, cuts, weights, thickness, diameter, left_out)
-    for _ in range(100):
-        size = np.abs(cuts.width - (fit.chi * ideal - fit.offset))
-        scale = 1.4826 * float(np.median(size))
-        if scale < 1e-9:
-            break
-        weights = np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12))
-        before, fit = fit, _line(foam, cuts, weights, thickness, diameter, left_out)
-        if abs(fit.chi - before.chi) < 1e-9:
-            break
+    fit = _line(foam, cuts, np.ones(len(cuts)), thickness, diameter, left_out)
+    scale = _scale(fit, ideal, cuts)
+    for weigh in (_huber, _tukey):
+        for _ in range(100):
+            if scale < 1e-9:
+                break
+            weights = weigh((cuts.width - (fit.chi * ideal - fit.offset)) / scale)
+            before, fit = fit, _line(foam, cuts, weights, thickness, diameter, left_out)
+            scale = _scale(fit, ideal, cuts)
+            if abs(fit.chi - before.chi) < 1e-9:
+                break
     if fit.chi <= 0.0:
         text = f"test cuts: got a kerf that falls with power over speed (chi {fit.chi:.2f}), allowed a rise"
         raise TandemError(Issue("kerf.no_trend", text, hint="see to the columns and units of the file"))
-    return fit
+    clipped = np.clip(cuts.width - (fit.chi * ideal - fit.offset), -HUBER * scale, HUBER * scale)
+    spread = np.sqrt(np.sum(clipped**2) / (len(cuts) - 2) / _clipped_variance(HUBER))
+    return dataclasses.replace(fit, spread=float(spread))
+
+
+def _scale(fit: KerfFit, ideal: Array, cuts: Cuts) -> float:
+    """Standard deviation [m] of normal residuals, from the median of their sizes."""
+    return 1.4826 * float(np.median(np.abs(cuts.width - (fit.chi * ideal - fit.offset))))
+
+
+def _huber(scaled: Array) -> Array:
+    return np.asarray(np.minimum(1.0, HUBER / np.maximum(np.abs(scaled), 1e-12)))
+
+
+def _tukey(scaled: Array) -> Array:
+    return np.asarray(np.maximum(1.0 - (scaled / TUKEY) ** 2, 0.0) ** 2)
+
+
+def _clipped_variance(bound: float) -> float:
+    """Variance of a standard normal value that is clipped at both sides."""
+    inside = 2.0 * float(ndtr(bound)) - 1.0
+    density = math.exp(-0.5 * bound**2) / math.sqrt(2.0 * math.pi)
+    return inside - 2.0 * bound * density + bound**2 * (1.0 - inside)
 
 
 def _line(
