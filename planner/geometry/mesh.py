@@ -175,26 +175,31 @@ def face_areas(mesh: TriangleMesh) -> FloatArray:
     return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
 
 
-def offset(mesh: TriangleMesh, distance: float, normals: FloatArray | None = None) -> TriangleMesh:
-    """The surface moved by ``distance`` [m] along its normals (V, 3), or along those of its facets averaged.
+def offset(
+    mesh: TriangleMesh, distance: float | FloatArray, normals: FloatArray | None = None
+) -> TriangleMesh:
+    """The surface moved by ``distance`` [m], one for all vertices or (V,), along its normals (V, 3), or along
+    those of its facets averaged.
 
     Raises ``TandemError`` with ``part.offset`` where the surface is bent more tightly than the distance, so
     that the moved one would fold over itself.
     """
     direction = vertex_normals(mesh) if normals is None else normals
-    moved = TriangleMesh(mesh.vertices + distance * direction, mesh.faces)
+    shift = np.broadcast_to(np.asarray(distance, dtype=np.float64), len(mesh.vertices))
+    moved = TriangleMesh(mesh.vertices + shift[:, None] * direction, mesh.faces)
     turned = np.einsum("fd,fd->f", face_normals(mesh), face_normals(moved)) <= 0.0
     if turned.any():
+        most = 1e3 * float(np.abs(shift).max())
         at = 1e3 * mesh.vertices[mesh.faces[turned][0]].mean(axis=0)
         raise TandemError(
             Issue(
                 "part.offset",
-                f"moved by {abs(distance) * 1e3:.2f} mm the face folds over itself at "
+                f"moved by {most:.2f} mm the face folds over itself at "
                 f"{int(turned.sum())} of {len(turned)} facets, the first at "
                 f"({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; its radius must be larger than that, "
                 "so use a thinner part, a smaller kerf or a smoother face",
                 field="part",
-                value=abs(distance) * 1e3,
+                value=most,
                 unit="mm",
             )
         )

@@ -1,0 +1,71 @@
+"""The slot of a bent wire is wider where it moves slower, and the wire keeps half of it off the face."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.claims import CutsSurface, KerfWithin
+from planner.hotwire import elastic
+from planner.hotwire.kerf import HotWire, curve
+from planner.issues import TandemError
+from planner.materials import foam
+from planner.verify.surface import distance_to_sweep, sample_face
+from tests.hotwire import panels
+
+FOAM = foam("eps_a120")
+POWER, FEED, SLOPE = 90.0, 0.004, 0.3
+ROUND = {"material": "spring_steel", "diameter_mm": 0.8, "length_mm": 520, "temperature_c": 300}
+FLAT = ((-70.0, 0.0), (-25.0, 8.0), (25.0, 8.0), (70.0, 0.0))
+
+
+def twisted() -> dict:
+    """An arch whose one end sinks and whose other end rises along y: by SLOPE mm a mm at x = -70 and 70."""
+    half = 100.0
+    sections = []
+    for at, y in ((0.0, -half), (0.5, 0.0), (1.0, half)):
+        points = [[x, y, z + SLOPE * y * x / 70.0] for x, z in FLAT]
+        sections.append({"at": at, "bezier_mm": points})
+    return {"loft": {"sections": sections, "flip": True, "chord_mm": 0.01}}
+
+
+def operation(**more):
+    heat = {"kerf_mm": None, "power_w": POWER, "kerf_range_mm": (0.3, 6.0)}
+    return panels.operation(ROUND, **{"faces": ("front",), "sweep": "y", "feed_mm_s": 4, **heat, **more})
+
+
+def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
+    """Closed form: a wire in upright planes moves by (0, 1, g) a unit of sweep, g = SLOPE x / 70 mm; across
+    itself that is sqrt(1 + g^2 cos^2 a), a being the angle of its tangent to the level."""
+    block = panels.stock(size=(0.16, 0.23, 0.2))
+    block = type(block)(**{**vars(block), "foam": FOAM})
+    setup = panels.setup(block)
+    part = panels.part(twisted(), None, block)
+    targets = elastic.make_targets(operation(), setup, part)
+    claim = next(c for c in targets.claims if isinstance(c, CutsSurface))
+    assert any(isinstance(c, KerfWithin) for c in targets.claims)
+    known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.001, 0.05]))
+    np.testing.assert_allclose(claim.kerf.at(np.array([0.005])), known.at(np.array([0.005])), atol=2e-6)
+    points, normals, _ = sample_face(claim.vertices, claim.faces)
+    rows = targets.edge.points[[s == "cut/front" for s in targets.segment]]
+    away = distance_to_sweep(points, normals, rows)
+    lean = np.arctan2(-normals[:, 0], normals[:, 2])
+    rate = np.sqrt(1.0 + (SLOPE * points[:, 0] / 0.070) ** 2 * np.cos(lean) ** 2)
+    middle = np.abs(points[:, 1]) < 0.08
+    # the fastest point in the foam sets the feed: at the ends of the arch or where the wire leaves the block
+    share = rate / rate[middle].max()
+    expected = 0.5 * claim.kerf.at(FEED * share)
+    assert np.ptp(expected[middle]) > 5e-5  # the kerf does vary
+    got = away[middle & np.isfinite(away)]
+    wanted = expected[middle & np.isfinite(away)]
+    assert np.quantile(np.abs(got - wanted), 0.95) < 6e-5
+    assert np.corrcoef(got, wanted)[0, 1] > 0.8
+
+
+def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
+    with pytest.raises(TandemError) as caught:
+        elastic.claims(operation(), panels.setup(), panels.part())
+    assert [i.code for i in caught.value.issues] == ["stock.foam_missing"]
+    strip = {"material": "spring_steel", "width_mm": 5, "thickness_mm": 0.5, "length_mm": 520}
+    with pytest.raises(ValueError, match="strips"):
+        panels.operation({**strip, "temperature_c": 300}, kerf_mm=None, power_w=40)
