@@ -142,14 +142,15 @@ def _print(estimate: KerfEstimate, power: float, speed: float) -> None:
 
 
 def _foam(text: str) -> Foam:
-    from planner.hotwire import kerf_foam_file
+    from planner import foam_file
     from planner.materials import foam
 
-    return kerf_foam_file.read(Path(text)) if text.endswith((".yaml", ".yml")) else foam(text)
+    return foam_file.read(Path(text)) if text.endswith((".yaml", ".yml")) else foam(text)
 
 
 def _fit(request: Fit) -> None:
-    from planner.hotwire import kerf_csv, kerf_fit, kerf_foam_file
+    from planner import foam_file
+    from planner.hotwire import kerf_csv, kerf_fit
 
     given: dict[str, object] = {
         "density_kg_m3": request.density_kg_m3,
@@ -159,7 +160,7 @@ def _fit(request: Fit) -> None:
     }
     if request.conductivity_w_m_k is not None:
         given["conductivity_w_m_k"] = request.conductivity_w_m_k
-    foam = kerf_foam_file.make(given)
+    foam = foam_file.make(given)
     diameter = _metres("wire_diameter_mm", request.wire_diameter_mm)
     length = None if request.wire_length_mm is None else _metres("wire_length_mm", request.wire_length_mm)
     thickness = None if request.thickness_mm is None else _metres("thickness_mm", request.thickness_mm)
@@ -167,7 +168,7 @@ def _fit(request: Fit) -> None:
     report = kerf_fit.robust(foam, read.cuts, read.burnt, read.dragging, read.good, read.thickness, diameter)
     today = dt.date.today().isoformat()
     source = f"{report.fit.count} of {len(read.cuts)} test cuts in {request.tests.name}, fitted {today}"
-    kerf_foam_file.write(request.output, dataclasses.replace(foam, kerf=report.fit), source)
+    foam_file.write(request.output, dataclasses.replace(foam, kerf=report.fit), source)
     _tell(report, read, request.output)
 
 

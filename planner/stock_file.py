@@ -10,14 +10,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, Discriminator, Field, Tag
 
-from planner import cell_file
+from planner import cell_file, foam_file
 from planner.catalogue import robot
 from planner.cell_file import PoseFile, ShapeFile, ToolFile
 from planner.geometry.rigid import from_rpy
+from planner.hotwire import kerf_foam_file
 from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
 from planner.problem import Arm, Change, Problem, Setup, Stock
-from planner.schema import Angle, Name, Positive, Strict
+from planner.schema import Angle, FileName, Name, Positive, Strict
 from planner.units import DEG, MM
 
 
@@ -33,6 +34,18 @@ Extra = Annotated[float, Field(ge=0, le=5000)]
 Sides = tuple[Extra, Extra]
 
 
+class FoamReference(Strict):
+    """A foam of the user's own, from a file that ``tandem kerf fit`` writes."""
+
+    file: FileName
+
+
+class FoamFile(Strict):
+    """A foam of one's own, as ``tandem kerf fit`` writes it."""
+
+    file: FileName
+
+
 class StockFile(Strict):
     """The block and where it stands; ``place: auto`` lets Tandem search.
 
@@ -46,7 +59,14 @@ class StockFile(Strict):
     roll_pitch_deg: tuple[Angle, Angle] | None = None
     support: tuple[ShapeFile, ...] = ()
     oversize_mm: tuple[Sides, Sides, Sides] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    foam: Annotated[str, Field(max_length=60, description="name in the table of foams")] | None = None
+    foam: (
+        Annotated[
+            Annotated[str, Tag("word"), Field(max_length=60, description="name in the table of foams")]
+            | Annotated[FoamReference, Tag("mapping")],
+            Choice,
+        ]
+        | None
+    ) = None
     held_by: Name | None = None
     grip: PoseFile = PoseFile()
 
@@ -68,13 +88,13 @@ class SetupFile(Strict):
 
 
 def stock(spec: StockFile, folder: Path) -> Stock:
-    """The block in SI units. Raises ``TandemError`` for mesh files and unknown foams."""
+    """The block in SI units. Raises ``TandemError`` for mesh files, foam files and unknown foams."""
     return Stock(
         np.array(spec.size_mm) * MM,
         **_placed(spec.place, spec.roll_pitch_deg),
         support=tuple(cell_file.shape(s, folder) for s in spec.support),
         oversize=_oversize(spec.oversize_mm),
-        foam=_foam(spec.foam),
+        foam=_foam(spec.foam, folder),
         held_by=spec.held_by,
         grip=spec.grip.matrix(),
     )
@@ -212,8 +232,10 @@ def _oversize(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.
     return np.array(sides, dtype=np.float64).T * MM
 
 
-def _foam(name: str | None) -> Foam | None:
-    return None if name is None else foam(name)
+def _foam(wanted: str | FoamReference | None, folder: Path) -> Foam | None:
+    if isinstance(wanted, FoamReference):
+        return foam_file.read(folder / wanted.file)
+    return None if wanted is None else foam(wanted)
 
 
 def _unknown_arm(field: str, name: str, known: Mapping[str, Arm]) -> Issue:

@@ -126,3 +126,16 @@ def test_faults_of_a_setup_are_told_with_their_field(tmp_path: Path, setup: dict
     assert issue.field is not None
     assert issue.field.startswith("operations.1.setup")
     assert issue.line is not None
+
+
+def test_a_foam_of_the_users_own_comes_from_its_file_and_travels_with_the_result(tmp_path: Path) -> None:
+    fields = {"tandem_foam": 1, "name": "mine", "density_kg_m3": 17, "specific_heat_j_kg_k": 1400}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({**fields, "melt_temperature_c": 240}))
+    problem = load(tmp_path, {"foam": {"file": "mine.yaml"}})
+    assert problem.stock.foam.name == "mine"
+    assert problem.stock.mass == pytest.approx(0.3 * 0.2 * 0.1 * 17)
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({**fields, "melt_temperature_c": 250}))
+    assert load(tmp_path, {"foam": {"file": "mine.yaml"}}).digest != problem.digest
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({**fields, "melt_temperature_c": -3}))
+    assert codes(tmp_path, {"foam": {"file": "mine.yaml"}})[0][0] == "kerf.foam_file"
+    assert codes(tmp_path, {"foam": {"file": "nowhere.yaml"}})[0][0] == "problem.missing_file"

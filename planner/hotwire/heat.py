@@ -1,4 +1,4 @@
-"""How hot a wire is, as an operation says it: by the slot's width, or by the power in a foam that is known."""
+"""How hot a wire is, as an operation says it: by the slot's width, or by the power in a foam one knows."""
 
 from __future__ import annotations
 

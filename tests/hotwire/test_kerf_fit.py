@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import cli, kerf_commands, materials
-from planner.hotwire import kerf, kerf_csv, kerf_fit, kerf_foam_file
+from planner import cli, foam_file, kerf_commands, materials
+from planner.hotwire import kerf, kerf_csv, kerf_fit
 from planner.hotwire.kerf import TEST_WIRE
 from planner.hotwire.kerf_cuts import Cuts, dissertation_tables
 from planner.issues import TandemError
+from tests import small_problem
 
 FOAM = dataclasses.replace(materials.foam("eps_a120"), name="mine", kerf=None)
 CHI, OFFSET = 1.05, 0.45e-3
@@ -181,8 +182,8 @@ def test_foam_files_come_back_as_they_were(tmp_path: Path) -> None:
     burnt = cuts().speed < 5.5e-3
     report = fitted(cuts(0.1e-3), burnt=burnt, good=~burnt)
     foam = dataclasses.replace(FOAM, kerf=report.fit)
-    kerf_foam_file.write(tmp_path / "mine.yaml", foam, "cuts of a test")
-    back = kerf_foam_file.read(tmp_path / "mine.yaml")
+    foam_file.write(tmp_path / "mine.yaml", foam, "cuts of a test")
+    back = foam_file.read(tmp_path / "mine.yaml")
     assert (back.name, back.density, back.conductivity) == ("mine", 22.0, 0.036)
     assert back.sources["kerf"] == "cuts of a test"
     speed = np.linspace(2e-3, 12e-3, 50)
@@ -198,7 +199,7 @@ def test_a_foam_file_without_cuts_serves_the_general_model(tmp_path: Path) -> No
         "tandem_foam: 1\nname: bare\ndensity_kg_m3: 14\nspecific_heat_j_kg_k: 1450\n"
         "melt_temperature_c: 280\nconductivity_w_m_k: 0.04\n"
     )
-    foam = kerf_foam_file.read(path)
+    foam = foam_file.read(path)
     ours = kerf.width(foam, TEST_WIRE, 45.0, 7e-3, 0.05, "general")
     assert float(ours.width) == float(kerf.width("eps_af", TEST_WIRE, 45.0, 7e-3, 0.05, "general").width)
     assert int(ours.flag) & kerf.KerfFlag.UNTESTED
@@ -221,12 +222,12 @@ def test_a_foam_file_without_cuts_serves_the_general_model(tmp_path: Path) -> No
 def test_faults_of_foam_files(change: tuple[str, str], line: int, field: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     report = fitted(cuts(0.1e-3), good=~none(cuts()))
-    kerf_foam_file.write(path, dataclasses.replace(FOAM, kerf=report.fit), "x")
+    foam_file.write(path, dataclasses.replace(FOAM, kerf=report.fit), "x")
     text = path.read_text()
     assert change[0] in text
     path.write_text(text.replace(*change))
     with pytest.raises(TandemError) as caught:
-        kerf_foam_file.read(path)
+        foam_file.read(path)
     found = [(i.code, i.line, i.field) for i in caught.value.issues]
     assert ("kerf.foam_file", line, field) in found
     assert all(i.file == str(path) and i.hint for i in caught.value.issues)
@@ -234,11 +235,11 @@ def test_faults_of_foam_files(change: tuple[str, str], line: int, field: str, tm
 
 def test_foam_files_that_are_missing_or_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        kerf_foam_file.read(tmp_path / "nowhere.yaml")
+        foam_file.read(tmp_path / "nowhere.yaml")
     assert caught.value.issues[0].code == "problem.missing_file"
     (tmp_path / "file").write_text("")
     with pytest.raises(TandemError) as caught:
-        kerf_foam_file.write(tmp_path / "file" / "foam.yaml", FOAM, "x")
+        foam_file.write(tmp_path / "file" / "foam.yaml", FOAM, "x")
     assert caught.value.issues[0].code == "output.folder"
 
 
@@ -266,7 +267,7 @@ def test_the_command_fits_a_foam_and_answers(tmp_path: Path) -> None:
     done = run("fit", "tests.csv", *given, "--name", "graphite", "-o", "graphite.yaml")
     assert done.returncode == 0, done.stderr
     assert "20 cuts used; left out as too hot 12, as too cold 0" in done.stdout
-    assert kerf_foam_file.read(tmp_path / "graphite.yaml").name == "graphite"
+    assert foam_file.read(tmp_path / "graphite.yaml").name == "graphite"
     asked = run("width", "graphite.yaml", "--power-w", "47.5", "--speed-mm-s", "8")
     built_in = run("width", "eps_af_plus", "--power-w", "47.5", "--speed-mm-s", "8")
     assert asked.returncode == built_in.returncode == 0
@@ -292,3 +293,22 @@ def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str])
     with pytest.raises(TandemError) as caught:
         kerf_commands.run(kerf_commands.Fit(Path("t.csv"), density_kg_m3=14.0, thickness_mm=0.0))
     assert caught.value.issues[0].code == "kerf.input"
+
+
+def test_a_problem_names_a_foam_of_ones_own(tmp_path: Path) -> None:
+    kerf_foam_file.write(tmp_path / "mine.yaml", dataclasses.replace(FOAM, density=18.5), "weighed")
+    (tmp_path / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]) + "\n")
+    path = tmp_path / "problem.yaml"
+    size = "size_mm: [100, 100, 100],"
+    text = small_problem.PROBLEM.replace(size, f"{size} foam: {{file: mine.yaml}},")
+    path.write_text(text)
+    stock = pipeline.load(path).stock
+    assert stock.foam is not None
+    assert stock.foam.density == 18.5
+    assert stock.mass == pytest.approx(0.0185)
+    for wrong, code in (("nowhere.yaml", "problem.missing_file"), ("problem.yaml", "kerf.foam_file")):
+        path.write_text(text.replace("mine.yaml", wrong))
+        with pytest.raises(TandemError) as caught:
+            pipeline.load(path)
+        assert {issue.code for issue in caught.value.issues} == {code}
+        assert all(issue.file for issue in caught.value.issues)
