@@ -14,7 +14,6 @@ from planner import cell_file, foam_file
 from planner.catalogue import robot
 from planner.cell_file import PoseFile, ShapeFile, ToolFile
 from planner.geometry.rigid import from_rpy
-from planner.hotwire import kerf_foam_file
 from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
 from planner.problem import Arm, Change, Problem, Setup, Stock
@@ -36,12 +35,6 @@ Sides = tuple[Extra, Extra]
 
 class FoamReference(Strict):
     """A foam of the user's own, from a file that ``tandem kerf fit`` writes."""
-
-    file: FileName
-
-
-class FoamFile(Strict):
-    """A foam of one's own, as ``tandem kerf fit`` writes it."""
 
     file: FileName
 
