@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import cli, foam_file, kerf_commands, materials
+from planner import cli, foam_file, kerf_commands, materials, stock_file
 from planner.hotwire import kerf, kerf_csv, kerf_fit
 from planner.hotwire.kerf import TEST_WIRE
 from planner.hotwire.kerf_cuts import Cuts, dissertation_tables
 from planner.issues import TandemError
-from tests import small_problem
+from planner.problem import Stock
 
 FOAM = dataclasses.replace(materials.foam("eps_a120"), name="mine", kerf=None)
 CHI, OFFSET = 1.05, 0.45e-3
@@ -295,20 +295,17 @@ def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str])
     assert caught.value.issues[0].code == "kerf.input"
 
 
-def test_a_problem_names_a_foam_of_ones_own(tmp_path: Path) -> None:
-    kerf_foam_file.write(tmp_path / "mine.yaml", dataclasses.replace(FOAM, density=18.5), "weighed")
-    (tmp_path / "targets.csv").write_text("\n".join([small_problem.COLUMNS, *small_problem.ROWS]) + "\n")
-    path = tmp_path / "problem.yaml"
-    size = "size_mm: [100, 100, 100],"
-    text = small_problem.PROBLEM.replace(size, f"{size} foam: {{file: mine.yaml}},")
-    path.write_text(text)
-    stock = pipeline.load(path).stock
-    assert stock.foam is not None
-    assert stock.foam.density == 18.5
-    assert stock.mass == pytest.approx(0.0185)
-    for wrong, code in (("nowhere.yaml", "problem.missing_file"), ("problem.yaml", "kerf.foam_file")):
-        path.write_text(text.replace("mine.yaml", wrong))
+def test_a_block_of_a_foam_of_ones_own(tmp_path: Path) -> None:
+    foam_file.write(tmp_path / "mine.yaml", dataclasses.replace(FOAM, density=18.5), "weighed")
+    (tmp_path / "wrong.yaml").write_text("name: wrong\n")
+
+    def block(name: str) -> Stock:
+        spec = stock_file.StockFile.model_validate({"size_mm": (100, 100, 100), "foam": {"file": name}})
+        return stock_file.stock(spec, tmp_path)
+
+    assert block("mine.yaml").mass == pytest.approx(0.0185)
+    for name, code in (("nowhere.yaml", "problem.missing_file"), ("wrong.yaml", "kerf.foam_file")):
         with pytest.raises(TandemError) as caught:
-            pipeline.load(path)
+            block(name)
         assert {issue.code for issue in caught.value.issues} == {code}
-        assert all(issue.file for issue in caught.value.issues)
+        assert all(issue.file == str(tmp_path / name) for issue in caught.value.issues)
