@@ -11,8 +11,9 @@ from pydantic import BaseModel
 
 from planner import posed
 from planner.claims import Claim
-from planner.hotwire import elastic
+from planner.hotwire import elastic, straight
 from planner.hotwire.operation import ElasticWire
+from planner.hotwire.straight_operation import Straight
 from planner.problem import Part, Problem, Setup
 from planner.targets import Targets
 
@@ -29,6 +30,7 @@ class Process(NamedTuple):
 
 PROCESSES: Final[Mapping[str, Process]] = {
     "elastic_wire": Process(ElasticWire, elastic.make_targets, elastic.claims),
+    "straight_wire": Process(Straight, straight.make_targets, straight.claims),
     "targets": Process(posed.Posed, posed.make_targets, posed.claims),
 }
 

@@ -1,0 +1,124 @@
+"""The process ``straight_wire``: from ruled surfaces in a block to poses of a bow with a straight hot wire.
+
+See ``straight_order`` (what is cut when), ``straight_offset`` (half a kerf beside the surface),
+``straight_leads`` and ``straight_cut`` (ways in and out), ``straight_links`` and ``straight_route`` (the ways
+between), ``straight_frames`` (poses and freedoms), ``straight_check`` (what must hold).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim, KerfCurve
+from planner.geometry.rigid import inverse
+from planner.hotwire import straight_claims, straight_frames
+from planner.hotwire.straight_check import check_bow, check_cut, check_holder, check_model
+from planner.hotwire.straight_cut import Cut, make_cut
+from planner.hotwire.straight_exhibits import exhibits
+from planner.hotwire.straight_lines import Lines, chord, fastest
+from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_order import Wanted, wanted
+from planner.hotwire.straight_route import Route, lay_out
+from planner.hotwire.straight_steps import actions
+from planner.hotwire.straight_tool import Bow, bow_of
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.problem import Part, Setup
+from planner.targets import Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+AIR_FEED = 0.1
+"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
+
+
+def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Targets:
+    """Targets of the operation; raises ``TandemError`` with the codes ``bow.*``, ``straight.*``, ``kerf.*``,
+    ``part.missing_surface`` and ``stock.*`` where the wire cannot do it.
+    """
+    stock, bow = setup.stock, bow_of(operation, setup)
+    todo = wanted(operation, setup, part)
+    kerf, thickness = _kerf(operation, setup, bow, todo)
+    contours = () if part is None else tuple(r for r in part.ruled if r.closed)
+    box = stock.box
+    cuts = [make_cut(operation, w, contours, kerf, bow.radius, box, -stock.gravity) for w in todo]
+    issues = [issue for cut in cuts for issue in check_cut(operation, cut)]
+    issues += check_model(operation, setup, bow, cuts, thickness)
+    if has_errors(issues):
+        raise TandemError(aggregate(issues))
+    down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
+    clear = operation.margin_mm * MM + bow.radius
+    route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
+    first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM)
+    pose = straight_frames.poses(route.lines, box, first, last)
+    issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
+    issues += check_holder(operation, setup, route.lines, route.segment)
+    if has_errors(issues):
+        raise TandemError(aggregate(issues))
+    return _targets(operation, setup, bow, todo, kerf, cuts, route, pose, (first, last), issues)
+
+
+def claims(operation: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """What must hold of the job, from the problem alone."""
+    bow = bow_of(operation, setup)
+    todo = wanted(operation, setup, part)
+    return straight_claims.claims(operation, setup, bow, todo, _kerf(operation, setup, bow, todo)[0])
+
+
+def _kerf(op: Straight, setup: Setup, bow: Bow, todo: list[Wanted]) -> tuple[KerfCurve, float]:
+    """The slot over the speed, and the foam's thickness [m] along the wire that it counts with: the mean of
+    all rulings."""
+    through = []
+    for one in todo:
+        first, last = chord(Lines(one.ruled.start, one.ruled.end), setup.stock.box)
+        through.append((last - first)[np.isfinite(first)])
+    lengths = np.concatenate(through)
+    thickness = float(lengths.mean()) if lengths.size else float(setup.stock.size.max())
+    return op.kerf_curve(setup.stock.foam, 2.0 * bow.radius, bow.span, thickness), thickness
+
+
+def _targets(
+    op: Straight,
+    setup: Setup,
+    bow: Bow,
+    todo: list[Wanted],
+    kerf: KerfCurve,
+    cuts: list[Cut],
+    route: Route,
+    pose: FloatArray,
+    stretch: tuple[FloatArray, FloatArray],
+    issues: list[Issue],
+) -> Targets:
+    stock, cutter = setup.stock, op.arms[0]
+    cutting = np.array([label.startswith("cut/") for label in route.segment], dtype=np.bool_)
+    in_foam = fastest(route.lines, stock.box)
+    inside = np.isfinite(chord(route.lines, stock.box)[0])
+    burning = cutting & inside & np.concatenate([[False], inside[:-1]])
+    poses, frames = {cutter: pose}, {cutter: "stock"}
+    if stock.held_by is not None:
+        held = np.broadcast_to(inverse(stock.grip), pose.shape)
+        poses = {cutter: stock.grip @ pose, stock.held_by: np.array(held)}
+        frames = {cutter: f"held:{stock.held_by}", stock.held_by: "stock"}
+    return Targets(
+        arms=op.arms,
+        pose=poses,
+        frame=frames,
+        freedoms=straight_frames.freedoms(op, stock, bow.span, *stretch),
+        feed=np.where(cutting, op.feed_mm_s * MM, AIR_FEED),
+        feed_min=np.where(burning, op.feed_min_mm_s * MM, 0.0),
+        travel=np.where(np.isfinite(in_foam), in_foam, _in_air(pose, bow.span)),
+        stop=route.stop,
+        segment=route.segment,
+        actions=actions(op, bow, setup, cuts, route, kerf),
+        claims=straight_claims.claims(op, setup, bow, todo, kerf),
+        exhibits=exhibits(op, bow, cuts),
+        issues=aggregate(issues),
+    )
+
+
+def _in_air(pose: FloatArray, span: float) -> FloatArray:
+    """How far (N,) [m] the faster end of the wire moves on the way to each pose."""
+    half = 0.5 * span * pose[:, None, :3, 0] * np.array([-1.0, 1.0])[:, None]
+    ends = pose[:, None, :3, 3] + half
+    return np.concatenate([[0.0], np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)])

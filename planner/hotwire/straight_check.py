@@ -1,0 +1,252 @@
+"""What must hold of cuts with a straight wire before they are planned: corners, kerfs, the bow's room, the
+holder's plate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.rigid import inverse, transform
+from planner.hotwire import kerf as kerfs
+from planner.hotwire.kerf_flag import KerfFlag, explain
+from planner.hotwire.straight_cut import Cut
+from planner.hotwire.straight_lines import Lines, chord, distance_to_polyline, exit_length, grown
+from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_tool import Bow, corners
+from planner.issues import Issue, Severity
+from planner.problem import Setup
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+GOUGE: Final = 0.3
+"""Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""
+SPINS: Final = 72
+"""Turns of the bow about the wire that are looked at for room behind the wire."""
+
+
+def check_cut(op: Straight, cut: Cut) -> Iterator[Issue]:
+    """Issues of one cut's shape and kerf: straight.corner, straight.crossing, straight.slit, kerf.too_hot and
+    kerf.too_cold."""
+    yield from _tight(op, cut)
+    yield from _crossing(op, cut)
+    yield from _slit(op, cut)
+    if op.power_w is not None:
+        yield from _width(op, cut)
+
+
+def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
+    """Inner corners stay round; inner curves tighter than half a kerf cannot be cut."""
+    made, name = cut.on, cut.wanted.segment
+    lines, foot = made.lines, made.row.foot
+    inner = np.minimum(made.row.turn, 0.0)
+    left = made.half * (1.0 / np.maximum(np.cos(0.5 * inner), 0.05) - 1.0)
+    if left.max() > op.shape_tol_mm * MM:
+        k = int(np.argmax(left.max(axis=1)))
+        yield Issue(
+            "straight.corner",
+            f"{op.name}: {name} has an inner corner that the wire leaves round: {left.max() / MM:.2f} mm "
+            f"stay at {_place(foot.start[k])}; take a thinner slot or round the corner",
+            Severity.WARNING,
+            field=name,
+            value=float(left.max() / MM),
+            limit=op.shape_tol_mm,
+            unit="mm",
+        )
+    for ends, feet, e in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
+        move, way = np.diff(ends, axis=0), np.diff(feet, axis=0)
+        back = (np.sum(move * way, axis=1) < 0.0) & (np.linalg.norm(way, axis=1) > 1e-7)
+        if back.any():
+            k = int(np.argmax(back))
+            yield Issue(
+                "straight.corner",
+                f"{op.name}: {name} is bent inward more tightly than half a kerf, {made.half[k, e] / MM:.2f} "
+                f"mm, at {_place(feet[k])}; take a thinner slot, or a larger radius there",
+                field=name,
+                value=float(made.half[k, e] / MM),
+                unit="mm",
+            )
+            return
+
+
+def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
+    """No wire comes nearer to the surface, wherever on it, than half its kerf."""
+    made, ruled = cut.on, cut.wanted.ruled
+    allowed = GOUGE * op.shape_tol_mm * MM
+    lines = made.lines
+    for points, guide, e in ((lines.start, ruled.start, 0), (lines.end, ruled.end, 1)):
+        line = np.concatenate([guide, guide[:1]]) if ruled.closed else guide
+        near = made.half[:, e] - distance_to_polyline(points, line)
+        k = int(np.argmax(near))
+        if near[k] > allowed:
+            yield Issue(
+                "straight.crossing",
+                f"{op.name}: beside {cut.wanted.segment} the wire at {_place(points[k])} takes "
+                f"{near[k] / MM:.2f} mm off another piece of the same surface: it crosses itself, or a gap "
+                "is narrower than the slot; take a thinner slot or change the outline",
+                field=cut.wanted.segment,
+                value=float(near[k] / MM),
+                limit=allowed / MM,
+                unit="mm",
+            )
+            return
+
+
+def _slit(op: Straight, cut: Cut) -> Iterator[Issue]:
+    start = cut.start
+    if start is None or start.through < 1e-4:
+        return
+    what = f"{op.name}: the wire comes to {cut.wanted.segment} through the part"
+    place = _place(cut.on.row.foot.start[0])
+    how = f"a slit of {start.through / MM:.1f} mm, along {_way(start.way)} from {place}"
+    if cut.wanted.ruled.hole:
+        yield Issue(
+            "straight.slit",
+            f"{what}: {how}; glue it, or cut the part in two there",
+            Severity.NOTE,
+            field=cut.wanted.segment,
+            value=start.through / MM,
+            unit="mm",
+        )
+        return
+    yield Issue(
+        "straight.lead",
+        f"{what}: {how}; give another lead, or move the pieces apart",
+        field=cut.wanted.segment,
+        value=start.through / MM,
+        limit=0.0,
+        unit="mm",
+    )
+
+
+def _width(op: Straight, cut: Cut) -> Iterator[Issue]:
+    """The slot is neither burnt nor dragged at either end of any ruling."""
+    width, speed = 2.0 * cut.on.half / MM, cut.on.speed / MM
+    low, high = op.kerf_range_mm
+    for code, k, limit, words in (
+        ("kerf.too_hot", int(np.argmax(width)), high, "burns the foam; cut faster or with less power"),
+        ("kerf.too_cold", int(np.argmin(width)), low, "is too cold and drags; cut slower or with more power"),
+    ):
+        value = float(width.ravel()[k])
+        if (value > limit) if code == "kerf.too_hot" else (value < limit):
+            place = np.stack([cut.on.row.foot.start, cut.on.row.foot.end], axis=1).reshape(-1, 3)[k]
+            yield Issue(
+                code,
+                f"{op.name}: on {cut.wanted.segment} the wire, at {speed.ravel()[k]:.2f} mm/s, melts "
+                f"{value:.2f} mm at {_place(place)} and {words}, or taper the part less",
+                field="operations.power_w",
+                value=value,
+                limit=limit,
+                unit="mm",
+            )
+
+
+def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness: float) -> Iterator[Issue]:
+    """What the kerf model says against its own figures, as a warning."""
+    foam = setup.stock.foam
+    if op.power_w is None or foam is None:
+        return
+    wire = kerfs.HotWire(2.0 * bow.radius, bow.span)
+    speed = np.concatenate([cut.on.speed.ravel() for cut in cuts])
+    made = kerfs.width(foam, wire, op.power_w, np.maximum(speed, 1e-3), thickness)
+    flag = int(np.bitwise_or.reduce(made.flag)) & ~int(KerfFlag.TOO_HOT | KerfFlag.TOO_COLD)
+    if flag:
+        spread = float((made.high - made.low).max() / 2.0 / MM)
+        yield Issue(
+            "kerf.doubt",
+            f"{op.name}: the kerf in {foam.name} is not sure: {'; '.join(explain(flag))}. Nine cuts of ten "
+            f"are within {spread:.2f} mm of it",
+            Severity.WARNING,
+            field="operations.power_w",
+            value=spread,
+            unit="mm",
+            hint="make test cuts, see tandem kerf fit",
+        )
+
+
+def check_bow(
+    op: Straight, bow: Bow, lines: Lines, segment: tuple[str, ...], box: FloatArray, pose: FloatArray
+) -> Iterator[Issue]:
+    """The wire is long enough between its clamps, and the beam has room behind it at some turn of the bow."""
+    first, last = chord(lines, grown(box, op.margin_mm * MM))
+    need = np.where(np.isfinite(first), last - first, 0.0)
+    k = int(np.argmax(need))
+    if need[k] > bow.span:
+        yield Issue(
+            "bow.span",
+            f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
+            f"{need[k] / MM:.0f} mm, but the bow's is {bow.span / MM:.0f} mm; take a wider bow or a smaller "
+            "block, or let the wire run along another axis",
+            index=k,
+            value=float(need[k] / MM),
+            limit=bow.span / MM,
+            unit="mm",
+        )
+        return
+    inside = np.flatnonzero(np.isfinite(chord(lines, box)[0]))
+    if not inside.size:
+        return
+    depth = _depth(lines[inside], pose[inside], box, op.margin_mm * MM)
+    k = int(np.argmax(depth))
+    if depth[k] > bow.throat:
+        yield Issue(
+            "bow.throat",
+            f"{op.name}: in {segment[inside[k]]} the block reaches {depth[k] / MM:.0f} mm behind the wire "
+            f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a deeper bow or "
+            "a smaller block",
+            index=int(inside[k]),
+            value=float(depth[k] / MM),
+            limit=bow.throat / MM,
+            unit="mm",
+        )
+
+
+def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> FloatArray:
+    """Least depth (N,) [m] of the block behind the wires over all turns of the bow."""
+    angle = 2.0 * np.pi * np.arange(SPINS) / SPINS
+    best = np.full(len(lines), np.inf)
+    wide = grown(box, 0.1 * margin)
+    for a in angle:
+        way = np.cos(a) * pose[:, :3, 2] + np.sin(a) * pose[:, :3, 1]
+        best = np.minimum(best, exit_length(lines, way, wide))
+    return best
+
+
+def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, ...]) -> Iterator[Issue]:
+    """No wire that cuts comes within the margin of the plate that holds the block."""
+    holder = setup.stock.held_by
+    if holder is None:
+        return
+    tool = setup.cell.arm(holder).tool
+    to_stock = inverse(setup.stock.grip) @ inverse(tool.tcp)
+    cutting = np.array([label.startswith("cut/") for label in segment])
+    for shape in tool.shapes:
+        own = inverse(to_stock @ shape.pose)
+        local = Lines(transform(own, lines.start), transform(own, lines.end))
+        extent = corners(shape)
+        body = grown(np.stack([extent.min(axis=0), extent.max(axis=0)]), op.margin_mm * MM)
+        hit = cutting & np.isfinite(chord(local, body)[0])
+        if hit.any():
+            k = int(np.argmax(hit))
+            yield Issue(
+                "stock.footprint",
+                f"{op.name}: in {segment[k]} the wire comes nearer than {op.margin_mm:g} mm to {tool.name}, "
+                "which holds the block; take a smaller gripper, or move the grip away from the part's edges",
+                field="stock.grip",
+                arm=holder,
+                index=k,
+                limit=op.margin_mm,
+                unit="mm",
+            )
+            return
+
+
+def _place(point: FloatArray) -> str:
+    return "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
+
+
+def _way(direction: FloatArray) -> str:
+    return "[" + ", ".join(f"{value:.2f}" for value in direction + 0.0) + "]"

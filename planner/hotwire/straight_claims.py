@@ -1,0 +1,60 @@
+"""What must hold of a job with a straight wire, from the problem alone."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from planner.claims import (
+    Claim,
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    FollowsRulings,
+    HoldsStock,
+    KerfCurve,
+    KerfWithin,
+    StraightWire,
+)
+from planner.geometry.rulings import tessellate
+from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_order import Wanted
+from planner.hotwire.straight_tool import Bow
+from planner.problem import Ruled, Setup
+from planner.units import MM
+
+SURFACE_CHORD: Final = 2e-5
+"""[m] the triangles of a wanted surface are as near to it as this."""
+
+
+def claims(op: Straight, setup: Setup, bow: Bow, cuts: list[Wanted], kerf: KerfCurve) -> tuple[Claim, ...]:
+    """Claims on the bow, on each cut, on the contact and on the block's holder."""
+    ends = np.array([[-0.5 * bow.span, 0.0, 0.0], [0.5 * bow.span, 0.0, 0.0]])
+    out: list[Claim] = [
+        StraightWire(op.arms[0], ends[0], ends[1], bow.radius, op.margin_mm * MM),
+        ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
+    ]
+    feed = op.feed_min_mm_s * MM, op.feed_mm_s * MM
+    tolerance = op.shape_tol_mm * MM
+    for cut in cuts:
+        mesh = tessellate(cut.ruled, SURFACE_CHORD)
+        out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
+        start, end = _closed(cut.ruled)
+        out.append(FollowsRulings(cut.segment, start, end, kerf, tolerance))
+        if op.power_w is not None:
+            low, high = op.kerf_range_mm
+            out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
+        out += [FeedWindow(cut.segment + way, *feed) for way in ("", "_in", "_out")]
+    stock = setup.stock
+    if stock.held_by is not None and stock.mass is not None:
+        middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
+    return tuple(out)
+
+
+def _closed(ruled: Ruled) -> tuple[np.ndarray, np.ndarray]:
+    """Guide lines of a surface, those of a closed one ending where they begin."""
+    if not ruled.closed:
+        return ruled.start, ruled.end
+    return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])

@@ -1,0 +1,92 @@
+"""The order of the job: to the block, cut after cut with ways through the air between them, and away."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.hotwire.straight_cut import Cut
+from planner.hotwire.straight_lines import Lines, join
+from planner.hotwire.straight_links import AIR_STEP, link
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+
+LEAD: Final = 0.040
+"""[m] way in the air before the first cut and behind the last one."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """All wires of the job in order, pointing the same way along the wire all the time.
+
+    ``segment`` labels, ``stop`` (N,) where the motion stops, ``cut`` (N,) index of the cut on whose surface
+    a wire is, -1 elsewhere, ``place`` (N,) its number there. ``ends`` {index of a cut: its last target}.
+    """
+
+    lines: Lines
+    segment: tuple[str, ...]
+    stop: BoolArray
+    cut: IntArray
+    place: IntArray
+    ends: dict[int, int]
+
+
+def lay_out(cuts: list[Cut], box: FloatArray, clear: float, half: float, down: FloatArray) -> Route:
+    """The route through all cuts; see :func:`planner.hotwire.straight_links.link` for the figures."""
+    parts: list[Lines] = []
+    labels: list[str] = []
+    stops: list[int] = []
+    owner: list[IntArray] = []
+    place: list[IntArray] = []
+    ends: dict[int, int] = {}
+
+    def add(label: str, lines: Lines, cut: int = -1, first: int = 0) -> None:
+        """Lines of one segment; from number ``first`` on they are on the surface of a cut."""
+        parts.append(lines)
+        labels.extend([label] * len(lines))
+        on_it = np.arange(len(lines)) >= (first if cut >= 0 else len(lines))
+        owner.append(np.where(on_it, cut, -1))
+        place.append(np.where(on_it, np.arange(len(lines)) - first, -1))
+
+    for number, cut in enumerate(cuts):
+        name = cut.wanted.segment
+        into, on, out = cut.into, cut.on.lines, cut.out
+        if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # the wire has no front end
+            into, on, out = (Lines(x.end, x.start) for x in (into, on, out))
+        if not parts:
+            add("approach", _lead(into, on)[::-1])
+            stops.append(0)
+        else:
+            add("link", link(parts[-1][-1:], into[:1], box, clear, half, down))
+        stops.append(len(labels) - 1)
+        # the move that reaches the first wire beside the surface still belongs to the way in
+        add(f"{name}_in", join([into[1:], on[:1]]), number, len(into) - 1)
+        add(name, on[1:], number)
+        place[-1] += 1
+        if cut.turns:
+            stops.append(len(labels) + cut.turns - 1)
+        add(f"{name}_out", out)
+        ends[number] = len(labels) - 1
+        stops.append(len(labels) - 1)
+        last = out
+    add("retreat", _lead(last.reversed(), last.reversed()[1:])[1:])
+    stops.append(len(labels) - 1)
+    stop = np.zeros(len(labels), dtype=np.bool_)
+    stop[stops] = True
+    return Route(join(parts), tuple(labels), stop, np.concatenate(owner), np.concatenate(place), ends)
+
+
+def _lead(into: Lines, on: Lines) -> Lines:
+    """Wires in the air from the first of ``into``, that one included, straight away from the second."""
+    second = into[1:2] if len(into) > 1 else on[:1]
+    move = into.start[0] + into.end[0] - second.start[0] - second.end[0]
+    way = into.direction[0]
+    move = move - (move @ way) * way
+    count = max(1, int(np.ceil(LEAD / AIR_STEP)))
+    shift = LEAD * np.arange(count + 1)[:, None] / count * move / max(float(np.linalg.norm(move)), 1e-12)
+    return Lines(into.start[:1] + shift, into.end[:1] + shift)

@@ -1,0 +1,64 @@
+"""What the programs say and switch around a job with a straight wire."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from planner.claims import KerfCurve
+from planner.hotwire.straight_cut import Cut
+from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_route import Route
+from planner.hotwire.straight_tool import Bow
+from planner.problem import Setup
+from planner.targets import Action
+from planner.units import MM
+
+LEVEL: Final = 0.7
+"""Least cosine between a cut's normal and the vertical from which what is above it rests on the slot."""
+
+
+def actions(
+    op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route, kerf: KerfCurve
+) -> tuple[Action, ...]:
+    """The operator's steps and the wire's power, by target."""
+    wire = f"{2.0 * bow.radius / MM:g} mm {op.wire_material}".strip()
+    heat = f"{op.power_w:g} W" if op.power_w is not None else f"heat for a slot of {op.kerf_mm:g} mm"
+    last = len(route.segment) - 1
+    out = [
+        Action(0, "message", f"Wire {wire}, {heat}"),
+        Action(0, "confirm", "Wire taut, block fixed, nobody in the cell?"),
+        Action(0, "on", signal=op.signal),
+        Action(0, "wait", seconds=op.heat_up_s),
+    ]
+    for number, cut in enumerate(cuts):
+        if op.spacers and drops(cut, setup):
+            out += _spacers(op, route.ends[number], float(kerf.at(np.array(op.feed_mm_s * MM))))
+    return (
+        *out,
+        Action(last, "off", signal=op.signal),
+        Action(last, "wait", seconds=op.cool_down_s),
+        Action(last, "confirm", "Wire cold, hands may come near?"),
+    )
+
+
+def drops(cut: Cut, setup: Setup) -> bool:
+    """Whether what is above an open cut rests on its slot and would drop by a kerf: the slot is level and
+    goes through the block, and nothing holds what is above."""
+    if cut.wanted.ruled.closed or setup.stock.held_by is not None:
+        return False
+    normal = cut.on.row.normal.mean(axis=(0, 1))
+    return bool(abs(normal @ setup.stock.gravity) > LEVEL * np.linalg.norm(normal))
+
+
+def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
+    """Off, spacers in, on again: hands come near the wire."""
+    return [
+        Action(at, "off", signal=op.signal),
+        Action(at, "wait", seconds=op.cool_down_s),
+        Action(at, "message", f"Put spacers of {kerf / MM:.1f} mm into the slot"),
+        Action(at, "confirm", "Spacers in the slot, nobody in the cell?"),
+        Action(at, "on", signal=op.signal),
+        Action(at, "wait", seconds=op.heat_up_s),
+    ]
