@@ -42,6 +42,7 @@ SAME_THICKNESS: Final = 0.1
 """Foam and wire count as those of the tests up to this part of their thickness."""
 CURVE_ERROR: Final = 1e-6
 """Largest error [m] of reading a curve linearly."""
+MOST_SPEEDS: Final = 50_000
 CURVE_SPEEDS: Final = (0.5e-3, 50e-3)
 """Range [m/s] of a curve when no speeds are given."""
 
@@ -131,7 +132,7 @@ def curve(
     """Kerf over speed at one power and thickness, dense enough to be read linearly within 1 um.
 
     ``speeds`` [m/s] only bounds the table, from its lowest to its highest value; 0.5 to 50 mm/s without.
-    Raises as `width` does.
+    Raises as `width` does, also where that takes more than 50 000 speeds.
     """
     (given,) = _numbers(speeds=CURVE_SPEEDS if speeds is None else speeds)
     first, last = float(given.min()), float(given.max())
@@ -158,6 +159,10 @@ def _dense(rows: Callable[[Array], Array], first: float, last: float) -> Array:
         coarse = off > 0.5 * CURVE_ERROR
         if not np.any(coarse):
             return table
+        if len(table) > MOST_SPEEDS:
+            text = f"kerf curve: got {len(table)} speeds and still not read linearly within 1 um"
+            hint = "begin at a higher speed, or take less power"
+            raise TandemError(Issue("kerf.input", text, field="speeds", hint=hint))
         table = np.sort(np.concatenate([table, middle[coarse]]))
 
 

@@ -218,6 +218,12 @@ def test_curves_between_given_speeds() -> None:
     assert single.at(np.array(5e-3)) == pytest.approx(expected, abs=1e-6)
 
 
+def test_a_curve_of_absurd_power_ends() -> None:
+    with pytest.raises(TandemError) as caught:
+        kerf.curve("xps_30", TEST_WIRE, 1e15, 0.05)
+    assert codes(caught) == ["kerf.input"]
+
+
 def test_100_000_points_take_less_than_50_ms() -> None:
     speed = rng.uniform(2e-3, 1e-2, 100_000)
     times = []
