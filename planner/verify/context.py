@@ -11,18 +11,32 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, FollowsPoses, WireJoins
+from planner.claims import (
+    Claim,
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    FollowsPoses,
+    FollowsRulings,
+    HoldsStock,
+    KerfWithin,
+    WireJoins,
+)
+from planner.geometry.rigid import inverse
 from planner.issues import Issue
-from planner.problem import Problem
+from planner.problem import Problem, Setup, Stock
 from planner.verify import job as job_text
+from planner.verify import setups as setup_text
 from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.motion import Motion
 from planner.verify.rapid_ast import Data, Literal
 from planner.verify.rapid_steps import MessageStep, MoveStep, Step
 from planner.verify.rapid_values import WorkObject, build
 from planner.verify.replay import replay
+from planner.verify.setups import SetupClaims, Spans
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 BASE_FRAME = "base_frame"
 DIGEST = "problem_digest"
@@ -47,6 +61,7 @@ class Phase:
     first: int
     last: int
     claim: WireJoins
+    setup: int = 0
 
 
 class Context:
@@ -81,6 +96,16 @@ class Context:
     def feeds(self) -> tuple[FeedWindow, ...]:
         """Feed windows by segment."""
         return tuple(claim for claim in self.claims if isinstance(claim, FeedWindow))
+
+    @property
+    def rulings(self) -> tuple[FollowsRulings, ...]:
+        """Rulings that a straight wire must run along."""
+        return tuple(claim for claim in self.claims if isinstance(claim, FollowsRulings))
+
+    @property
+    def kerfs(self) -> tuple[KerfWithin, ...]:
+        """Bounds of the slot's width."""
+        return tuple(claim for claim in self.claims if isinstance(claim, KerfWithin))
 
     @property
     def follows(self) -> tuple[FollowsPoses, ...]:
@@ -123,6 +148,53 @@ class Context:
             if stage.moves(task.name)
         ]
 
+    # ---- setups ----
+
+    @cached_property
+    def setups(self) -> tuple[Setup, ...]:
+        """How the cell stands, setup by setup."""
+        return self.problem.setups
+
+    @cached_property
+    def setup_claims(self) -> tuple[SetupClaims, ...]:
+        """The claims of each setup."""
+        return setup_text.claims_of(self.setups, self.problem, self.by_operation)
+
+    @cached_property
+    def spans(self) -> Spans:
+        """Which setup is in force at which stage."""
+        return setup_text.spans(self.setups, self.job)
+
+    @cached_property
+    def sample_setup(self) -> IntArray:
+        """Index (S,) of the setup in force at each sample of the motion."""
+        return np.asarray(self.spans.of_stage[self.motion.stage])
+
+    @cached_property
+    def of_segment(self) -> dict[str, int]:
+        """Index of the setup that claims a segment."""
+        return {
+            claim.segment.lower(): index
+            for index, setup in enumerate(self.setup_claims)
+            for group in setup.groups
+            for claim in group
+            if isinstance(claim, CutsSurface | FollowsRulings | KerfWithin | FeedWindow)
+        }
+
+    def stock(self, index: int) -> Stock:
+        """The block as setup ``index`` finds it."""
+        return self.setups[index].stock
+
+    def holder(self, index: int) -> HoldsStock | None:
+        """Who holds the block in setup ``index``, from its claims, else from the problem."""
+        stock, claims = self.stock(index), self.setup_claims[index].holds
+        if stock.held_by is None:
+            return None
+        if claims:
+            return claims[0]
+        centre = np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        return HoldsStock(stock.held_by, stock.grip, stock.mass or 0.0, (stock.grip @ centre)[:3])
+
     # ---- frames ----
 
     @cached_property
@@ -149,38 +221,67 @@ class Context:
         return out
 
     @cached_property
-    def work_objects(self) -> list[tuple[TaskText, MoveStep, WorkObject]]:
-        """Each work object that straight moves use, once a task, with its first move."""
-        seen: dict[tuple[str, str], tuple[TaskText, MoveStep, WorkObject]] = {}
-        for _, _, task, moves in self.moves():
+    def work_objects(self) -> list[tuple[int, TaskText, MoveStep, WorkObject]]:
+        """Each work object that straight moves use, once a setup and task, with the setup's index and its
+        first move there. Work objects of one name may differ by module."""
+        seen: dict[tuple[int, str, int], tuple[int, TaskText, MoveStep, WorkObject]] = {}
+        for number, _, task, moves in self.moves():
+            index = int(self.spans.of_stage[number])
             for move in moves:
                 if move.kind != "MoveAbsJ":
-                    seen.setdefault((task.name, move.wobj_name), (task, move, move.wobj))
+                    key = (index, task.name, id(move.wobj))
+                    seen.setdefault(key, (index, task, move, move.wobj))
         return list(seen.values())
 
     @cached_property
+    def places(self) -> tuple[FloatArray | None, ...]:
+        """Where the block stands (4, 4) in each setup: the work object that the text names for it, else where
+        it stood before or the problem's place; None where nothing says it."""
+        out: list[FloatArray | None] = []
+        for index, setup in enumerate(self.setups):
+            named = (
+                np.asarray(wobj.user @ wobj.object)
+                for where, _, move, wobj in self.work_objects
+                if where == index and wobj.fixed and move.wobj_name.lower() != "wobj0"
+            )
+            before = out[-1] if out and setup_text.stays(self.problem, setup) else None
+            found = next(named, None)
+            out.append(next((p for p in (found, setup.stock.place, before) if p is not None), None))
+        return tuple(out)
+
+    @property
     def stock_pose(self) -> FloatArray:
-        """Where the stock stands (4, 4): the work object that the text names for it, else the problem's
-        place."""
-        for _, move, wobj in self.work_objects:
-            if move.wobj_name.lower() != "wobj0":
-                return np.asarray(wobj.user @ wobj.object)
-        place = self.problem.stock.place
-        return np.eye(4) if place is None else place
+        """Where the block stands (4, 4) in the first setup."""
+        return np.eye(4) if self.places[0] is None else self.places[0]
+
+    def stock_poses(self, index: int, rows: IntArray) -> FloatArray:
+        """The block's frame in the world (S, 4, 4) at samples of setup ``index``; a holder moves it."""
+        held = self.holder(index)
+        if held is not None and held.arm in self.motion.tcp:
+            return np.asarray(self.motion.tcp[held.arm][rows] @ held.grip)
+        place = self.places[index]
+        return np.tile(np.eye(4) if place is None else place, (len(rows), 1, 1))
+
+    def in_stock(self, index: int, rows: IntArray, points: FloatArray) -> FloatArray:
+        """Points (S, P, 3) of the world at samples of setup ``index`` as seen from the block."""
+        back = inverse(self.stock_poses(index, rows))
+        return np.asarray(np.einsum("sij,spj->spi", back[:, :3, :3], points) + back[:, None, :3, 3])
 
     # ---- motion ----
 
     @cached_property
     def motion(self) -> Motion:
         """The replayed motion; only if :attr:`playable`."""
-        return replay(self.job, self.bases)
+        tools = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in self.setups]
+        return replay(self.job, self.bases, [tools[i] for i in self.spans.of_stage])
 
-    @cached_property
-    def runs(self) -> tuple[tuple[int, ...], ...]:
-        """Synchronised stages with moves, in runs with no arm moving alone between them."""
+    def runs(self, index: int) -> tuple[tuple[int, ...], ...]:
+        """Synchronised stages with moves of setup ``index``, in runs without lone moves between them."""
         runs: list[list[int]] = []
         fresh = True
         for number, stage in enumerate(self.job.stages):
+            if self.spans.of_stage[number] != index:
+                continue
             if not any(stage.moves(task.name) for task in self.job.tasks):
                 continue
             if not stage.synchronised:
@@ -196,14 +297,16 @@ class Context:
     def phases(self) -> tuple[Phase, ...]:
         """When a wire is mounted: one run of synchronised stages for each claim of a wire, in order."""
         return tuple(
-            Phase(self._edge(run[0], -1), self._edge(run[-1], 1), claim)
-            for run, claim in zip(self.runs, self.wires, strict=False)
+            Phase(self._edge(run[0], -1), self._edge(run[-1], 1), claim, index)
+            for index, setup in enumerate(self.setup_claims)
+            for run, claim in zip(self.runs(index), setup.joined, strict=False)
         )
 
     def _edge(self, stage: int, way: int) -> int:
-        """The farthest stage before (-1) or behind (1) a stage without a lone move between."""
+        """The farthest stage of its setup before (-1) or behind (1) a stage without a lone move between."""
         stages = self.job.stages
-        while 0 <= stage + way < len(stages):
+        index = self.spans.of_stage[stage]
+        while 0 <= stage + way < len(stages) and self.spans.of_stage[stage + way] == index:
             following = stages[stage + way]
             if any(following.moves(task.name) for task in self.job.tasks):
                 return stage + way  # what stands behind (before) its lone moves belongs to the wire

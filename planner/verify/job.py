@@ -15,15 +15,16 @@ from planner.problem import Arm, Problem
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits
-from planner.verify.rapid_reader import FlowError, flatten, handlers, read_task
-from planner.verify.rapid_steps import MoveStep, Step, SyncStep
+from planner.verify.rapid_reader import FlowError, called, flatten, handlers, read_task, undos
+from planner.verify.rapid_steps import MessageStep, MoveStep, Step, SyncStep
 
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskText:
-    """One task: its arm, its modules, its straight way and its error handlers."""
+    """One task: its arm, its modules, its straight way, its error handlers and UNDO sections, and the
+    procedures (module, name) that ever run."""
 
     name: str
     unit: str
@@ -31,6 +32,8 @@ class TaskText:
     modules: tuple[Module, ...]
     steps: tuple[Step, ...]
     handlers: Handlers
+    undos: Handlers
+    called: frozenset[tuple[str, str]]
     files: Mapping[str, str]
 
 
@@ -71,8 +74,8 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
         words = [
             task for task in found if re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)
         ]
-        if words:
-            found[max(words, key=len)][path] = text
+        if len(words) == 1:
+            found[words[0]][path] = text
         else:
             strays.append(path)
     return found, strays
@@ -94,15 +97,19 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         faults += text.faults
         steps: tuple[Step, ...] = ()
         sections: Handlers = {}
+        leaving: Handlers = {}
+        reached: frozenset[tuple[str, str]] = frozenset()
         if not text.faults:
             try:
                 steps, sections = flatten(text.modules), handlers(text.modules)
+                leaving, reached = undos(text.modules), called(text.modules)
             except FlowError as wrong:
                 flow += wrong.faults
         unit = controller.units[number] if number < len(controller.units) else ""
-        tasks.append(TaskText(name, unit, arm, text.modules, steps, sections, files[name]))
+        tasks.append(TaskText(name, unit, arm, text.modules, steps, sections, leaving, reached, files[name]))
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
-    return JobText(tuple(tasks), _stages(tasks), tuple(faults), tuple(flow), tuple(strays), lists)
+    asked = {setup.confirmation for setup in problem.setups if setup.steps}
+    return JobText(tuple(tasks), _stages(tasks, asked), tuple(faults), tuple(flow), tuple(strays), lists)
 
 
 def sync_points(task: TaskText) -> tuple[SyncStep, ...]:
@@ -110,10 +117,15 @@ def sync_points(task: TaskText) -> tuple[SyncStep, ...]:
     return tuple(step for step in task.steps if isinstance(step, SyncStep))
 
 
-def _stages(tasks: list[TaskText]) -> tuple[Stage, ...]:
-    """Stages where all tasks pass the same synchronisation points, else none."""
+def _stages(tasks: list[TaskText], asked: set[str]) -> tuple[Stage, ...]:
+    """Stages where all tasks pass the same synchronisation points, else none.
+
+    A task that is alone meets nobody: there the confirmations ``asked`` of setups part the stages too.
+    """
     if not tasks:
         return ()
+    if len(tasks) == 1:
+        return _lone_stages(tasks[0], asked)
     rows = [[(step.kind, step.ident) for step in sync_points(task)] for task in tasks]
     if any(row != rows[0] for row in rows):
         return ()
@@ -135,14 +147,30 @@ def _stages(tasks: list[TaskText]) -> tuple[Stage, ...]:
     return tuple(stages)
 
 
+def _lone_stages(task: TaskText, asked: set[str]) -> tuple[Stage, ...]:
+    stages: list[tuple[bool, str | None, list[Step]]] = [(False, None, [])]
+    for step in task.steps:
+        inside, ident, last = stages[-1]
+        if isinstance(step, SyncStep):
+            inside = step.kind == "SyncMoveOn" or (
+                inside and step.kind not in ("SyncMoveOff", "SyncMoveUndo")
+            )
+            stages.append((inside, step.ident, []))
+        elif isinstance(step, MessageStep) and step.confirm and step.text in asked:
+            stages += [(inside, ident, [step]), (inside, ident, [])]
+        else:
+            last.append(step)
+    return tuple(Stage(inside, ident, {task.name: tuple(steps)}) for inside, ident, steps in stages)
+
+
 _LABEL = re.compile(
-    r"^(mount|unmount|transit|approach|cut|link|retreat|entry|exit|lead)(?:_(.+?))?(?:__?\d+)?$", re.I
+    r"^(mount|unmount|transit|approach|cut|link|retreat|entry|exit|lead)(?:_(.+?))?(?:__\d+)?$", re.I
 )
 
 
 def label(procedure: str) -> str:
-    """Segment label of a procedure's name: ``cut_front`` is ``cut/front``; other names are taken as they
-    are."""
+    """Segment label of a procedure's name: ``cut_front`` is ``cut/front``, and so is ``cut_front__2``, its
+    second visit; other names are taken as they are."""
     found = _LABEL.match(procedure)
     if found is None:
         return procedure.lower()

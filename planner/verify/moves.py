@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import RobotData
 from planner.cell.robots import forward
-from planner.geometry.rigid import log_rotation
+from planner.geometry.rigid import inverse, log_rotation
 from planner.verify import time_law
 from planner.verify.job import TaskText
 from planner.verify.rapid_steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
@@ -31,8 +31,12 @@ ACCURACY_TURN = 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """N moves of one arm in a stage: which are ``joint`` moves (N,), targets as TCP ``pose`` (N, 4, 4) in the
-    world and as ``q`` (N, 6) where they are joints, ``conf`` (N, 4), ``tool`` (N, 4, 4), ``base`` (4, 4)."""
+    """N moves of one arm in a stage: which are ``joint`` moves (N,), targets as TCP ``pose`` (N, 4, 4) and as
+    ``q`` (N, 6) where they are joints, ``conf`` (N, 4), ``tool`` (N, 4, 4), ``base`` (4, 4).
+
+    Poses are in the world, unless the flange of arm ``carrier`` carries the work object: then they are in
+    the frame that lies at ``ride`` (4, 4) in that flange, and the moves are straight in it.
+    """
 
     task: TaskText
     moves: tuple[MoveStep, ...]
@@ -43,15 +47,36 @@ class Row:
     pose: FloatArray
     q: FloatArray
     conf: IntArray
+    carrier: str | None
+    ride: FloatArray
 
     def tcp(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world of joints (..., 6), with the tool of the first move."""
         return np.asarray(self.base @ forward(self.robot, q) @ self.tool[0])
 
+    def flanges(self) -> FloatArray:
+        """Flange poses (N, 4, 4) in the world at the targets, for a row that is in the world."""
+        out = self.pose @ inverse(self.tool)
+        out[self.joint] = self.base @ forward(self.robot, self.q[self.joint])
+        return np.asarray(out)
 
-def make_row(task: TaskText, moves: tuple[MoveStep, ...], machine: RobotData, base: FloatArray) -> Row:
-    """Targets of one arm's moves in the world."""
+
+def make_row(
+    task: TaskText,
+    moves: tuple[MoveStep, ...],
+    machine: RobotData,
+    base: FloatArray,
+    units: Mapping[str, str],
+) -> Row:
+    """Targets of one arm's moves; ``units`` {unit in lower case: arm} are those of the other arms.
+
+    Moves in several frames that move, or in one and in the world, are a fault that ``verify.held_frame``
+    names; they are taken as if all frames stood still.
+    """
     count = len(moves)
+    straight = [move for move in moves if move.kind != "MoveAbsJ"]
+    carriers = {None if move.wobj.fixed else units.get(move.wobj.unit.lower()) for move in straight}
+    carrier = carriers.pop() if len(carriers) == 1 else None
     joint = np.array([isinstance(move.target, JointTarget) for move in moves])
     position, quaternion = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     conf = np.zeros((count, 4), dtype=np.int64)
@@ -73,26 +98,33 @@ def make_row(task: TaskText, moves: tuple[MoveStep, ...], machine: RobotData, ba
         if key not in work:
             work[key] = move.wobj.user @ move.wobj.object
         frame[i] = work[key]
-    pose = frame @ poses(position, quaternion)
-    pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
-    return Row(task, moves, machine, base, tool, joint, pose, q, conf)
+    ride = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
+    pose = (np.linalg.inv(ride) if carrier is not None else np.eye(4)) @ frame @ poses(position, quaternion)
+    if carrier is None:
+        pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
+    return Row(task, moves, machine, base, tool, joint, pose, q, conf, carrier, ride)
 
 
-def make_law(rows: Sequence[Row], starts: Sequence[FloatArray], stop: NDArray[np.bool_]) -> time_law.TimeLaw:
+def make_law(
+    rows: Sequence[Row],
+    starts: Sequence[FloatArray],
+    joints: Sequence[FloatArray],
+    stop: NDArray[np.bool_],
+) -> time_law.TimeLaw:
     """The time law of the moves: the slowest of the arms sets each move's time, the smallest zone the
-    rounding."""
+    rounding. ``starts`` (4, 4) are each row's TCP in the frame of its poses, ``joints`` (6,) its angles."""
     count = len(rows[0].moves)
     duration, length = np.zeros(count), np.zeros(count)
     reach = np.full((count + 1, 2), _REACH_HALF)
     deltas = []
-    for row, start in zip(rows, starts, strict=True):
-        before = np.concatenate([row.tcp(start)[None], row.pose[:-1]])
+    for row, start, q in zip(rows, starts, joints, strict=True):
+        before = np.concatenate([start[None], row.pose[:-1]])
         shift = row.pose[:, :3, 3] - before[:, :3, 3]
         turning = log_rotation(np.swapaxes(before[:, :3, :3], 1, 2) @ row.pose[:, :3, :3])
         step, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(turning, axis=1)
         deltas += [(shift, ACCURACY), (turning, ACCURACY_TURN)]
         length = np.hypot(length, np.hypot(step, _ARM_LENGTH * turn))
-        duration = np.maximum(duration, _durations(row, start, step, turn))
+        duration = np.maximum(duration, _durations(row, q, step, turn))
         zone = np.array([0.0 if move.zone.fine else move.zone.tcp for move in row.moves])
         angle = np.array([0.0 if move.zone.fine else move.zone.turn_angle for move in row.moves])
         reach[1:, 0] = np.minimum(reach[1:, 0], _share(zone, angle, step, turn))

@@ -8,6 +8,7 @@ the proof does not hold.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -21,7 +22,11 @@ from planner.verify import (
     report_series,
     rules_cell,
     rules_data,
+    rules_frames,
     rules_motion,
+    rules_power,
+    rules_setup,
+    rules_straight,
     rules_surface,
     rules_sync,
     rules_text,
@@ -29,7 +34,8 @@ from planner.verify import (
 )
 from planner.verify.context import Context, Outcome
 from planner.verify.result import CutFace, Proof, RuleResult
-from planner.verify.wire import Wire, follow_wire
+from planner.verify.wire import Wire
+from planner.verify.wire import wires as all_wires
 
 _RuleTable = tuple[tuple[str, Callable[[Context], Outcome]], ...]
 
@@ -49,8 +55,10 @@ TASKS: _RuleTable = (
     ("verify.sync_order", rules_sync.sync_order),
     ("verify.error_handler", rules_data.error_handler),
     ("verify.motion_settings", rules_data.motion_settings),
+    ("verify.hidden", rules_data.hidden),
 )
 STAGES: _RuleTable = (
+    ("verify.setup", rules_setup.setup),
     ("verify.move_count", rules_sync.move_count),
     ("verify.move_ids", rules_sync.move_ids),
     ("verify.zone_kind", rules_sync.zone_kind),
@@ -59,9 +67,12 @@ STAGES: _RuleTable = (
     ("verify.arms_alone", rules_sync.arms_alone),
     ("verify.wire_alone", rules_sync.wire_alone),
     ("verify.stop_before_logic", rules_sync.stop_before_logic),
-    ("verify.tool_data", rules_data.tool_data),
-    ("verify.work_object", rules_data.work_object),
-    ("verify.base_frames", rules_data.base_frames),
+    ("verify.signals", rules_power.signals),
+    ("verify.tool_data", rules_frames.tool_data),
+    ("verify.work_object", rules_frames.work_object),
+    ("verify.held_frame", rules_frames.held_frame),
+    ("verify.load", rules_frames.load),
+    ("verify.base_frames", rules_frames.base_frames),
     ("verify.move_kinds", rules_data.move_kinds),
     ("verify.zone_size", rules_data.zone_size),
     ("verify.zero_length", rules_data.zero_length),
@@ -86,16 +97,28 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.curvature", rules_wire.curvature),
     ("verify.contact", rules_wire.contact),
     ("verify.stop_in_foam", rules_wire.stop_in_foam),
-    ("verify.wire_power", rules_wire.wire_power),
+    ("verify.wire_power", rules_power.wire_power),
     ("verify.feed", rules_wire.feed),
+    ("verify.bow", rules_straight.bow),
+    ("verify.rulings", rules_straight.rulings),
 )
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kinematics", rules_cell.kinematics),
     ("verify.clearance", rules_cell.bodies),
     ("verify.wire_clearance", rules_cell.wire_bodies),
     ("verify.surface", rules_surface.surface),
+    ("verify.kerf", rules_straight.kerf),
     ("verify.ridge", rules_surface.ridges),
 )
+
+NEEDED = (
+    "verify.setup",
+    "verify.move_count",
+    "verify.sync_order",
+    "verify.arms_alone",
+    "verify.held_frame",
+)
+"""What must hold for a motion to follow from the text."""
 
 RULES: tuple[str, ...] = tuple(
     code for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS) for code, _ in table
@@ -112,11 +135,12 @@ TITLES: Mapping[str, str] = {
 
 @dataclasses.dataclass
 class Prover:
-    """Proves programs of one problem. Keeps the Drake model between proofs, which then start at once."""
+    """Proves programs of one problem. Keeps the Drake models of its setups between proofs, which then start
+    at once."""
 
     problem: Problem
     claims: Mapping[str, tuple[Claim, ...]]
-    _model: CellModel | None = None
+    _models: dict[int, CellModel] = dataclasses.field(default_factory=dict)
 
     def prove(self, programs: Mapping[str, str], first_error: bool = False, last: str | None = None) -> Proof:
         """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
@@ -128,11 +152,14 @@ class Prover:
                 break
         return run.proof()
 
-    def model(self, context: Context) -> CellModel:
-        """The cell with stock and bases where the text has them."""
-        if self._model is None:
-            self._model = build(self.problem.cell, self.problem.stock, context.stock_pose, context.bases)
-        return self._model.with_stock(context.stock_pose).with_bases(context.bases)
+    def model(self, context: Context, index: int = 0) -> CellModel:
+        """The cell of a setup, by its index, with block and bases where the text has them."""
+        setup = context.setups[index]
+        place = context.places[index]
+        place = np.eye(4) if place is None else place
+        if index not in self._models:
+            self._models[index] = build(setup.cell, setup.stock, place, context.bases)
+        return self._models[index].with_stock(place).with_bases(context.bases)
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
@@ -149,7 +176,7 @@ class Prover:
         for code, rule in STAGES:
             run.add(code, rule(context))
             yield
-        if run.broken_any("verify.move_count", "verify.sync_order", "verify.arms_alone"):
+        if run.broken_any(*NEEDED):
             return
         for code, rule in MOTION:
             run.add(code, rule(context))
@@ -159,7 +186,7 @@ class Prover:
         yield from self._physics(context, run)
 
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
-        wires = tuple(follow_wire(context, phase) for phase in context.phases)
+        wires = all_wires(context)
         run.wires = wires
         for code, rule in WIRE:
             run.add(code, rule(context, wires))
@@ -168,17 +195,18 @@ class Prover:
         outcome, run.faces, run.part = rules_surface.surface(context, sweeps)
         run.add("verify.surface", outcome)
         yield
+        run.add("verify.kerf", rules_straight.kerf(context, run.faces, wires))
+        yield
         run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield
         run.faces = rules_surface.with_end_error(context, wires, run.faces)
-        model = self.model(context)
-        run.add("verify.kinematics", rules_cell.kinematics(context, model))
+        models = functools.cache(functools.partial(self.model, context))
+        run.add("verify.kinematics", rules_cell.kinematics(context, models))
         yield
-        run.looks = rules_cell.looks(context)
-        outcome, run.clearance = rules_cell.bodies(context, model, run.looks)
+        outcome, run.looks, run.clearance = rules_cell.bodies(context, models)
         run.add("verify.clearance", outcome)
         yield
-        outcome, run.wire_clearance = rules_cell.wire_bodies(context, model, wires)
+        outcome, run.wire_clearance = rules_cell.wire_bodies(context, models, wires)
         run.add("verify.wire_clearance", outcome)
         yield
 

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from planner.verify.rapid_ast import (
     Aggregate,
+    Assign,
     Binary,
     Data,
     Expr,
+    For,
     Function,
+    If,
+    Instruction,
     Literal,
     Module,
     Name,
     Procedure,
     Unary,
+    While,
 )
 from planner.verify.rapid_check import placed
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_values import OPAQUE, PREDEFINED, RapidValueError, SyncIdent, Value, build
+from planner.verify.rapid_words import FORMS
 
 UNKNOWN = None  # the value of what only the controller knows
 
@@ -33,13 +39,18 @@ class FlowError(ValueError):
 
 
 class Evaluator:
-    """Names and values as seen from `module`; `cells` holds what was assigned on the way."""
+    """Names and values as seen from `module`; `cells` holds what was assigned on the way.
+
+    What is assigned anywhere in the task has no value that is known before that: a variable or persistent
+    keeps its last one when the program is run again.
+    """
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self.modules = {module.name.lower(): module for module in modules}
         self.module: Module = modules[0]
         self.cells: dict[tuple[str, str], Any] = {}
         self.cache: dict[tuple[str, str], Any] = {}
+        self.written = frozenset(name for module in modules for name in _written(module))
 
     def fail(self, start: int, message: str) -> FlowError:
         """What to raise for a place in the current module."""
@@ -122,7 +133,7 @@ class Evaluator:
     def _initial(self, module: Module, data: Data) -> Value:
         if data.kind == "syncident":
             return SyncIdent(data.name)
-        if data.initial is None or data.kind in OPAQUE:
+        if data.initial is None or data.kind in OPAQUE or data.name.lower() in self.written:
             return UNKNOWN
         here, self.module = self.module, module
         try:
@@ -145,6 +156,30 @@ class Evaluator:
             return _BINARY[expr.operator](left, right)
         except (ZeroDivisionError, OverflowError):
             raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
+
+
+def _written(module: Module) -> Iterator[str]:
+    """Names, in lower case, that statements of the module write to."""
+    todo = [block for p in module.procedures for block in (p.body, p.error or (), p.undo or ())]
+    while todo:
+        for statement in todo.pop():
+            match statement:
+                case Assign():
+                    yield statement.target.key
+                case Instruction():
+                    form = FORMS[statement.name.lower()]
+                    slots = [*zip(form.required, statement.arguments, strict=False)]
+                    slots += [(form.options[key][1], v) for key, v in statement.options if v is not None]
+                    for kind, value in slots:
+                        if kind.startswith("variable") and isinstance(value, Name):
+                            yield value.key
+                case If():
+                    todo += [body for _, body in statement.branches]
+                    todo.append(statement.otherwise)
+                case While() | For():
+                    todo.append(statement.body)
+                case _:
+                    pass
 
 
 _UNARY: dict[str, Callable[[Any], Any]] = {"-": lambda x: -x, "+": lambda x: x, "not": lambda x: not x}

@@ -30,6 +30,7 @@ from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_steps import (
     CallStep,
+    CarryStep,
     ChoiceStep,
     LoadStep,
     MessageStep,
@@ -52,6 +53,7 @@ MAX_STEPS = 2_000_000
 MAX_ROUNDS = 100_000
 _ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
 _MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
+_STOPS = ("EXIT", "Stop", "StopMove")
 
 
 class _LeaveError(Exception):
@@ -76,12 +78,41 @@ def handlers(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, 
     """Steps of each ERROR section by (module, procedure). Branches on run-time conditions are included, and
     say so.
     """
+    return _sections(modules, "error")
+
+
+def undos(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, ...]]:
+    """Steps of each UNDO section by (module, procedure), as :func:`handlers` gives those of ERROR."""
+    return _sections(modules, "undo")
+
+
+def called(modules: Sequence[Module], entry: str = "main") -> frozenset[tuple[str, str]]:
+    """(module, procedure) of all that runs or may run from `entry` on, sections of errors and UNDO included,
+    for modules that :func:`flatten` takes."""
+    runner = _Runner(modules)
+    runner.run(entry)
+    found = set(runner.entered)
+    todo = set(found)
+    while todo:
+        holder, name = todo.pop()
+        module = runner.modules[holder.lower()]
+        procedure = next(p for p in module.procedures if p.name == name)
+        for block in (procedure.error, procedure.undo):
+            aside = _Runner(modules, handler=True)
+            aside.run_block(module, procedure, block or ())
+            todo |= aside.entered - found
+            found |= aside.entered
+    return frozenset(found)
+
+
+def _sections(modules: Sequence[Module], which: str) -> dict[tuple[str, str], tuple[Step, ...]]:
     found: dict[tuple[str, str], tuple[Step, ...]] = {}
     for module in modules:
         for procedure in module.procedures:
-            if procedure.error is not None:
+            block = getattr(procedure, which)
+            if block is not None:
                 runner = _Runner(modules, handler=True)
-                found[module.name, procedure.name] = runner.run_block(module, procedure, procedure.error)
+                found[module.name, procedure.name] = runner.run_block(module, procedure, block)
     return found
 
 
@@ -93,6 +124,7 @@ class _Runner(Evaluator):
         self.procedure = ""
         self.condition = ""
         self.depth = 0
+        self.entered: set[tuple[str, str]] = set()
 
     # ---- entry ----
 
@@ -108,6 +140,7 @@ class _Runner(Evaluator):
 
     def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
         self.module, self.procedure = module, procedure.name
+        self.entered.add((module.name, procedure.name))
         with suppress(_LeaveError):
             self.block(body)
         return tuple(self.steps)
@@ -158,6 +191,7 @@ class _Runner(Evaluator):
         if self.depth >= MAX_CALLS:
             raise self.fail(start, f"calls nested more than {MAX_CALLS} deep; {name} may call itself")
         here = self.module, self.procedure
+        self.entered.add((found[0].name, found[1].name))
         self.module, self.procedure, self.depth = found[0], found[1].name, self.depth + 1
         try:
             self.block(found[1].body)
@@ -237,6 +271,8 @@ class _Runner(Evaluator):
             path = self._needed(arguments[0], "string")
             file = self.value(options.get("file"), "string")
             self.steps.append(LoadStep(*where, name, path + (f"/{file}" if file else "")))
+        elif name == "GripLoad":
+            self.steps.append(CarryStep(*where, self._needed(arguments[0], "loaddata"), _text(arguments[0])))
         else:
             values = tuple(
                 self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
@@ -259,7 +295,12 @@ class _Runner(Evaluator):
             self._assign(result, UNKNOWN)
         texts = [self.value(value, "string") for value in shown]
         lines = tuple("..." if text is None else str(text) for text in texts)
-        self.steps.append(MessageStep(*self._where(statement), name, lines, name in ("UIMsgBox", "TPReadFK")))
+        asks = name in ("UIMsgBox", "TPReadFK")
+        text = " ".join(lines[1:] if options.get("header") is not None else lines)
+        button = options.get("buttons")
+        certain = name == "UIMsgBox" and "maxtime" not in options and "result" not in options
+        certain = certain and (button is None or self.value(button, "num") == PREDEFINED["btnok"][1])
+        self.steps.append(MessageStep(*self._where(statement), name, lines, asks, text, certain))
 
     # ---- branches and loops ----
 
@@ -322,7 +363,7 @@ class _Runner(Evaluator):
             self.steps.extend(aside)
             return
         for step in aside:
-            if isinstance(step, MoveStep | SyncStep | LoadStep | SignalStep) and not _ends(aside):
+            if not _harmless(step, aside):
                 raise self.fail(
                     statement.start,
                     f"whether line {step.line} is run is known at run time only ({condition})",
@@ -330,10 +371,21 @@ class _Runner(Evaluator):
         self.steps.append(ChoiceStep(*where, tuple(aside)))
 
 
-def _ends(steps: Sequence[Step]) -> bool:
-    """Whether the branch leaves the task for good: what it switches before is no part of the straight way."""
-    last = steps[-1]
-    return isinstance(last, SettingStep) and last.kind in ("EXIT", "Stop", "RAISE")
+def _harmless(step: Step, branch: Sequence[Step]) -> bool:
+    """Whether a step may hang on what is known at run time only: it talks, waits or stops the task for good.
+
+    In a branch that ends the task, signals may be switched off before. A branch that leaves its procedure
+    (RETURN, RAISE) would leave out what follows there.
+    """
+    last = branch[-1]
+    ends = isinstance(last, SettingStep) and last.kind == "EXIT" and last.condition == branch[0].condition
+    match step:
+        case SettingStep():
+            return step.kind in _STOPS
+        case SignalStep():
+            return ends and step.value == 0.0 and not step.delay
+        case _:
+            return isinstance(step, MessageStep | WaitStep | CallStep | ChoiceStep)
 
 
 def _text(expr: Expr) -> str:

@@ -13,11 +13,22 @@ from dataclasses import dataclass
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_check import Checker
 from planner.verify.rapid_evaluate import FlowError
-from planner.verify.rapid_flow import flatten, handlers
+from planner.verify.rapid_flow import called, flatten, handlers, undos
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits, Parser
 
-__all__ = ["Fault", "FlowError", "Limits", "Task", "flatten", "handlers", "read_module", "read_task"]
+__all__ = [
+    "Fault",
+    "FlowError",
+    "Limits",
+    "Task",
+    "called",
+    "flatten",
+    "handlers",
+    "read_module",
+    "read_task",
+    "undos",
+]
 
 
 @dataclass(frozen=True, slots=True)

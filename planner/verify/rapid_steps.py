@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from planner.verify.rapid_values import JointTarget, RobTarget, Speed, Tool, WorkObject, Zone
+from planner.verify.rapid_values import JointTarget, Load, RobTarget, Speed, Tool, WorkObject, Zone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +67,17 @@ class WaitStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageStep(Step):
-    """`kind` TPWrite, TPErase, UIMsgBox, TPReadFK, ErrWrite; `confirm`: waits for the operator."""
+    """`kind` TPWrite, TPErase, UIMsgBox, TPReadFK, ErrWrite; `confirm`: waits for the operator.
+
+    `text`: what is shown without a box's header; `certain`: goes on only when the operator has pressed OK,
+    the one button, not by a time limit or another button.
+    """
 
     kind: str
     lines: tuple[str, ...]
     confirm: bool
+    text: str = ""
+    certain: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +98,14 @@ class LoadStep(Step):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class CarryStep(Step):
+    """GripLoad: what the tool carries from here on; `name` is "" for a value in place."""
+
+    load: Load
+    name: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CallStep(Step):
     """A late-bound call (`%"..."%`) of `name`; its steps follow."""
 
@@ -100,7 +114,7 @@ class CallStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingStep(Step):
-    """Motion settings and stops: ConfL, ConfJ, SingArea, AccSet, VelSet, GripLoad, StopMove, ClearPath,
+    """Motion settings and stops: ConfL, ConfJ, SingArea, AccSet, VelSet, StopMove, ClearPath,
     Stop, EXIT...
     """
 

@@ -1,14 +1,16 @@
 """The motion that the programs' numbers make: joints and tool poses of all arms on one clock, at about 4 ms.
 
-Works on the posted, rounded values only. Straight moves are straight in the world (the work objects stand
-still), turning at a constant rate; the joints follow by the proof's own inverse kinematics on the branch
-that cfx names. See :mod:`planner.verify.time_law` for the time within and between moves.
+Works on the posted, rounded values only. Straight moves are straight in their work object, turning at a
+constant rate. Where another arm carries the work object, that arm's motion comes first; the moves are then
+straight in the carried frame. The joints follow by the proof's own inverse kinematics on the branch that cfx
+names. See :mod:`planner.verify.time_law` for the time within and between moves.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +34,27 @@ LONGEST = 4 * 3600.0
 """Time between samples [s]."""
 
 
-def replay(job: JobText, bases: Mapping[str, FloatArray]) -> Motion:
-    """Run the programs. ``bases`` {arm: (4, 4)} in the world. Needs stages that match
+def replay(
+    job: JobText,
+    bases: Mapping[str, FloatArray],
+    tools: Sequence[Mapping[str, FloatArray]] | None = None,
+) -> Motion:
+    """Run the programs. ``bases`` {arm: (4, 4)} in the world; ``tools``: for each stage {arm: TCP (4, 4) in
+    the flange} of what is mounted, where that changes. Needs stages that match
     (:func:`planner.verify.job.read`)."""
-    return _Player(job, bases).run()
+    return _Player(job, bases, tools).run()
 
 
 class _Player:
-    def __init__(self, job: JobText, bases: Mapping[str, FloatArray]) -> None:
+    def __init__(
+        self,
+        job: JobText,
+        bases: Mapping[str, FloatArray],
+        mounted: Sequence[Mapping[str, FloatArray]] | None,
+    ) -> None:
         self.job = job
+        self.mounted = mounted
+        self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
         self.bases = bases
         self.arms = [task.arm for task in job.tasks]
         self.robots = {arm.name: robot(arm.robot) for arm in self.arms}
@@ -55,6 +69,8 @@ class _Player:
 
     def run(self) -> Motion:
         for number, stage in enumerate(self.job.stages):
+            if self.mounted is not None and (not number or self.mounted[number] != self.mounted[number - 1]):
+                self.tools = dict(self.mounted[number])
             self._stage(number, stage)
         if not self.labels:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
@@ -153,9 +169,13 @@ class _Player:
                 stage.moves(task.name)[:count],
                 self.robots[task.arm.name],
                 self.bases[task.arm.name],
+                {unit: arm for unit, arm in self.units.items() if arm != task.arm.name},
             )
             for task in movers
         ]
+        for task in self.job.tasks:  # what the others do meanwhile; rules_sync sees that it is nothing much
+            if not stage.moves(task.name):
+                self.events += [(self.clock, number, task.name, step) for step in stage.steps[task.name]]
         logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
         pauses = np.array(
             [max(waits(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
@@ -169,7 +189,8 @@ class _Player:
             for i in change[~stop[change]]:
                 self._fault("corner", "a corner between MoveAbsJ and MoveL inside a zone", row, int(i) - 1)
             stop[change] = True
-        law = make_law(rows, [self.q[row.task.arm.name] for row in rows], stop)
+        joints = [self.q[row.task.arm.name] for row in rows]
+        law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
         if not self.clock + total <= LONGEST:
@@ -198,13 +219,42 @@ class _Player:
         self._add("node_duration", duration)
         self.labels += [label(move.procedure) for move in rows[0].moves]
         by_arm = {row.task.arm.name: row for row in rows}
-        for arm in self.arms:
-            if arm.name in by_arm:
-                self._play(by_arm[arm.name], law, at)
-            else:
+        before = dict(self.q)
+        for arm in sorted(self.arms, key=lambda arm: self._rank(by_arm.get(arm.name))):
+            played = by_arm.get(arm.name)
+            if played is None:
                 self._hold(arm, len(at), count)
+            elif played.carrier is None:
+                self._play(played, law, at)
+            else:
+                self._play(played, law, at, self._carried(played, by_arm.get(played.carrier), before))
         self.nodes += count
         self.clock = start + total + float(shift[-1]) + STEP
+
+    @staticmethod
+    def _rank(row: Row | None) -> bool:
+        """Arms in the world come before those whose work is carried."""
+        return row is not None and row.carrier is not None
+
+    def _start(self, row: Row, q: FloatArray) -> FloatArray:
+        """TCP (4, 4) in the frame of a row's poses, before the row."""
+        here = row.tcp(q)
+        if row.carrier is None:
+            return here
+        flange = self.bases[row.carrier] @ forward(self.robots[row.carrier], self.q[row.carrier])
+        return np.asarray(inverse(flange @ row.ride) @ here)
+
+    def _carried(self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray]) -> _Carried:
+        """The frame that carries a row's work: at the last samples of its arm, at the start and at nodes."""
+        name = str(row.carrier)
+        machine, base = self.robots[name], self.bases[name]
+        samples = base @ forward(machine, self.parts[f"q/{name}"][-1]) @ row.ride
+        start = base @ forward(machine, before[name]) @ row.ride
+        if carrier is None or carrier.carrier is not None:
+            nodes = np.tile(start, (len(row.moves), 1, 1))
+        else:
+            nodes = carrier.flanges() @ row.ride
+        return _Carried(samples, start, nodes)
 
     def _events(
         self, number: int, movers: list[TaskText], logic_steps: Mapping[str, list[list[Step]]], at: FloatArray
@@ -216,8 +266,14 @@ class _Player:
                     self.events.append((float(at[i]) + own, number, task.name, step))
                     own += waits([step])
 
-    def _play(self, row: Row, law: time_law.TimeLaw, at: FloatArray) -> None:
+    def _play(self, row: Row, law: time_law.TimeLaw, at: FloatArray, carried: _Carried | None = None) -> None:
         name = row.task.arm.name
+        world = row.pose if carried is None else carried.nodes @ row.pose
+        begin = (
+            self._start(row, self.q[name])
+            if carried is None
+            else inverse(carried.start) @ row.tcp(self.q[name])
+        )
         count = len(row.moves)
         q = np.empty((len(at), 6))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
@@ -243,10 +299,14 @@ class _Player:
                 tcp[inside] = row.base @ forward(row.robot, q[inside]) @ row.tool[a]
                 end = row.q[b - 1]
             else:
-                tcp[inside] = self._straight(row, part, a, b, here, when)
+                first = (
+                    begin if a == 0 else self._own(row, carried, here, row.tool[a], int(np.argmax(inside)))
+                )
+                path = self._straight(row, part, a, b, first, when)
+                tcp[inside] = path if carried is None else carried.samples[inside] @ path
                 q[inside] = self._joints(row, part, a, b, here, when, tcp[inside])
                 end = q[np.flatnonzero(inside)[-1]] if inside.any() else here
-                flange = inverse(row.base) @ row.pose[a:b] @ inverse(row.tool[a:b])
+                flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = confdata.select(row.robot, flange, row.conf[a:b])
                 sample = _up_to(at, law.times[a + 1 : b + 1])
                 conf_ok[a:b] = confdata.fits(
@@ -266,15 +326,21 @@ class _Player:
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", conf_q)
         self._add(f"conf_ok/{name}", conf_ok)
-        self._add(f"node_tcp/{name}", row.pose)
+        self._add(f"node_tcp/{name}", world)
         self.tools[name] = row.tool[-1]
         self.q[name] = here if np.isfinite(here).all() else self.q[name]
 
-    def _straight(
-        self, row: Row, law: time_law.TimeLaw, a: int, b: int, here: FloatArray, when: FloatArray
+    def _own(
+        self, row: Row, carried: _Carried | None, q: FloatArray, tool: FloatArray, sample: int
     ) -> FloatArray:
-        """TCP poses (S, 4, 4) in the world on the straight moves a to b - 1."""
-        start = row.base @ forward(row.robot, here) @ row.tool[a]
+        """TCP (4, 4) of joints in the frame of the row's poses, at a sample."""
+        here = row.base @ forward(row.robot, q) @ tool
+        return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
+
+    def _straight(
+        self, row: Row, law: time_law.TimeLaw, a: int, b: int, start: FloatArray, when: FloatArray
+    ) -> FloatArray:
+        """TCP poses (S, 4, 4) in the row's frame on the straight moves a to b - 1 from the pose ``start``."""
         nodes = np.concatenate([start[None], row.pose[a:b]])
         turn = log_rotation(np.swapaxes(nodes[:-1, :3, :3], 1, 2) @ nodes[1:, :3, :3])
         delta = np.concatenate([np.diff(nodes[:, :3, 3], axis=0), turn], axis=1)
@@ -305,6 +371,16 @@ class _Player:
 
     def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:
         self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Carried:
+    """A carried frame in the world: at the samples (S, 4, 4), at the start (4, 4), at the targets
+    (N, 4, 4)."""
+
+    samples: FloatArray
+    start: FloatArray
+    nodes: FloatArray
 
 
 def _up_to(at: FloatArray, times: FloatArray) -> IntArray:

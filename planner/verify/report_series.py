@@ -27,7 +27,8 @@ def series(
     ``acceleration/<arm>``, ``tcp_speed/<arm>``.
 
     The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
-    ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire.
+    ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire;
+    straight ones have no stability, curvature and clearance of their own.
     """
     motion = context.motion
     stride = max(1, len(motion.time) // _MOST)
@@ -49,17 +50,20 @@ def series(
         out["clearance/distance"] = clearance.distance
         out["clearance/pair"] = np.array([" - ".join(pair) for pair in clearance.pair])
     for n, wire in enumerate(wires, 1):
-        if wire.path is None:
+        if wire.fault:
             continue
-        bend = np.linalg.norm(wire.path.curvature, axis=2).max(axis=1)
         out |= {
             f"wire/{n}/time": motion.time[wire.sample],
             f"wire/{n}/label": wire.labels,
             f"wire/{n}/points": wire.points,
-            f"wire/{n}/stability": wire.path.min_eig,
-            f"wire/{n}/curvature": bend,
             f"wire/{n}/depth": wire.depth,
             f"wire/{n}/feed": feed_speed(context, wire),
+        }
+        if wire.path is None:
+            continue
+        out |= {
+            f"wire/{n}/stability": wire.path.min_eig,
+            f"wire/{n}/curvature": np.linalg.norm(wire.path.curvature, axis=2).max(axis=1),
         }
         if len(wire_clearance) >= n:
             out[f"wire/{n}/clearance"] = wire_clearance[n - 1]

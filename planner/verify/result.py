@@ -38,7 +38,7 @@ class CutFace:
 
     ``points`` (M, 3) lie on the wanted face, ``deviation`` (M,) is positive where material is left standing
     and negative where too much is cut, NaN where the wire did not pass. ``area`` (M,) [m^2] is each point's
-    share of the face.
+    share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed.
     """
 
     segment: str
@@ -52,6 +52,7 @@ class CutFace:
     largest: float
     end_error: float = 0.0
     share_with_error: float = float("nan")
+    speed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @dataclasses.dataclass(frozen=True)

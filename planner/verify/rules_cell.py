@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,12 +14,14 @@ from planner.cell.edge import Against, edge
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue
+from planner.problem import Setup, Shape
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Models = Callable[[int], CellModel]
 
 BETWEEN = 1e-3
 """How much less than the wanted clearance is accepted between targets [m]."""
@@ -30,24 +35,28 @@ NEAR_CLAMP = 0.02
 """Length of wire next to a clamp that is not held against that clamp [m]."""
 
 
-def looks(context: Context) -> IntArray:
-    """Samples at which clearance is measured: no point of an arm moves farther than ``STRIDE`` between
-    them."""
+def looks(context: Context, index: int) -> IntArray:
+    """Samples of setup ``index`` at which clearance is measured: no point of an arm, its tool or what it
+    holds moves farther than ``STRIDE`` between them."""
     motion = context.motion
-    way = np.zeros(len(motion.time))
+    rows = np.flatnonzero(context.sample_setup == index)
+    if not len(rows):
+        return rows
+    way = np.zeros(len(rows))
     for task in context.job.tasks:
-        reach = _lever(context, task.arm.name)
-        way[1:] += np.abs(np.diff(motion.q[task.arm.name], axis=0)) @ reach
+        reach = _lever(context, index, task.arm.name)
+        way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
     along = np.cumsum(way)
     count = int(np.clip(np.ceil(along[-1] / STRIDE), 1, MOST))
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
-    return np.unique(np.clip(marks, 0, len(along) - 1))
+    return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
 
 
-def _lever(context: Context, arm: str) -> FloatArray:
+def _lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
-    p = robot(context.problem.cell.arm(arm).robot).opw
-    tool = float(np.linalg.norm(context.problem.cell.arm(arm).tool.tcp[:3, 3])) + 0.05
+    setup = context.setups[index]
+    p = robot(setup.cell.arm(arm).robot).opw
+    tool = _hand(setup, arm)
     hand = abs(p.c4) + tool
     forearm = float(np.hypot(p.a2, p.c3))
     return np.array(
@@ -55,69 +64,128 @@ def _lever(context: Context, arm: str) -> FloatArray:
     )
 
 
-def kinematics(context: Context, model: CellModel) -> Outcome:
-    """Drake's kinematics of the cell puts the tools where the replay has them."""
-    motion = context.motion
-    rows = np.unique(np.linspace(0, len(motion.time) - 1, _FK_SAMPLES).astype(np.int64))
-    issues, worst = [], 0.0
-    for k in rows:
-        drake = model.checker.UpdatePositions(
-            model.stack({arm: q[k : k + 1] for arm, q in motion.q.items()})[0]
-        )
-        for arm in motion.q:
-            body = model.body(f"{arm}/tool")
-            pose = model.plant.EvalBodyPoseInWorld(drake, body)
-            tcp = from_parts(pose.rotation().matrix(), pose.translation()) @ model.cell.arm(arm).tool.tcp
-            off = float(np.abs(tcp - motion.tcp[arm][k]).max())
+def _hand(setup: Setup, arm: str) -> float:
+    """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
+    tool, stock = setup.cell.arm(arm).tool, setup.stock
+    far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
+    shapes = (*tool.shapes, tool.edge) if tool.edge is not None else tool.shapes
+    far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
+    if stock.held_by == arm:
+        corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))
+        pose = tool.tcp @ stock.grip
+        far.append(float(np.linalg.norm(corners @ pose[:3, :3].T + pose[:3, 3], axis=1).max()))
+    return max(far)
+
+
+def _radius(shape: Shape) -> float:
+    """Radius [m] of a ball about a shape's origin that holds it."""
+    if shape.vertices is not None:
+        return float(np.linalg.norm(shape.vertices, axis=1).max())
+    if shape.kind == "box":
+        return 0.5 * float(np.linalg.norm(shape.size))
+    if shape.kind == "cylinder":
+        return float(np.hypot(shape.size[0], 0.5 * shape.size[1]))
+    return shape.size[0] + (0.5 * shape.size[1] if shape.kind == "capsule" else 0.0)
+
+
+def kinematics(context: Context, models: Models) -> Outcome:
+    """Drake's kinematics of the cell puts the tools, and the block that one holds, where the replay has
+    them."""
+    issues: list[Issue] = []
+    worst = 0.0
+    for index in range(len(context.setups)):
+        rows = np.flatnonzero(context.sample_setup == index)
+        if not len(rows):
+            continue
+        some = rows[np.unique(np.linspace(0, len(rows) - 1, _FK_SAMPLES).astype(np.int64))]
+        for k in some:
+            found, off = _placed(context, models(index), index, int(k))
+            issues += found
             worst = max(worst, off)
-            if off > KINEMATICS:
-                message = f"the tool of {arm} is {mm(off):.5f} mm off where the joints put it"
-                issues.append(
-                    at_sample(
-                        "verify.kinematics",
-                        message,
-                        context.motion,
-                        arm,
-                        int(k),
-                        (mm(off), mm(KINEMATICS), "mm"),
-                    )
-                )
     return Outcome(tuple(issues), mm(worst), mm(KINEMATICS), "mm")
 
 
-def bodies(context: Context, model: CellModel, rows: IntArray) -> tuple[Outcome, clearance.LeastClearance]:
-    """Robots, tools, stock and obstacles keep apart."""
+def _placed(context: Context, model: CellModel, index: int, k: int) -> tuple[list[Issue], float]:
+    """Bodies that Drake has elsewhere at sample ``k``, and the largest distance [m]."""
+    motion = context.motion
+    drake = model.checker.UpdatePositions(model.stack({arm: q[k : k + 1] for arm, q in motion.q.items()})[0])
+    wanted = {f"{arm}/tool": (arm, model.cell.arm(arm).tool.tcp, motion.tcp[arm][k]) for arm in motion.q}
+    held = context.holder(index)
+    if held is not None and held.arm in motion.q:
+        wanted["stock"] = (held.arm, np.eye(4), context.stock_poses(index, np.array([k]))[0])
+    issues, worst = [], 0.0
+    for name, (arm, offset, there) in wanted.items():
+        pose = model.plant.EvalBodyPoseInWorld(drake, model.body(name))
+        here = from_parts(pose.rotation().matrix(), pose.translation()) @ offset
+        off = float(np.abs(here - there).max())
+        worst = max(worst, off)
+        if off > KINEMATICS:
+            message = f"{name} is {mm(off):.5f} mm off where the joints put it"
+            measure = (mm(off), mm(KINEMATICS), "mm")
+            issues.append(at_sample("verify.kinematics", message, motion, arm, k, measure))
+    return issues, worst
+
+
+def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
+    """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts."""
     wanted = context.problem.settings.clearance
-    found = clearance.least(
-        model, {arm: q[rows] for arm, q in context.motion.q.items()}, max(REACH, 1.5 * wanted)
-    )
-    issues = []
     limit = wanted - BETWEEN
-    for i in np.flatnonzero(found.distance < limit):
-        pair = found.pair[int(i)]
+    issues: list[Issue] = []
+    looked: list[IntArray] = []
+    distance: list[FloatArray] = []
+    pairs: list[tuple[str, str]] = []
+    for index in range(len(context.setups)):
+        rows = looks(context, index)
+        for chosen, ignore in _groups(context, index, rows):
+            model = models(index)
+            missing = {name for pair in ignore for name in pair} - {s.body for s in model.solids}
+            if missing:
+                what = f"the cell's model has no body {sorted(missing)[0]}"
+                issues.append(Issue("verify.clearance", what, hint="state the edge of the bow's tool"))
+                continue
+            q = {arm: q[chosen] for arm, q in context.motion.q.items()}
+            found = clearance.least(model, q, max(REACH, 1.5 * wanted), ignore)
+            looked.append(chosen)
+            distance.append(found.distance)
+            pairs += found.pair
+    rows = np.concatenate([*looked, np.zeros(0, dtype=np.int64)])
+    order = np.argsort(rows, kind="stable")
+    rows = rows[order]
+    everywhere = np.concatenate([*distance, np.zeros(0)])[order]
+    least = clearance.LeastClearance(everywhere, tuple(pairs[i] for i in order))
+    for i in np.flatnonzero(~(everywhere >= limit)):
+        pair = least.pair[int(i)]
         message = (
-            f"{pair[0]} and {pair[1]} come within {mm(found.distance[i]):.2f} mm; allowed: "
-            f"{mm(wanted):.2f} mm"
+            f"{pair[0]} and {pair[1]} come within {mm(everywhere[i]):.2f} mm; allowed: {mm(wanted):.2f} mm"
         )
-        issue = at_sample(
-            "verify.clearance",
-            message,
-            context.motion,
-            context.job.tasks[0].arm.name,
-            int(rows[i]),
-            (mm(found.distance[i]), mm(wanted), "mm"),
-            pair,
+        arm = context.job.tasks[0].arm.name
+        measure = (mm(everywhere[i]), mm(wanted), "mm")
+        issues.append(
+            at_sample("verify.clearance", message, context.motion, arm, int(rows[i]), measure, pair)
         )
-        issues.append(issue)
-    k = found.worst()
-    where = " and ".join(found.pair[k]) if found.pair[k][0] else "nothing near"
-    return Outcome(tuple(issues), mm(found.distance[k]), mm(limit), "mm", where), found
+    if not len(rows):
+        return Outcome(tuple(issues), where="nothing moves"), rows, least
+    k = least.worst()
+    where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
+    return Outcome(tuple(issues), mm(everywhere[k]), mm(limit), "mm", where), rows, least
+
+
+def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
+    """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts."""
+    claims = context.setup_claims[index]
+    labels = context.motion.labels()[rows]
+    cuts = {arm: np.isin(labels, list(claims.cuts((arm,)))) for arm in claims.straight}
+    out: dict[clearance.Pairs, list[int]] = {}
+    for k in range(len(rows)):
+        touching = frozenset(frozenset((f"{arm}/edge", "stock")) for arm in cuts if cuts[arm][k])
+        out.setdefault(touching, []).append(k)
+    return [(rows[np.array(chosen)], ignore) for ignore, chosen in out.items()]
 
 
 def wire_bodies(
-    context: Context, model: CellModel, wires: tuple[Wire, ...]
+    context: Context, models: Models, wires: tuple[Wire, ...]
 ) -> tuple[Outcome, list[FloatArray]]:
-    """The wire keeps clear of everything, but of the stock only where it does not cut."""
+    """A bent wire keeps clear of everything, but of the stock only where it does not cut."""
     issues: list[Issue] = []
     series, least, where = [], np.inf, ""
     limit = context.problem.settings.clearance
@@ -126,8 +194,7 @@ def wire_bodies(
         series.append(distance)
         if wire.path is None:
             continue
-        kinds = context.contacts[0].kinds if context.contacts else ("cut",)
-        cut = np.array([label.split("/")[0] in kinds for label in wire.labels])
+        cut = wire.cutting
         groups: tuple[tuple[Against, IntArray], ...] = (
             ("no_stock", np.flatnonzero(cut)),
             ("all", np.flatnonzero(~cut)),
@@ -137,33 +204,28 @@ def wire_bodies(
                 continue
             rows = wire.sample[chosen]
             found = edge(
-                model,
-                {arm: context.motion.q[arm][rows] for arm in wire.phase.claim.arms},
-                wire.path.points[chosen],
-                0.5 * wire.phase.claim.thickness,
+                models(wire.setup),
+                {arm: context.motion.q[arm][rows] for arm in wire.arms},
+                wire.world[chosen],
+                wire.radius,
                 NEAR_CLAMP,
                 against,
             )
             distance[chosen] = found.distance
-            for i in np.flatnonzero(found.distance < limit - BETWEEN):
+            for i in np.flatnonzero(~(found.distance >= limit - BETWEEN)):
                 pair = found.pair[int(i)]
                 message = (
                     f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "
                     f"allowed: {mm(limit):.2f} mm"
                 )
-                issue = at_sample(
-                    "verify.wire_clearance",
-                    message,
-                    context.motion,
-                    wire.phase.claim.arms[0],
-                    int(rows[i]),
-                    (mm(found.distance[i]), mm(limit), "mm"),
-                    pair,
+                measure = (mm(found.distance[i]), mm(limit), "mm")
+                sample, arm = int(rows[i]), wire.arms[0]
+                issues.append(
+                    at_sample("verify.wire_clearance", message, context.motion, arm, sample, measure, pair)
                 )
-                issues.append(issue)
             k = found.worst()
             if found.distance[k] < least:
                 least, where = float(found.distance[k]), " and ".join(found.pair[k])
     if not np.isfinite(least):
-        return Outcome(tuple(issues), where="no wire"), series
+        return Outcome(tuple(issues), where="no bent wire"), series
     return Outcome(tuple(issues), mm(least), mm(limit), "mm", where), series

@@ -1,15 +1,12 @@
-"""Rules on the data that moves refer to and on settings: tools, work objects, base frames, zones, error
-handlers."""
+"""Rules on moves and settings: kinds of moves, zones, error handlers, what runs beside the straight way."""
 
 from __future__ import annotations
 
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.catalogue import robot
-from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
@@ -20,101 +17,30 @@ from planner.verify.rapid_steps import (
     SettingStep,
     SignalStep,
     Step,
+    SyncStep,
 )
 from planner.verify.rapid_values import JointTarget, RobTarget
 from planner.verify.rules_sync import straight_way
 
-FloatArray = NDArray[np.float64]
-
-FRAME_POSITION = 1e-6
-"""How far a written frame may be off the problem's [m]: its last decimal."""
-FRAME_ANGLE = 1e-6
-MASS = 1e-3
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
 _ZONE_SLACK = 1e-9
-
-
-def tool_data(context: Context) -> Outcome:
-    """All moves use the arm's own tool, with its TCP, mass and centre of gravity."""
-    issues, worst = [], 0.0
-    for task in context.job.tasks:
-        wanted = task.arm.tool
-        seen: set[str] = set()
-        for step in task.steps:
-            if not isinstance(step, MoveStep) or step.tool_name in seen:
-                continue
-            seen.add(step.tool_name)
-            shift, turn = _apart(step.tool.pose, wanted.tcp)
-            worst = max(worst, mm(shift))
-            faults = []
-            if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-                faults.append(f"its TCP is off by {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg")
-            if not step.tool.held:
-                faults.append("it is not held by the robot")
-            if abs(step.tool.load.mass - wanted.mass) > MASS:
-                faults.append(f"its mass is {step.tool.load.mass:g} kg, not {wanted.mass:g} kg")
-            if np.abs(step.tool.load.centre - wanted.cog).max() > 1e-5:
-                faults.append("its centre of gravity is not the tool's")
-            issues += [
-                at_step("verify.tool_data", f"tool {step.tool_name or '(in place)'}: {fault}", task, step)
-                for fault in faults
-            ]
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
-
-
-def work_object(context: Context) -> Outcome:
-    """Straight moves are in the world or in the stock's frame, which is the same in all tasks and where the
-    problem wants it."""
-    issues, worst = [], 0.0
-    stock = context.problem.stock
-    stands = context.stock_pose
-    for task, move, wobj in context.work_objects:
-        frame = wobj.user @ wobj.object
-        if wobj.held or not wobj.fixed:
-            issues.append(at_step("verify.work_object", f"{move.wobj_name} is held or moves", task, move))
-        shift, turn = _apart(frame, stands)
-        if move.wobj_name.lower() != "wobj0":
-            worst = max(worst, mm(shift))
-            if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-                message = f"{move.wobj_name} is {mm(shift):.4f} mm off the stock's frame of the other task"
-                issues.append(at_step("verify.work_object", message, task, move))
-    if stock.place is not None:
-        shift, turn = _apart(stands, stock.place)
-        if context.work_objects and (shift > FRAME_POSITION or turn > FRAME_ANGLE):
-            message = (
-                f"the stock's frame is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the problem's"
-            )
-            issues.append(
-                Issue("verify.work_object", message, value=mm(shift), limit=mm(FRAME_POSITION), unit="mm")
-            )
-    else:
-        tilt = float(np.linalg.norm((stands[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
-        if tilt > 2.0 * FRAME_ANGLE and context.work_objects:
-            message = f"the stock leans {np.rad2deg(tilt):.4f} deg off the attitude that the problem gives it"
-            issues.append(Issue("verify.work_object", message))
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
-
-
-def base_frames(context: Context) -> Outcome:
-    """Each task states the base frame that its arm must have, and it is the problem's."""
-    issues, worst = [], 0.0
-    for task in context.job.tasks:
-        declared = context.declared_bases.get(task.arm.name)
-        if declared is None:
-            message = f"{task.name} does not state the base frame it was planned for (CONST pose base_frame)"
-            issues.append(Issue("verify.base_frames", message, arm=task.arm.name, file=task.name))
-            continue
-        shift, turn = _apart(declared, task.arm.base)
-        if task.arm.base_auto:
-            continue
-        worst = max(worst, mm(shift))
-        if shift > FRAME_POSITION or turn > FRAME_ANGLE:
-            message = (
-                f"the base of {task.arm.name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off "
-                "the problem's"
-            )
-            issues.append(Issue("verify.base_frames", message, arm=task.arm.name, file=task.name))
-    return Outcome(tuple(issues), worst, mm(FRAME_POSITION), "mm")
+_REFUSED = {
+    "conc": "\\Conc lets logic run ahead of the motion",
+    "z": "\\Z gives the corner another zone than the one that the move names",
+    "tload": "\\TLoad counts with another load than the tool's",
+    "corr": "\\Corr lets sensors change the path",
+}
+_MAIN_WAY = (
+    "StopMove",
+    "StartMove",
+    "ClearPath",
+    "StorePath",
+    "RestoPath",
+    "Stop",
+    "RAISE",
+    "RETRY",
+    "TRYNEXT",
+)
 
 
 def move_kinds(context: Context) -> Outcome:
@@ -134,10 +60,9 @@ def move_kinds(context: Context) -> Outcome:
                 issues.append(
                     at_step("verify.move_kinds", "the path of MoveJ is not known; use MoveL", task, step)
                 )
-            if "conc" in step.switches:
-                issues.append(
-                    at_step("verify.move_kinds", "\\Conc lets logic run ahead of the motion", task, step)
-                )
+            for switch in step.switches:
+                if switch in _REFUSED:
+                    issues += [at_step("verify.move_kinds", _REFUSED[switch], task, step)]
             if isinstance(step.target, RobTarget | JointTarget) and (step.target.external < 8.9e9).any():
                 issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
             if step.kind == "MoveL" and (state != wanted or not stated):
@@ -228,30 +153,66 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
         faults.append("it goes on with the program")
     if "StopMove" not in kinds:
         faults.append("it does not stop the motion (StopMove)")
-    if not kinds & {"EXIT", "Stop", "RAISE"}:
-        faults.append("it does not end the program")
+    last = steps[-1] if steps else None
+    if not (isinstance(last, SettingStep) and last.kind in ("EXIT", "RAISE") and not last.condition):
+        faults.append("it does not end the program (EXIT)")
     return faults
 
 
 def motion_settings(context: Context) -> Outcome:
-    """Nothing makes the moves slower than their times say (AccSet or VelSet below 100 %)."""
-    message = "AccSet and VelSet below 100 % make the moves slower than their times say"
-    issues = [
-        at_step("verify.motion_settings", message, task, step)
-        for task in context.job.tasks
-        for step in task.steps
-        if isinstance(step, SettingStep)
-        and (
-            (step.kind == "AccSet" and min(step.values, default=0.0) < 100.0)
-            or (step.kind == "VelSet" and step.values[0] < 100.0)
-        )
-    ]
+    """Nothing makes the moves slower than their times say (AccSet or VelSet below 100 %), lets them leave
+    their path (SingArea other than Off) or drops them (ClearPath and others)."""
+    slow = "AccSet and VelSet below 100 % make the moves slower than their times say"
+    issues = []
+    for task in context.job.tasks:
+        for step in task.steps:
+            if not isinstance(step, SettingStep):
+                continue
+            low = min((v for v in step.values if v is not None), default=0.0)
+            if (step.kind == "AccSet" and low < 100.0) or (step.kind == "VelSet" and step.values[0] < 100.0):
+                issues.append(at_step("verify.motion_settings", slow, task, step))
+            if step.kind == "SingArea" and step.switches != ("off",):
+                what = "SingArea lets the tool leave its path near singular postures"
+                issues.append(at_step("verify.motion_settings", what, task, step, "SingArea\\Off"))
+            if step.kind in _MAIN_WAY:
+                what = f"{step.kind} on the way: the moves are no longer those of the text"
+                issues.append(at_step("verify.motion_settings", what, task, step))
     return Outcome(tuple(issues))
 
 
-def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    relative = inverse(a) @ b
-    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), float(np.linalg.norm(log_rotation(relative[:3, :3])))
+def hidden(context: Context) -> Outcome:
+    """Nothing runs but the straight way: no procedure is left over, no module loaded, UNDO switches off."""
+    issues = []
+    for task in context.job.tasks:
+        for module in task.modules:
+            for procedure in module.procedures:
+                if (module.name, procedure.name) not in task.called:
+                    what = f"{module.name}:{procedure.name} is never called"
+                    place = f"{task.name}/{module.name}"
+                    issues.append(
+                        Issue("verify.hidden", what, arm=task.arm.name, file=place, line=procedure.line)
+                    )
+        steps = [*task.steps, *(s for block in task.handlers.values() for s in block)]
+        issues += [
+            at_step("verify.hidden", f"{step.kind} of a module: what it holds is not proven", task, step)
+            for step in steps
+            if isinstance(step, LoadStep)
+        ]
+        for block in task.undos.values():
+            issues += [
+                at_step("verify.hidden", "UNDO does more than switch off and leave the block", task, step)
+                for step in block
+                if not _undoes(step)
+            ]
+    return Outcome(tuple(issues))
+
+
+def _undoes(step: Step) -> bool:
+    if isinstance(step, SignalStep):
+        return not step.value and not step.delay
+    if isinstance(step, SyncStep):
+        return step.kind == "SyncMoveUndo"
+    return isinstance(step, MessageStep) and not step.confirm
 
 
 def _still(a: MoveStep, b: MoveStep) -> bool:

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import robot
+from planner.claims import FollowsPoses
 from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
-from planner.verify.findings import at_node, at_sample
+from planner.verify.findings import at_node, at_sample, at_step
+from planner.verify.rapid_steps import MoveStep
 
 FloatArray = NDArray[np.float64]
 
@@ -233,29 +235,44 @@ def singularity(context: Context) -> Outcome:
 
 
 def tcp_speed(context: Context) -> Outcome:
-    """The tools move no faster than the problem allows, wherever the text states the time of the move."""
+    """The tools move no faster than the problem allows: where the text states the time of a move by what
+    follows from it, elsewhere by the speed that it states."""
     motion = context.motion
     issues, worst, where = [], 0.0, ""
     limit = context.problem.settings.tcp_speed
-    stages = np.array([stage.synchronised for stage in context.job.stages])
-    timed = stages[motion.stage[1:]] & (motion.stage[1:] == motion.stage[:-1])
     for task in context.job.tasks:
         arm = task.arm.name
+        timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
         step = np.linalg.norm(np.diff(motion.tcp[arm][:, :3, 3], axis=0), axis=1)
         speed = np.where(timed, step / np.maximum(np.diff(motion.time), 1e-6), 0.0)
-        if not len(speed):
-            continue
-        k = int(np.argmax(speed))
-        if speed[k] > worst:
-            worst, where = float(speed[k]), arm
-        if speed[k] > TCP_SLACK * limit:
-            message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
-            issues.append(
-                at_sample(
-                    "verify.tcp_speed", message, context.motion, arm, k + 1, (mm(speed[k]), mm(limit), "mm/s")
-                )
-            )
+        if len(speed):
+            k = int(np.argmax(speed))
+            if speed[k] > worst:
+                worst, where = float(speed[k]), arm
+            if speed[k] > TCP_SLACK * limit:
+                message = f"the tool of {arm} moves at {mm(speed[k]):.1f} mm/s; allowed: {mm(limit):.1f}"
+                measure = (mm(speed[k]), mm(limit), "mm/s")
+                issues.append(at_sample("verify.tcp_speed", message, motion, arm, k + 1, measure))
+        for step_ in task.steps:
+            if not isinstance(step_, MoveStep) or step_.time is not None:
+                continue
+            stated = step_.velocity if step_.velocity is not None else step_.speed.tcp
+            if stated > limit * (1.0 + 1e-6):
+                message = f"the move's speed is {mm(stated):g} mm/s; allowed: {mm(limit):g} mm/s"
+                issues.append(at_step("verify.tcp_speed", message, task, step_))
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
+
+
+def _timed(context: Context) -> NDArray[np.bool_]:
+    """Moves (K,) in which some arm runs by a stated time."""
+    motion = context.motion
+    out = np.zeros(len(motion.node_label), dtype=bool)
+    for number, stage in enumerate(context.job.stages):
+        rows = np.flatnonzero(motion.node_stage == number)
+        for task in context.job.tasks:
+            flags = [move.time is not None for move in stage.moves(task.name)][: len(rows)]
+            out[rows[: len(flags)]] |= np.array(flags, dtype=bool)
+    return out
 
 
 def follows(context: Context) -> Outcome:
@@ -263,35 +280,44 @@ def follows(context: Context) -> Outcome:
     if not context.follows:
         return Outcome(where="no such claim")
     issues, worst = [], 0.0
-    for claim in context.follows:
-        written = context.motion.node_tcp.get(claim.arm)
-        rows = (
-            np.zeros(0, dtype=np.int64) if written is None else np.flatnonzero(np.isfinite(written[:, 0, 0]))
-        )
-        if written is None or not len(rows):
-            issues.append(Issue("verify.follows", f"arm {claim.arm} never moves", arm=claim.arm))
-            continue
-        frame = context.stock_pose if claim.frame == "stock" else np.eye(4)
-        path = inverse(frame) @ written[rows]
-        start = 0
-        for i, pose in enumerate(claim.poses):
-            off = _off(path[start:], pose, claim.free)
-            score = np.maximum(off[:, 0] / claim.position_tol, off[:, 1] / claim.angle_tol)
-            met = np.flatnonzero(score <= 1.0)
-            best = int(met[0]) if len(met) else int(np.argmin(score))
-            worst = max(worst, mm(float(off[best, 0])))
-            if len(met):
-                start += best
-                continue
-            message = (
-                f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm "
-                f"and {np.rad2deg(off[best, 1]):.4f} deg"
-            )
-            value, limit = mm(float(off[best, 0])), mm(claim.position_tol)
-            issues.append(
-                Issue("verify.follows", message, arm=claim.arm, index=i, value=value, limit=limit, unit="mm")
-            )
+    for index, setup in enumerate(context.setup_claims):
+        for claim in (c for group in setup.groups for c in group if isinstance(c, FollowsPoses)):
+            found, off = _followed(context, index, claim)
+            issues += found
+            worst = max(worst, off)
     return Outcome(tuple(issues), worst, mm(max(c.position_tol for c in context.follows)), "mm")
+
+
+def _followed(context: Context, index: int, claim: FollowsPoses) -> tuple[list[Issue], float]:
+    """Issues of one claim in setup ``index``, and the largest distance [mm] of a pose to its target."""
+    issues, worst = [], 0.0
+    written = context.motion.node_tcp.get(claim.arm)
+    here = context.spans.of_stage[context.motion.node_stage] == index
+    if written is None or not (here & np.isfinite(written[:, 0, 0])).any():
+        return [Issue("verify.follows", f"arm {claim.arm} never moves", arm=claim.arm)], worst
+    rows = np.flatnonzero(here & np.isfinite(written[:, 0, 0]))
+    path = written[rows]
+    if claim.frame == "stock":
+        path = inverse(context.stock_poses(index, context.motion.node_sample[rows])) @ path
+    start = 0
+    for i, pose in enumerate(claim.poses):
+        off = _off(path[start:], pose, claim.free)
+        score = np.maximum(off[:, 0] / claim.position_tol, off[:, 1] / claim.angle_tol)
+        met = np.flatnonzero(score <= 1.0)
+        best = int(met[0]) if len(met) else int(np.argmin(score))
+        worst = max(worst, mm(float(off[best, 0])))
+        if len(met):
+            start += best
+            continue
+        message = (
+            f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm "
+            f"and {np.rad2deg(off[best, 1]):.4f} deg"
+        )
+        value, limit = mm(float(off[best, 0])), mm(claim.position_tol)
+        issues.append(
+            Issue("verify.follows", message, arm=claim.arm, index=i, value=value, limit=limit, unit="mm")
+        )
+    return issues, worst
 
 
 def _off(path: FloatArray, pose: FloatArray, free: tuple[FloatArray, ...]) -> FloatArray:

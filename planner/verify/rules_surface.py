@@ -11,19 +11,29 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
-from planner.verify.surface import cut_face, part_obj
+from planner.verify.speed import local
+from planner.verify.surface import Sweep, cut_face, part_obj
 from planner.verify.wire import Wire, end_error
 
 FloatArray = NDArray[np.float64]
 
 
-def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[FloatArray, ...]:
-    """The wire's shapes (T, P, 3) in the segment of each wanted face."""
+def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
+    """The wire's shapes in the segment of each wanted face."""
+    good = [wire for wire in wires if not wire.fault]
+    speeds = [local(wire.points, context.motion.time[wire.sample]) for wire in good]
     out = []
     for claim in context.surfaces:
-        rows = [wire.points[_during(wire.labels == claim.segment)] for wire in wires if wire.path is not None]
-        rows = [row for row in rows if len(row)]
-        out.append(np.concatenate(rows) if rows else np.zeros((0, 2, 3)))
+        parts = []
+        for wire, speed in zip(good, speeds, strict=True):
+            rows = np.flatnonzero(_during(wire.labels == claim.segment.lower()))
+            if len(rows) and wire.setup == context.of_segment[claim.segment.lower()]:
+                parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
+        if parts:
+            points, speed, joined = (np.concatenate([part[k] for part in parts]) for k in range(3))
+            out.append(Sweep(points, speed, joined[:-1]))
+        else:
+            out.append(Sweep.steady(np.zeros((0, 2, 3))))
     return tuple(out)
 
 
@@ -34,7 +44,7 @@ def _during(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-def surface(context: Context, rows: tuple[FloatArray, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:
+def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:
     """The cut surface is within tolerance of the wanted one for the wanted share of it."""
     faces = tuple(cut_face(claim, row) for claim, row in zip(context.surfaces, rows, strict=True))
     issues = []
@@ -89,7 +99,7 @@ def with_end_error(
     for face in faces:
         worst = 0.0
         for wire in wires:
-            rows = np.flatnonzero((wire.labels == face.segment) & wire.inside.any(axis=1))
+            rows = np.flatnonzero((wire.labels == face.segment.lower()) & wire.inside.any(axis=1))
             if len(rows):
                 some = rows[np.unique(np.linspace(0, len(rows) - 1, ERROR_STATIONS).astype(np.int64))]
                 worst = max(worst, float(end_error(context, wire, some).max()))
@@ -105,8 +115,8 @@ def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     nodes = context.motion.node_sample
     for claim in context.surfaces:
         for wire in wires:
-            rows = np.flatnonzero((wire.labels == claim.segment) & np.isin(wire.sample, nodes))
-            if wire.path is None or len(rows) < 5:
+            rows = np.flatnonzero((wire.labels == claim.segment.lower()) & np.isin(wire.sample, nodes))
+            if wire.fault or len(rows) < 5:
                 continue
             out = _standing_out(wire.points[rows], wire.inside[rows])
             k = int(np.argmax(out))
@@ -119,7 +129,7 @@ def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 )
                 measure = (mm(float(out[i])), mm(claim.tolerance), "mm")
                 sample = int(wire.sample[rows[i]])
-                arm = wire.phase.claim.arms[0]
+                arm = wire.arms[0]
                 issues.append(at_sample("verify.ridge", message, context.motion, arm, sample, measure))
     return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no face is claimed")
 

@@ -10,7 +10,15 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
-from planner.verify.rapid_steps import MoveStep, SettingStep, SignalStep, Step
+from planner.verify.rapid_steps import (
+    CallStep,
+    CarryStep,
+    MessageStep,
+    MoveStep,
+    SettingStep,
+    SignalStep,
+    Step,
+)
 from planner.verify.rapid_values import RobTarget
 
 _TIME_TOLERANCE = 1e-9
@@ -184,7 +192,7 @@ def straight_way(a: MoveStep, b: MoveStep) -> float | None:
 
 
 def arms_alone(context: Context) -> Outcome:
-    """Outside synchronised blocks only one arm moves at a time."""
+    """Outside synchronised blocks only one arm moves at a time, and the other tasks only wait for it."""
     issues = []
     for number, stage in enumerate(context.job.stages):
         moving = [task for task in context.job.tasks if stage.moves(task.name)]
@@ -195,38 +203,53 @@ def arms_alone(context: Context) -> Outcome:
                 "unsynchronised"
             )
             issues.append(at_step("verify.arms_alone", message, moving[1], first))
+        for task in context.job.tasks if moving else ():
+            if stage.moves(task.name):
+                continue
+            busy = [step for step in stage.steps[task.name] if not _quiet(step)]
+            message = f"{task.name} asks, switches or waits while {moving[0].name} moves"
+            issues += [at_step("verify.arms_alone", message, task, step) for step in busy[:1]]
     return Outcome(tuple(issues))
 
 
 def wire_alone(context: Context) -> Outcome:
-    """No arm moves alone while a wire is mounted or powered: each wire has one run of synchronised stages."""
+    """No arm moves alone while a bent wire is mounted or powered: each one has one run of synchronised
+    stages. A powered bow goes straight, and arms without one keep still meanwhile."""
     issues = _moves_with_power(context)
-    runs, wires = len(context.runs), len(context.wires)
-    if wires and runs != wires:
-        message = (
-            f"{wires} wires are mounted, and there are {runs} runs of synchronised moves between lone ones"
-        )
-        hint = "move both arms together while a wire is mounted"
-        lone = [
-            at_step("verify.wire_alone", message, task, moves[0], hint)
-            for number, stage, task, moves in context.moves()
-            if not stage.synchronised and context.runs and context.runs[0][0] < number < context.runs[-1][-1]
-        ]
-        issues += lone[:1] or [Issue("verify.wire_alone", message, hint=hint)]
+    for index, setup in enumerate(context.setup_claims):
+        runs, wires = context.runs(index), len(setup.joined)
+        if wires and len(runs) != wires:
+            message = (
+                f"{wires} wires are mounted, and there are {len(runs)} runs of synchronised moves between "
+                "lone ones"
+            )
+            hint = "move both arms together while a wire is mounted"
+            lone = [
+                at_step("verify.wire_alone", message, task, moves[0], hint)
+                for number, stage, task, moves in context.moves()
+                if not stage.synchronised and runs and runs[0][0] < number < runs[-1][-1]
+            ]
+            issues += lone[:1] or [Issue("verify.wire_alone", message, hint=hint)]
     return Outcome(tuple(issues))
 
 
 def _moves_with_power(context: Context) -> list[Issue]:
-    """Lone moves while a signal that powers a wire is on."""
+    """Moves that must not be while a signal that powers a wire is on."""
     signals = {claim.signal.lower() for claim in context.contacts}
     issues, on = [], set[str]()
-    for stage in context.job.stages:
+    for number, stage in enumerate(context.job.stages):
+        setup = context.setup_claims[context.spans.of_stage[number]]
         for task in context.job.tasks:
             for step in stage.steps[task.name]:
                 if isinstance(step, SignalStep) and step.signal.lower() in signals:
-                    on = on | {step.signal} if step.value else on - {step.signal}
-                elif isinstance(step, MoveStep) and on and not stage.synchronised:
-                    message = f"an arm moves alone while {', '.join(sorted(on))} is on"
+                    name = step.signal.lower()
+                    on = on | {name} if step.value else on - {name}
+                if not isinstance(step, MoveStep) or not on:
+                    continue
+                alone = not stage.synchronised and (bool(setup.joined) or task.arm.name not in setup.straight)
+                if alone or (not setup.joined and step.kind == "MoveAbsJ"):
+                    how = "alone" if alone else "by joints"
+                    message = f"an arm moves {how} while {', '.join(sorted(on))} is on"
                     issues.append(at_step("verify.wire_alone", message, task, step))
     return issues
 
@@ -249,6 +272,12 @@ def stop_before_logic(context: Context) -> Outcome:
             message = f"{last.zone_name} stands before a synchronisation point or the end"
             issues.append(at_step("verify.stop_before_logic", message, task, last))
     return Outcome(tuple(issues))
+
+
+def _quiet(step: Step) -> bool:
+    """What a task may do while another one moves: say something, state settings or what it carries."""
+    talks = isinstance(step, MessageStep) and not step.confirm
+    return talks or isinstance(step, CarryStep | CallStep) or _harmless(step)
 
 
 def _harmless(step: Step) -> bool:

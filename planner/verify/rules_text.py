@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
@@ -55,9 +56,17 @@ def declarations(context: Context) -> Outcome:
 
 
 def persistents(context: Context) -> Outcome:
-    """PERS data are given literals."""
+    """PERS data are given literals, and are not shared between tasks, which would let one change another."""
     faults = [f for f in context.job.faults if f.code in _PERS]
-    return _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
+    outcome = _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
+    shared = [
+        Issue("verify.pers_literal", f"PERS {data.name} is shared with the other tasks", file=task.name)
+        for task in context.job.tasks
+        for module in task.modules
+        for data in module.data
+        if data.storage == "PERS" and data.kind != "tasks"
+    ]
+    return dataclasses.replace(outcome, issues=(*outcome.issues, *shared))
 
 
 def names(context: Context) -> Outcome:

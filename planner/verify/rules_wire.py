@@ -1,14 +1,16 @@
-"""Rules on the mounted wire: length, stability, curvature, contact, feed, power and the operator's steps."""
+"""Rules on the wire: length, stability, curvature, contact, stops, feed, mounting."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.claims import WireJoins
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, Phase, mm
 from planner.verify.findings import at_sample
 from planner.verify.rapid_steps import MessageStep, SignalStep, WaitStep
+from planner.verify.speed import steps_across
 from planner.verify.wire import Wire, held_lengths
 
 FloatArray = NDArray[np.float64]
@@ -24,9 +26,11 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """The ends of the wire are never farther apart than it is long, and it can be mounted."""
     issues, worst, where = [], 0.0, ""
     for wire in wires:
-        claim = wire.phase.claim
-        if wire.path is None:
+        claim = wire.claim
+        if wire.fault:
             issues.append(Issue("verify.wire_length", f"the wire cannot be followed: {wire.fault}"))
+            continue
+        if wire.path is None or wire.phase is None or not isinstance(claim, WireJoins):
             continue
         share = held_lengths(context, wire.phase) / claim.length
         worst = max(worst, float(share.max()))
@@ -48,7 +52,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             )
         if wire.path.residual.max() > RESIDUAL:
             issues.append(
-                _wire_issue(
+                wire_issue(
                     context,
                     wire,
                     "verify.wire_length",
@@ -56,8 +60,13 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     int(np.argmax(wire.path.residual)),
                 )
             )
-    if not wires:
-        return _none(context, issues, "verify.wire_length")
+    if len(context.phases) < len(context.wires):
+        what = (
+            f"{len(context.wires)} bent wires are claimed; the programs move {len(context.phases)} together"
+        )
+        issues.append(Issue("verify.wire_length", what))
+    if not context.phases:
+        return Outcome(tuple(issues), where="no bent wire")
     return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT, "% of its length", where)
 
 
@@ -71,7 +80,7 @@ def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         for k in np.flatnonzero(wire.path.jump)[:50]:
             message = f"the wire snaps to another shape and moves by {mm(wire.path.moved[k]):.1f} mm"
             issues.append(
-                _wire_issue(
+                wire_issue(
                     context,
                     wire,
                     "verify.wire_stability",
@@ -84,7 +93,7 @@ def wire_stability(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             )
         lost = "the wire has no stable shape near the one it had"
         issues += [
-            _wire_issue(context, wire, "verify.wire_stability", lost, int(k))
+            wire_issue(context, wire, "verify.wire_stability", lost, int(k))
             for k in np.flatnonzero(~wire.path.stable)[:50]
         ]
     return Outcome(
@@ -102,7 +111,9 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     for wire in wires:
         if wire.path is None:
             continue
-        claim = wire.phase.claim
+        claim = wire.claim
+        if not isinstance(claim, WireJoins):
+            continue
         bend = np.linalg.norm(wire.path.curvature, axis=2).max(axis=1)
         limit = min(limit, claim.max_curvature)
         worst = max(worst, float(bend.max()))
@@ -112,7 +123,7 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 f"{mm(1 / claim.max_curvature):.1f} mm"
             )
             issues.append(
-                _wire_issue(
+                wire_issue(
                     context,
                     wire,
                     "verify.curvature",
@@ -123,29 +134,27 @@ def curvature(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     "1/m",
                 )
             )
-    if not wires:
-        return Outcome(where="no wire")
+    if not np.isfinite(limit):
+        return Outcome(where="no bent wire")
     return Outcome(tuple(issues), worst, limit, "1/m")
 
 
 def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """The wire touches the stock only in segments that cut."""
+    """The wire touches the stock only in segments that cut, each of them claimed by an operation of its
+    setup."""
     issues, worst = [], -np.inf
     for wire in wires:
-        for claim in context.contacts:
-            other = np.array([label.split("/")[0] not in claim.kinds for label in wire.labels], dtype=bool)
-            if not len(other) or not other.any():
-                continue
-            worst = max(worst, float(wire.depth[other].max()))
-            for k in np.flatnonzero(other & (wire.depth > 0.0))[:200]:
-                message = (
-                    f"the wire is {mm(wire.depth[k]):.2f} mm inside the block in segment {wire.labels[k]}"
-                )
-                issues.append(
-                    _wire_issue(
-                        context, wire, "verify.contact", message, int(k), mm(float(wire.depth[k])), 0.0, "mm"
-                    )
-                )
+        other = ~wire.cutting
+        if not len(other) or not other.any():
+            continue
+        worst = max(worst, float(wire.depth[other].max()))
+        for k in np.flatnonzero(other & (wire.depth > 0.0))[:200]:
+            message = (
+                f"the wire is {mm(wire.depth[k]):.2f} mm inside the block in segment {wire.labels[k]}; "
+                f"setup {wire.setup + 1} cuts nothing there"
+            )
+            measure = mm(float(wire.depth[k])), 0.0, "mm"
+            issues.append(wire_issue(context, wire, "verify.contact", message, int(k), *measure))
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no wire")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm")
@@ -159,7 +168,7 @@ def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         stops = np.isin(wire.sample, motion.node_sample[motion.node_stop])
         for k in np.flatnonzero(stops & (wire.depth > 0.0)):
             message = f"the wire stops {mm(wire.depth[k]):.2f} mm inside the block"
-            issues.append(_wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
+            issues.append(wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
     return Outcome(tuple(issues))
 
 
@@ -170,7 +179,8 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     for wire in wires:
         speed = feed_speed(context, wire)
         for claim in context.feeds:
-            rows = np.flatnonzero((wire.labels[1:] == claim.segment) & np.isfinite(speed[1:])) + 1
+            here = wire.labels[1:] == claim.segment.lower()
+            rows = np.flatnonzero(here & np.isfinite(speed[1:])) + 1
             if not len(rows):
                 continue
             share = np.maximum(speed[rows] / claim.upper, claim.lower / np.maximum(speed[rows], 1e-9))
@@ -182,7 +192,7 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     f"{mm(claim.upper):g} mm/s"
                 )
                 issues.append(
-                    _wire_issue(
+                    wire_issue(
                         context,
                         wire,
                         "verify.feed",
@@ -200,12 +210,9 @@ def feed_speed(context: Context, wire: Wire) -> FloatArray:
     """Speed (T,) [m/s] across the wire of its fastest point inside the block on the way to each station; NaN
     where none is inside. A wire that also slides along itself cuts no faster for it."""
     out = np.full(len(wire.sample), np.nan)
-    if len(out) < 2:
+    if len(out) < 2 or not wire.inside.any():
         return out
-    way = np.diff(wire.points, axis=0)
-    along = np.gradient(wire.points[:-1] + wire.points[1:], axis=1)
-    along /= np.linalg.norm(along, axis=2, keepdims=True)
-    step = np.linalg.norm(way - (way * along).sum(axis=2, keepdims=True) * along, axis=2)
+    step = steps_across(wire.points)
     both = wire.inside[1:] & wire.inside[:-1]
     time = np.diff(context.motion.time[wire.sample])
     fastest = np.where(both, step, -np.inf).max(axis=1)
@@ -219,10 +226,9 @@ def wire_mount(context: Context) -> Outcome:
     before one moves alone."""
     issues = []
     for number, phase in enumerate(context.phases):
-        steps = context.mounted_steps(phase)
         confirms = context.confirms(phase)
-        moving = _moving(context, phase)
-        if not confirms or confirms[0] > moving[0]:
+        here = moving(context, phase)
+        if not confirms or confirms[0] > here[0]:
             issues.append(
                 Issue(
                     "verify.wire_mount",
@@ -230,104 +236,13 @@ def wire_mount(context: Context) -> Outcome:
                     hint="ask the operator first",
                 )
             )
-        if not confirms or confirms[-1] < moving[1]:
+        if not confirms or confirms[-1] < here[1]:
             message = f"wire {number + 1}: nobody confirms that it is off before the arms move alone again"
             issues.append(Issue("verify.wire_mount", message, hint="ask the operator first"))
-        del steps
     return Outcome(tuple(issues), where="" if context.phases else "no wire")
 
 
-def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """The power is on and the wire hot before it touches the block, on until it has left, and off when hands
-    are near it."""
-    issues: list[Issue] = []
-    for wire in wires:
-        for claim in context.contacts:
-            issues += _power_in_contact(context, wire, claim.signal, claim.heat_up)
-            issues += _power_at_hands(context, wire.phase, claim.signal)
-    return Outcome(tuple(issues), where="" if wires else "no wire")
-
-
-def _switching(context: Context, signal: str) -> list[tuple[float, float]]:
-    """Times and values of a signal in order; off at first."""
-    found = [
-        (time, step.value)
-        for time, _, _, step in context.motion.step_time
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
-    ]
-    return [(-np.inf, 0.0), *sorted(found, key=lambda item: item[0])]
-
-
-def _power_in_contact(context: Context, wire: Wire, signal: str, heat_up: float) -> list[Issue]:
-    touching = np.flatnonzero(wire.depth > 0.0)
-    if not len(touching):
-        return []
-    times = context.motion.time[wire.sample[touching]]
-    switching = _switching(context, signal)
-    on = [i for i, (time, value) in enumerate(switching) if value > 0.0 and time <= times[0]]
-    if not on or any(value == 0.0 and switching[on[-1]][0] < time <= times[0] for time, value in switching):
-        return [
-            _wire_issue(
-                context,
-                wire,
-                "verify.wire_power",
-                f"{signal} is not on when the wire touches the block",
-                int(touching[0]),
-            )
-        ]
-    issues = []
-    start = next(
-        t
-        for i, (t, v) in enumerate(switching)
-        if v > 0.0 and all(w > 0.0 for _, w in switching[i : on[-1] + 1])
-    )
-    if times[0] - start < heat_up - 1e-6:
-        message = (
-            f"the wire touches the block {times[0] - start:.1f} s after {signal} is on; it needs "
-            f"{heat_up:g} s"
-        )
-        issues.append(
-            _wire_issue(
-                context, wire, "verify.wire_power", message, int(touching[0]), times[0] - start, heat_up, "s"
-            )
-        )
-    if any(value == 0.0 and times[0] < time < times[-1] for time, value in switching):
-        issues.append(
-            _wire_issue(
-                context,
-                wire,
-                "verify.wire_power",
-                f"{signal} goes off while the wire is in the block",
-                int(touching[-1]),
-            )
-        )
-    return issues
-
-
-def _power_at_hands(context: Context, phase: Phase, signal: str) -> list[Issue]:
-    """Off at the first confirmation (mounting) and the last one (taking off), and heated up by waiting, not
-    by moving."""
-    issues = []
-    steps = context.mounted_steps(phase)
-    confirms = context.confirms(phase)
-    state: list[float] = []
-    value = 0.0
-    for _, _, step in steps:
-        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower():
-            value = step.value
-        state.append(value)
-    if confirms:
-        moving = _moving(context, phase)
-        if state[confirms[0]] and confirms[0] < moving[0]:
-            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator mounts the wire"))
-        if state[confirms[-1]] and confirms[-1] > moving[1]:
-            issues.append(Issue("verify.wire_power", f"{signal} is on when the operator takes the wire off"))
-    if value:
-        issues.append(Issue("verify.wire_power", f"{signal} is still on when the arms move alone again"))
-    return issues
-
-
-def _moving(context: Context, phase: Phase) -> tuple[int, int]:
+def moving(context: Context, phase: Phase) -> tuple[int, int]:
     """Positions of the first and last step of synchronised stages among a phase's steps."""
     synchronised = [
         i
@@ -338,13 +253,7 @@ def _moving(context: Context, phase: Phase) -> tuple[int, int]:
     return (synchronised[0], synchronised[-1]) if synchronised else (0, 0)
 
 
-def _none(context: Context, issues: list[Issue], code: str) -> Outcome:
-    if context.wires and not context.phases:
-        issues.append(Issue(code, "a wire is claimed, but the programs have no synchronised moves"))
-    return Outcome(tuple(issues), where="no wire")
-
-
-def _wire_issue(
+def wire_issue(
     context: Context,
     wire: Wire,
     code: str,
@@ -355,4 +264,4 @@ def _wire_issue(
     unit: str = "",
 ) -> Issue:
     measure = None if value is None else (value, limit, unit)
-    return at_sample(code, message, context.motion, wire.phase.claim.arms[0], int(wire.sample[k]), measure)
+    return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)

@@ -8,6 +8,8 @@ around it); a wire that cuts exactly right passes at half the kerf on the outer 
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -22,18 +24,34 @@ SAMPLE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""
 MOST_SAMPLES = 60_000
 _FINER = 2
+_TURN = 0.003
+"""Weight [m] of a turn of the normal against distance, where the nearest place of a sheet is looked for."""
+_LEAN = 0.2
+"""A sheet may lean by so much (sine) over the wanted face's normal and still face its way."""
 _EDGE = 1e-9
 
 
-def cut_face(claim: CutsSurface, rows: FloatArray) -> CutFace:
-    """The cut of one segment. ``rows`` (T, P, 3) are the wire's points at its stations, in the stock frame,
-    in order of time."""
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """The wire's points (T, P, 3) at its stations in the block's frame, in order of time, their speeds
+    across the wire (T, P) [m/s], and whether (T - 1,) each station and the next belong together: between
+    visits of a segment the wire was elsewhere."""
+
+    points: FloatArray
+    speed: FloatArray
+    joined: NDArray[np.bool_]
+
+    @staticmethod
+    def steady(points: FloatArray) -> Sweep:
+        """A sweep in one go, of no known speed."""
+        return Sweep(points, np.zeros(points.shape[:2]), np.ones(max(len(points) - 1, 0), dtype=bool))
+
+
+def cut_face(claim: CutsSurface, sweep: Sweep) -> CutFace:
+    """The cut of one segment."""
     points, normals, area = sample_face(claim.vertices, claim.faces)
-    if len(rows) < 2:
-        deviation = np.full(len(points), np.nan)
-    else:
-        distance = distance_to_sweep(points, normals, _refined(rows))
-        deviation = distance - 0.5 * float(claim.kerf.width[0])
+    distance, speed = distance_to_sweep(points, normals, sweep)
+    deviation = distance - 0.5 * claim.kerf.at(speed)
     good = np.abs(deviation) <= claim.tolerance  # NaN compares as not good
     known = np.isfinite(deviation)
     weight = area[known] / max(float(area[known].sum()), 1e-30)
@@ -47,6 +65,7 @@ def cut_face(claim: CutsSurface, rows: FloatArray) -> CutFace:
         wanted_share=claim.share,
         rms=float(np.sqrt((weight * deviation[known] ** 2).sum())) if known.any() else float("nan"),
         largest=float(np.abs(deviation[known]).max()) if known.any() else float("nan"),
+        speed=speed,
     )
 
 
@@ -76,33 +95,49 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
     return corners.mean(axis=1), normals, 0.5 * np.linalg.norm(cross, axis=1)
 
 
-def distance_to_sweep(points: FloatArray, normals: FloatArray, grid: FloatArray) -> FloatArray:
-    """Signed distance (M,) from points of the face to the swept grid (T, P, 3), positive where it lies
-    outwards.
+def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> tuple[FloatArray, FloatArray]:
+    """Signed distance (M,) [m] from points of the face to the swept sheet, positive where it lies outwards,
+    and the speed (M,) [m/s] of the wire where it is nearest.
 
-    NaN where the nearest place is on the border of the sweep: the wire did not pass there.
+    Sheets that face the other way are those of another side of the part and do not count. NaN where the
+    nearest place is on the border of the sweep: the wire did not pass there.
     """
-    count, width = grid.shape[:2]
-    tree = cKDTree(grid.reshape(-1, 3))
-    _, nearest = tree.query(points, k=1)
+    if len(sweep.points) < 2 or not sweep.joined.any():
+        return np.full(len(points), np.nan), np.full(len(points), np.nan)
+    sheet = _refined(sweep)
+    grid, count, width = sheet.points, *sheet.points.shape[:2]
+    facing = _facings(sheet)
+    side = 1.0
+    flat, turned = grid.reshape(-1, 3), facing.reshape(-1, 3)
+    _, near = cKDTree(flat).query(points, k=1)
+    if float(_dot(turned[near], normals).sum()) < 0.0:
+        side = -1.0
+    tree = cKDTree(np.concatenate([flat, _TURN * side * turned], axis=1))
+    _, nearest = tree.query(np.concatenate([points, _TURN * normals], axis=1), k=1)
     best = np.full(len(points), np.inf)
-    foot = np.zeros((len(points), 3))
+    foot, speed = np.zeros((len(points), 3)), np.zeros(len(points))
     border = np.zeros(len(points), dtype=bool)
     row, column = np.divmod(nearest, width)
+    open_before = np.concatenate([[True], ~sheet.joined, [True]])
     for down in (-2, -1, 0, 1):
         for right in (-1, 0):
             a = np.clip(row + down, 0, count - 2)
             b = np.clip(column + right, 0, width - 2)
-            quad = grid[a, b], grid[a, b + 1], grid[a + 1, b + 1], grid[a + 1, b]
+            corner = ((a, b), (a, b + 1), (a + 1, b + 1), (a + 1, b))
             for triangle, edges in (
-                ((0, 1, 2), (a == 0, b == width - 2)),
-                ((0, 2, 3), (a == count - 2, b == 0)),
+                ((0, 1, 2), (open_before[a], b == width - 2)),
+                ((0, 2, 3), (open_before[a + 2], b == 0)),
             ):
-                place, weights = closest(points, *(quad[i] for i in triangle))
+                ends = [grid[corner[i]] for i in triangle]
+                place, weights = closest(points, *ends)
                 distance = np.linalg.norm(points - place, axis=1)
-                better = distance < best - 1e-12
+                outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # way x wire, as the facings
+                right_way = side * _dot(outward, normals) >= -_LEAN * np.linalg.norm(outward, axis=1)
+                better = (distance < best - 1e-12) & sheet.joined[a] & right_way
                 best = np.where(better, distance, best)
                 foot[better] = place[better]
+                here = sum(weights[:, k] * sheet.speed[corner[i]] for k, i in enumerate(triangle))
+                speed = np.where(better, here, speed)
                 first, second = edges
                 # edges on the sweep's border: 0-1 and 1-2 of the one triangle, 2-3 and 3-0 of the other
                 on_first = weights[:, 2] < _EDGE if triangle == (0, 1, 2) else weights[:, 0] < _EDGE
@@ -112,7 +147,8 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, grid: FloatArray)
     signed = np.where(along < 0.0, -best, best)
     # a foot on the border may still be straight under the point; a slanted one means that the wire passed by
     slanted = np.abs(along) < 0.9 * best - 1e-6
-    return np.asarray(np.where(border & slanted, np.nan, signed))
+    lost = (border & slanted) | ~np.isfinite(best)
+    return np.asarray(np.where(lost, np.nan, signed)), np.asarray(np.where(lost, np.nan, speed))
 
 
 def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -147,19 +183,16 @@ def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> 
     return place, np.stack([1.0 - v - w, v, w], axis=1)
 
 
-def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[FloatArray, ...]) -> str:
+def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...]) -> str:
     """The simulated part as OBJ text in mm: each wanted face with its vertices moved to where the cut
     surface is."""
     lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
     offset = 1
-    for claim, rows in zip(claims, sweeps, strict=True):
+    for claim, sweep in zip(claims, sweeps, strict=True):
         normals = _vertex_normals(claim.vertices, claim.faces)
-        moved = claim.vertices
-        if len(rows) >= 2:
-            deviation = distance_to_sweep(claim.vertices, normals, _refined(rows)) - 0.5 * float(
-                claim.kerf.width[0]
-            )
-            moved = claim.vertices + np.nan_to_num(deviation)[:, None] * normals
+        distance, speed = distance_to_sweep(claim.vertices, normals, sweep)
+        deviation = np.nan_to_num(distance - 0.5 * claim.kerf.at(speed))
+        moved = claim.vertices + deviation[:, None] * normals
         lines.append(f"o {claim.segment.replace('/', '_')}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved * 1e3).tolist()]
         lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
@@ -167,15 +200,30 @@ def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[FloatArray, ...]) ->
     return "\n".join(lines) + "\n"
 
 
-def _refined(rows: FloatArray) -> FloatArray:
-    """Rows with points between the points along the wire (cubic), so that triangles follow its curve."""
-    moving = np.concatenate([[True], np.linalg.norm(np.diff(rows, axis=0), axis=2).max(axis=1) > 1e-7])
-    rows = rows[moving]
+def _refined(sweep: Sweep) -> Sweep:
+    """The sweep without stations at which the wire stood, with points between the points along the wire
+    (cubic), so that triangles follow its curve."""
+    step = np.linalg.norm(np.diff(sweep.points, axis=0), axis=2).max(axis=1)
+    moving = np.concatenate([[True], (step > 1e-7) | ~sweep.joined])
+    visit = np.concatenate([[0], np.cumsum(~sweep.joined)])[moving]
+    rows, speed = sweep.points[moving], sweep.speed[moving]
     wide = np.concatenate([2 * rows[:, :1] - rows[:, 1:2], rows, 2 * rows[:, -1:] - rows[:, -2:-1]], axis=1)
     middle = (-wide[:, :-3] + 9.0 * wide[:, 1:-2] + 9.0 * wide[:, 2:-1] - wide[:, 3:]) / 16.0
     out = np.empty((rows.shape[0], _FINER * rows.shape[1] - 1, 3))
     out[:, ::2], out[:, 1::2] = rows, middle
-    return out
+    fast = np.empty(out.shape[:2])
+    fast[:, ::2], fast[:, 1::2] = speed, 0.5 * (speed[:, :-1] + speed[:, 1:])
+    return Sweep(out, fast, visit[1:] == visit[:-1])
+
+
+def _facings(sheet: Sweep) -> FloatArray:
+    """Unit normals (T, P, 3) of the sheet: across the wire and its way; 0 where it turns about a point."""
+    step = np.diff(sheet.points, axis=0) * sheet.joined[:, None, None]
+    way = np.zeros_like(sheet.points)
+    way[1:] += step
+    way[:-1] += step
+    normal = np.cross(way, np.gradient(sheet.points, axis=1))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15))
 
 
 def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:

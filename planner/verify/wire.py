@@ -1,5 +1,5 @@
-"""The wire along the replayed motion: a discrete rod followed from the mounted state at stations along the
-way."""
+"""The wire along the replayed motion, at stations along the way: a discrete rod followed from the mounted
+state, or the straight wire of a bow."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import WireJoins
-from planner.geometry.rigid import inverse, log_rotation
+from planner.claims import StraightWire, WireJoins
+from planner.geometry.rigid import log_rotation
+from planner.problem import Stock
 from planner.verify.context import Context, Phase
 from planner.verify.rod import Rod, RodError, RodPath, follow, mount
 
@@ -27,18 +28,45 @@ _FINER = 4
 
 @dataclasses.dataclass(frozen=True)
 class Wire:
-    """One mounted wire at T stations. ``sample`` (T,) are samples of the motion, ``points`` (T, P, 3) are in
-    the stock frame at equal arc lengths; ``depth`` (T,) how far the wire, with its half thickness, is inside
-    the block [m] (negative: the distance); ``inside`` (T, P) which points are."""
+    """One wire at T stations: bent between two arms, with its ``phase`` and ``path``, or straight in a bow.
 
-    phase: Phase
+    ``arms`` hold it, in setup ``setup`` (an index). ``sample`` (T,) are samples of the motion; ``world`` and
+    ``points`` (T, P, 3) are in the world and in the block's frame, at equal arc lengths; ``depth`` (T,) is
+    how far the wire, with its half thickness ``radius``, is inside the block [m] (negative: the distance);
+    ``inside`` (T, P) which points are; ``labels`` (T,) of the moves. ``cuts`` are the segments in which it
+    may be in the foam. ``fault`` says why it cannot be followed.
+    """
+
+    claim: WireJoins | StraightWire
+    arms: tuple[str, ...]
+    setup: int
+    radius: float
     sample: IntArray
-    path: RodPath | None
+    world: FloatArray
     points: FloatArray
     depth: FloatArray
     inside: NDArray[np.bool_]
     labels: NDArray[np.str_]
-    fault: str
+    cuts: frozenset[str]
+    fault: str = ""
+    phase: Phase | None = None
+    path: RodPath | None = None
+
+    @property
+    def cutting(self) -> NDArray[np.bool_]:
+        """Stations (T,) at which it may be in the foam."""
+        return np.isin(self.labels, list(self.cuts))
+
+
+def wires(context: Context) -> tuple[Wire, ...]:
+    """All wires of a job: the bent ones, then the straight ones, setup by setup."""
+    bent = [follow_wire(context, phase) for phase in context.phases]
+    straight = [
+        straight_wire(context, index, arm, claims)
+        for index, setup in enumerate(context.setup_claims)
+        for arm, claims in setup.straight.items()
+    ]
+    return (*bent, *straight)
 
 
 def samples(context: Context, phase: Phase) -> IntArray:
@@ -51,13 +79,19 @@ def samples(context: Context, phase: Phase) -> IntArray:
 def stations(context: Context, rows: IntArray, arms: tuple[str, str], spacing: float = SPACING) -> IntArray:
     """Samples among ``rows`` at which the wire is looked at: all targets, and between them every ``spacing``
     of its ends' way."""
-    motion = context.motion
     way = np.zeros(len(rows))
     for arm in arms:
-        pose = motion.tcp[arm][rows]
+        pose = context.motion.tcp[arm][rows]
         step = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1)
         turn = np.linalg.norm(log_rotation(np.swapaxes(pose[:-1, :3, :3], 1, 2) @ pose[1:, :3, :3]), axis=1)
         way[1:] = np.maximum(way[1:], step + _ARM * turn)
+    return _chosen(context, rows, way, spacing)
+
+
+def _chosen(context: Context, rows: IntArray, way: FloatArray, spacing: float) -> IntArray:
+    """Samples among ``rows`` every ``spacing`` of ``way`` (S,), the way to each sample from the one before,
+    and all targets."""
+    motion = context.motion
     along = np.cumsum(way)
     count = max(int(np.ceil(along[-1] / spacing)), 1) if len(rows) else 1
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
@@ -75,11 +109,11 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     missing = [arm for arm in claim.arms if arm not in motion.tcp]
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
-        return _lost(phase, rows[:0], fault)
+        return _lost(context, phase, rows[:0], fault)
     farthest = float(held_lengths(context, phase).max())
     if farthest >= claim.length:
         fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
-        return _lost(phase, rows[:0], fault)
+        return _lost(context, phase, rows[:0], fault)
     at = stations(context, rows, claim.arms)
     start, end = (motion.tcp[arm][at] for arm in claim.arms)
     rod = make_rod(claim)
@@ -87,11 +121,62 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
         first = mount(rod, start[0], end[0], _GRAVITY)
         path = follow(rod, start, end, _GRAVITY, first)
     except (RodError, np.linalg.LinAlgError, ValueError) as wrong:
-        return _lost(phase, at, str(wrong))
-    to_stock = inverse(context.stock_pose)
-    points = path.points @ to_stock[:3, :3].T + to_stock[:3, 3]
-    depth, inside = _depth(points, context.problem.stock.size, 0.5 * claim.thickness)
-    return Wire(phase, at, path, points, depth, inside, motion.labels()[at], "")
+        return _lost(context, phase, at, str(wrong))
+    radius = 0.5 * claim.thickness
+    points = context.in_stock(phase.setup, at, path.points)
+    depth, inside = depth_in(points, context.stock(phase.setup), radius)
+    cuts = context.setup_claims[phase.setup].cuts(claim.arms)
+    place = (at, path.points, points, depth, inside, motion.labels()[at], cuts)
+    return Wire(claim, claim.arms, phase.setup, radius, *place, phase=phase, path=path)
+
+
+def straight_wire(context: Context, index: int, arm: str, claims: tuple[StraightWire, ...]) -> Wire:
+    """The wire of the bow that ``arm`` carries in setup ``index``, over all of that setup."""
+    motion, claim = context.motion, claims[0]
+    cuts = context.setup_claims[index].cuts((arm,))
+    rows = np.flatnonzero(context.sample_setup == index)
+    if arm not in motion.tcp or not len(rows):
+        none = np.zeros((0, SEGMENTS + 1, 3))
+        return Wire(
+            claim=claim,
+            arms=(arm,),
+            setup=index,
+            radius=claim.radius,
+            sample=np.zeros(0, dtype=np.int64),
+            world=none,
+            points=none,
+            depth=np.zeros(0),
+            inside=none[..., 0] > 0.0,
+            labels=np.full(0, ""),
+            cuts=cuts,
+            fault=f"no program for arm {arm} in setup {index + 1}",
+        )
+    ends = np.stack([claim.start, claim.end])
+    seen = context.in_stock(index, rows, _placed(motion.tcp[arm][rows], ends))
+    way = np.linalg.norm(np.diff(seen, axis=0), axis=2).max(axis=1, initial=0.0)
+    at = _chosen(context, rows, np.concatenate([[0.0], way]), SPACING)
+    part = np.linspace(0.0, 1.0, SEGMENTS + 1)[:, None]
+    world = _placed(motion.tcp[arm][at], claim.start * (1.0 - part) + claim.end * part)
+    points = context.in_stock(index, at, world)
+    depth, inside = depth_in(points, context.stock(index), claim.radius)
+    return Wire(
+        claim=claim,
+        arms=(arm,),
+        setup=index,
+        radius=claim.radius,
+        sample=at,
+        world=world,
+        points=points,
+        depth=depth,
+        inside=inside,
+        labels=motion.labels()[at],
+        cuts=cuts,
+    )
+
+
+def _placed(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """Points (P, 3) of a frame at its poses (S, 4, 4), as (S, P, 3)."""
+    return np.asarray(np.einsum("sij,pj->spi", poses[:, :3, :3], points) + poses[:, None, :3, 3])
 
 
 def make_rod(claim: WireJoins) -> Rod:
@@ -99,33 +184,33 @@ def make_rod(claim: WireJoins) -> Rod:
     return Rod(claim.length, claim.ei_soft, claim.ei_stiff, claim.gj, claim.weight, SEGMENTS)
 
 
-def _lost(phase: Phase, at: IntArray, fault: str) -> Wire:
-    count = len(at)
+def _lost(context: Context, phase: Phase, at: IntArray, fault: str) -> Wire:
+    count, claim = len(at), phase.claim
+    none = np.zeros((count, SEGMENTS + 1, 3))
+    cuts = context.setup_claims[phase.setup].cuts(claim.arms)
+    away = (np.full(count, -np.inf), none[..., 0] > 0.0, np.full(count, ""), cuts)
     return Wire(
-        phase,
-        at,
-        None,
-        np.zeros((count, SEGMENTS + 1, 3)),
-        np.full(count, -np.inf),
-        np.zeros((count, SEGMENTS + 1), dtype=bool),
-        np.full(count, ""),
-        fault,
+        claim, claim.arms, phase.setup, 0.5 * claim.thickness, at, none, none, *away, fault=fault, phase=phase
     )
 
 
-def _depth(points: FloatArray, size: FloatArray, radius: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Depth (T,) of curves in the block (negative: distance to it) and which points (T, P) are inside."""
+def depth_in(points: FloatArray, stock: Stock, radius: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Depth (T,) of curves (T, P, 3) in the block (negative: distance to it) and which points (T, P) are
+    inside."""
     count = points.shape[1]
     fine = np.linspace(0.0, count - 1.0, _FINER * (count - 1) + 1)
     low = np.minimum(fine.astype(np.int64), count - 2)
     part = (fine - low)[None, :, None]
     dense = points[:, low] * (1.0 - part) + points[:, low + 1] * part
-    centre = np.array([0.0, 0.0, 0.5 * size[2]])
-    over = np.abs(dense - centre) - 0.5 * size
-    outside = np.linalg.norm(np.maximum(over, 0.0), axis=2)
-    signed = np.where(outside > 0.0, outside, over.max(axis=2)) - radius
-    inside = (np.abs(points - centre) - 0.5 * size).max(axis=2) < radius
-    return np.asarray(-signed.min(axis=1)), inside
+    signed = to_block(dense, stock).min(axis=1, initial=np.inf) - radius
+    return -signed, to_block(points, stock) < radius
+
+
+def to_block(points: FloatArray, stock: Stock) -> FloatArray:
+    """Distance (...,) of points (..., 3) to the block as found, negative inside."""
+    over = np.maximum(stock.lower - points, points - stock.upper)
+    outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
+    return np.asarray(np.where(outside > 0.0, outside, over.max(axis=-1)))
 
 
 def held_lengths(context: Context, phase: Phase) -> FloatArray:
@@ -143,8 +228,8 @@ def end_error(context: Context, wire: Wire, chosen: IntArray) -> FloatArray:
     nothing is inside.
     """
     out = np.zeros(len(chosen))
-    claim = wire.phase.claim
-    if wire.path is None or claim.end_error <= 0.0:
+    claim = wire.claim
+    if wire.path is None or not isinstance(claim, WireJoins) or claim.end_error <= 0.0:
         return out
     rod = make_rod(claim)
     for n, k in enumerate(chosen):

@@ -12,7 +12,7 @@ from planner.cell.robots import forward
 from planner.claims import CutsSurface, KerfCurve
 from planner.verify import arm_ik, confdata, time_law
 from planner.verify.context import Context
-from planner.verify.surface import closest, cut_face
+from planner.verify.surface import Sweep, closest, cut_face
 from tests.verify import small_job
 
 
@@ -129,7 +129,9 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
     faces = np.concatenate([np.stack([p, q, r], -1).reshape(-1, 3), np.stack([p, r, s], -1).reshape(-1, 3)])
     out = radius + 0.0003
     sweep = np.stack([np.stack([out * np.sin(a), np.full_like(a, v), out * np.cos(a)], axis=-1) for v in y])
-    found = cut_face(CutsSurface("cut/front", vertices, faces, KerfCurve.constant(kerf), 0.0005), sweep)
+    found = cut_face(
+        CutsSurface("cut/front", vertices, faces, KerfCurve.constant(kerf), 0.0005), Sweep.steady(sweep)
+    )
     # sample points lie on the chords of the wanted mesh, up to R (1 - cos) below the cylinder
     chord = radius * (1.0 - np.cos(0.5 * (a[1] - a[0])))
     assert np.all(found.deviation > 0.0003 - 0.001 - 1e-5)

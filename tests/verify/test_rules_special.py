@@ -137,12 +137,12 @@ def test_a_zone_between_a_joint_move_and_a_straight_one():
 def test_drake_must_put_the_tools_where_the_replay_has_them():
     context = Context(small_job.problem(), small_job.claims(), programs())
     model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
-    assert rules_cell.kinematics(context, model).issues == ()
+    assert rules_cell.kinematics(context, lambda _: model).issues == ()
     motion = context.motion
     off = {arm: pose.copy() for arm, pose in motion.tcp.items()}
     off["left"][:, 0, 3] += 2.0 * rules_cell.KINEMATICS
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
-    found = rules_cell.kinematics(context, model).issues
+    found = rules_cell.kinematics(context, lambda _: model).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}
 
 

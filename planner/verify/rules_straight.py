@@ -1,0 +1,197 @@
+"""Rules on straight wires: the bow's clamps, the kerf at the actual speeds, the rulings of the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import FollowsRulings, KerfWithin, StraightWire
+from planner.issues import Issue
+from planner.problem import Stock
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.result import CutFace
+from planner.verify.rules_wire import FEED_SLACK, wire_issue
+from planner.verify.speed import local
+from planner.verify.wire import Wire
+
+FloatArray = NDArray[np.float64]
+
+ROUNDED = 1e-4
+"""What rounded targets may take from a margin [m]."""
+PASSED = 1e-4
+"""How much farther than half a kerf and the tolerance the wire may pass a guide line [m]."""
+GUIDE_STEP = 0.002
+"""Distance of the places of a guide line that must be passed [m]."""
+_CHUNK = 400_000
+
+
+def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire."""
+    issues, least, limit = [], np.inf, None
+    for wire in wires:
+        claim = wire.claim
+        if not isinstance(claim, StraightWire) or wire.fault:
+            continue
+        margin = max(c.margin for c in context.setup_claims[wire.setup].straight[claim.arm])
+        free = free_lengths(wire.points[:, 0], wire.points[:, -1], context.stock(wire.setup))
+        short = free.min(axis=1)
+        rows = np.flatnonzero(np.isfinite(short))
+        if len(rows) and short[rows].min() < least:
+            least, limit = float(short[rows].min()), mm(margin)
+        for k in rows[short[rows] < margin - ROUNDED][:50]:
+            what = (
+                f"the {'start' if free[k, 0] < free[k, 1] else 'end'} of the wire is free for "
+                f"{mm(short[k]):.2f} mm beside the block; allowed: {mm(margin):g} mm"
+            )
+            measure = (mm(float(short[k])), mm(margin), "mm")
+            issues.append(wire_issue(context, wire, "verify.bow", what, int(k), *measure))
+    if not np.isfinite(least):
+        return Outcome(tuple(issues), where="no straight wire in the foam")
+    return Outcome(tuple(issues), mm(least), limit, "mm")
+
+
+def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray:
+    """Lengths (T, 2) [m] of straight wires from ``start`` to ``end`` (T, 3) outside the block, from either
+    clamp to where the wire enters; 0 for a clamp inside, infinite for a wire that meets no foam."""
+    way = end - start
+    length = np.linalg.norm(way, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (stock.lower - start) / way, (stock.upper - start) / way
+    aside = way == 0.0
+    within = (start >= stock.lower) & (start <= stock.upper)
+    low = np.where(aside, np.where(within, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
+    high = np.where(aside, np.where(within, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
+    meets = (low < high) & (high > 0.0) & (low < 1.0)
+    free = np.stack([np.clip(low, 0.0, 1.0), np.clip(1.0 - high, 0.0, 1.0)], axis=1) * length[:, None]
+    return np.asarray(np.where(meets[:, None], free, np.inf))
+
+
+def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) -> Outcome:
+    """The slot is as wide as wanted wherever the wire passes the part's surface, at its speed there."""
+    issues: list[Issue] = []
+    worst, limit, where = 0.0, None, ""
+    for claim in context.kerfs:
+        passed = [face for face in faces if face.segment.lower() == claim.segment.lower()]
+        speeds = [face.speed[np.isfinite(face.speed)] for face in passed]
+        if not passed:
+            speeds = [_in_foam(context, wire, claim) for wire in wires if not wire.fault]
+        speed = np.concatenate([*speeds, np.zeros(0)])
+        if not len(speed):
+            what = f"{claim.segment} is not cut, so that its slot has no width"
+            issues.append(Issue("verify.kerf", what, field=claim.segment))
+            continue
+        width = claim.kerf.at(speed)
+        # ramps and corners of the replay may differ from the planned speed as far as the feed may
+        narrow = claim.kerf.at(speed / FEED_SLACK) < claim.lower
+        wide = claim.kerf.at(speed * FEED_SLACK) > claim.upper
+        share = np.maximum(width / claim.upper, claim.lower / np.maximum(width, 1e-9))
+        if share.max() > worst:
+            worst, limit, where = float(share.max()), 1.0, claim.segment
+        for bad, word in ((narrow, "narrow: the wire drags"), (wide, "wide: the foam burns")):
+            if bad.any():
+                k = int(np.argmax(np.where(bad, share, 0.0)))
+                what = (
+                    f"at {mm(speed[k]):.2f} mm/s the slot of {claim.segment} is {mm(width[k]):.3f} mm "
+                    f"{word}; allowed: {mm(claim.lower):g} to {mm(claim.upper):g} mm"
+                )
+                bound = mm(claim.upper if bad is wide else claim.lower)
+                value = {"value": mm(float(width[k])), "limit": bound, "unit": "mm"}
+                issues.append(Issue("verify.kerf", what, field=claim.segment, **value))  # type: ignore[arg-type]
+    return Outcome(tuple(issues), worst, limit, "of the bounds", where or "no such claim")
+
+
+def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
+    """Speeds (K,) of a wire's points inside the block in a segment."""
+    here = (wire.labels == claim.segment.lower())[:, None] & wire.inside
+    return np.asarray(local(wire.points, context.motion.time[wire.sample])[here])
+
+
+def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+    """All along a ruled surface, at and between targets, the straight wire is half a kerf off both guide
+    lines, and passes all of both."""
+    issues: list[Issue] = []
+    worst, limit, where = 0.0, None, ""
+    for claim in context.rulings:
+        label = claim.segment.lower()
+        seen = False
+        for wire in wires:
+            rows = np.flatnonzero(wire.labels == label)
+            if wire.fault or wire.setup != context.of_segment[label] or len(rows) < 2:
+                continue
+            seen = True
+            speed = local(wire.points, context.motion.time[wire.sample])[rows]
+            points = wire.points[rows]
+            for name, guide in (("start", claim.start), ("end", claim.end)):
+                off, half = _off_guide(points, speed, guide, claim)
+                k = int(np.argmax(off))
+                if limit is None or off[k] > worst:
+                    worst, limit, where = float(off[k]), mm(claim.tolerance), claim.segment
+                for i in np.flatnonzero(off > claim.tolerance)[:20]:
+                    what = (
+                        f"the wire is {mm(off[i]):.3f} mm off its distance to the {name} line of "
+                        f"{claim.segment}; allowed: {mm(claim.tolerance):g} mm"
+                    )
+                    measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
+                    issues.append(wire_issue(context, wire, "verify.rulings", what, int(rows[i]), *measure))
+                joined = np.diff(rows) == 1
+                missed = _missed(points, joined, guide, float(half.max()) + claim.tolerance + PASSED)
+                if missed > 0.0:
+                    what = f"the wire does not pass {mm(missed):.1f} mm of the {name} line of {claim.segment}"
+                    issues.append(Issue("verify.rulings", what, field=claim.segment))
+        if not seen:
+            issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=claim.segment))
+    return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no such claim")
+
+
+def _off_guide(
+    points: FloatArray, speed: FloatArray, guide: FloatArray, claim: FollowsRulings
+) -> tuple[FloatArray, FloatArray]:
+    """How far (T,) [m] the wire's line is off half its kerf from a guide line (M, 3), and that half kerf (T,)
+    at the place of the wire that is nearest to it."""
+    start = points[:, 0]
+    way = points[:, -1] - start
+    length = np.linalg.norm(way, axis=1)
+    along = way / length[:, None]
+    off, half = np.zeros(len(points)), np.zeros(len(points))
+    step = max(1, _CHUNK // max(len(guide), 1))
+    for low in range(0, len(points), step):
+        part = slice(low, low + step)
+        relative = guide[None] - start[part, None]
+        on_wire = np.einsum("tmi,ti->tm", relative, along[part])
+        across = relative - on_wire[..., None] * along[part, None]
+        a, b = across[:, :-1], across[:, 1:]
+        edge = b - a
+        share = -np.einsum("tmi,tmi->tm", a, edge) / np.maximum(np.einsum("tmi,tmi->tm", edge, edge), 1e-30)
+        share = np.clip(share, 0.0, 1.0)
+        distance = np.linalg.norm(a + share[..., None] * edge, axis=2)
+        row, k = np.arange(len(a)), np.argmin(distance, axis=1)
+        place = on_wire[row, k] + share[row, k] * (on_wire[row, k + 1] - on_wire[row, k])
+        at = np.clip(place / length[part], 0.0, 1.0) * (points.shape[1] - 1)
+        left = np.minimum(at.astype(np.int64), points.shape[1] - 2)
+        fast = speed[part]
+        here = fast[row, left] + (at - left) * (fast[row, left + 1] - fast[row, left])
+        half[part] = 0.5 * claim.kerf.at(here)
+        off[part] = np.abs(distance[row, k] - half[part])
+    return off, half
+
+
+def _missed(points: FloatArray, joined: NDArray[np.bool_], guide: FloatArray, within: float) -> float:
+    """Length [m] of a guide line that no sheet between two stations passes within a distance [m]."""
+    step = np.linalg.norm(np.diff(guide, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    count = max(int(np.ceil(along[-1] / GUIDE_STEP)), 1)
+    marks = np.linspace(0.0, along[-1], count + 1)
+    places = np.stack([np.interp(marks, along, guide[:, i]) for i in range(3)], axis=1)
+    start, end = points[:, 0], points[:, -1]
+    way = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+    far = np.empty(len(places))
+    chunk = max(1, _CHUNK // len(points))
+    for low in range(0, len(places), chunk):
+        relative = places[low : low + chunk, None] - start[None]
+        off = relative - np.einsum("nti,ti->nt", relative, way)[..., None] * way[None]
+        a, b = off[:, :-1], off[:, 1:]
+        edge = b - a
+        share = -np.einsum("nti,nti->nt", a, edge) / np.maximum(np.einsum("nti,nti->nt", edge, edge), 1e-30)
+        distance = np.linalg.norm(a + np.clip(share, 0.0, 1.0)[..., None] * edge, axis=2)
+        far[low : low + chunk] = np.where(joined, distance, np.inf).min(axis=1)
+    return float((far > within).mean() * along[-1]) if (far > within).any() else 0.0
