@@ -16,19 +16,30 @@ from tests.cell.cells import BLOCK, UP
 CELLS = sorted((catalogue.data_dir("problems") / "cells").glob("*.yaml"))
 
 
-def test_the_three_cells_are_there() -> None:
-    assert [p.stem for p in CELLS] == ["two_irb1200", "two_irb140_facing", "two_irb4600_facing"]
+def test_the_cells_are_there() -> None:
+    assert [p.stem for p in CELLS] == [
+        "irb140_bow",
+        "irb4600_bow",
+        "two_irb1200",
+        "two_irb140_bow_gripper",
+        "two_irb140_facing",
+        "two_irb4600_bow_gripper",
+        "two_irb4600_facing",
+    ]
 
 
 @pytest.mark.parametrize("path", CELLS, ids=lambda p: p.stem)
 def test_a_cell_is_sound(path: Path) -> None:
     spec = cell_file.CellFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     cell = cell_file.build(spec, path.parent)
-    model = plant.build(cell, BLOCK, from_rpy((0.0, 0.0, 0.6), UP))
+    facing = "facing" in path.stem or path.stem == "two_irb1200"
+    model = plant.build(cell, BLOCK, from_rpy((0.0, 0.0, 0.6) if facing else (0.0, 0.0, 9.0), UP))
     assert clearance.overlaps(model) == ()
     assert clearance.free(model, {}, 0.018).all()
     for arm in cell.arms:
         assert model.robots[arm.name].limit_margin(arm.home) > np.deg2rad(20.0)
+    if not facing:
+        return
     tcp = model.tcp({arm.name: arm.home[None] for arm in cell.arms})
     left, right = tcp["left"][0], tcp["right"][0]
     assert left[2, 3] == pytest.approx(right[2, 3])
