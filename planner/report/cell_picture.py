@@ -1,4 +1,4 @@
-"""The picture of a cell: arms, tools, block and wire at one moment of the job, rendered without a display."""
+"""Pictures of a cell: arms, tools, block and wire at one moment of a setup, rendered without a display."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.problem import Mesh
+from planner.problem import Mesh, Setup
 from planner.report import raster, solids
 from planner.report.raster import Camera, Thing
-from planner.report.scene import Scene
+from planner.report.scene import Scene, mounted, stand
 from planner.report.solids import Solid
 
 FloatArray = NDArray[np.float64]
@@ -23,15 +23,24 @@ BLOCK: Final = (0.86, 0.90, 0.84)
 _TRACE: Final = (1.0, 0.62, 0.35)
 
 
+CUT: Final = (1.0, 0.66, 0.36)
+
+
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """Joint angles {arm: (6,)}, wire (P, 3) in the world, earlier wires (S, P, 3), meshes of the part."""
+    """Joint angles {arm: (6,)} in a setup with the stock at ``place`` (4, 4) in the world.
 
+    A wire (P, 3) in the world that joins the arms, earlier ones (S, P, 3); wanted surfaces ``part`` and what
+    has been ``cut``, in the stock frame.
+    """
+
+    setup: Setup
+    place: FloatArray
     q: Mapping[str, FloatArray]
     wire: FloatArray | None = None
     earlier: Sequence[FloatArray] = ()
     part: Sequence[Mesh] = ()
-    stock_pose: FloatArray | None = None
+    cut: Sequence[Mesh] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,30 +54,26 @@ class Picture:
 
 def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -> Picture:
     """The cell from the side where the arms stand apart, on a clear ground with a shadow."""
-    poses = scene.poses({arm: q[None] for arm, q in moment.q.items()})
-    opaque = [
-        Thing(piece.solid.moved(poses[piece.body][0] @ piece.pose), piece.color[:3], 0.0, piece.closed)
-        for piece in scene.pieces
-        if piece.body != "stock"
-    ]
-    block = [
-        Thing(piece.solid.moved(poses[piece.body][0] @ piece.pose), BLOCK)
-        for piece in scene.pieces
-        if piece.body == "stock"
-    ]
-    if moment.stock_pose is not None:
-        for part in moment.part:
-            solid = solids.mesh(part.vertices, part.faces, smooth=True).moved(moment.stock_pose)
-            opaque.append(Thing(solid, PART, 0.0, closed=False))
+    poses = stand(scene, moment.setup, moment.place, {arm: q[None] for arm, q in moment.q.items()})
+    pieces = (*scene.pieces, *mounted(moment.setup))
+    solid = {id(piece): piece.solid.moved(poses[piece.body][0] @ piece.pose) for piece in pieces}
+    opaque, block = [], []
+    for piece in pieces:
+        hot = piece.body.endswith("/edge")
+        if piece.body == "stock":
+            block.append(Thing(solid[id(piece)], BLOCK))
+        else:
+            paint = WIRE if hot else piece.color[:3]
+            opaque.append(Thing(solid[id(piece)], paint, 1.0 if hot else 0.0, piece.closed))
+    for meshes, paint in ((moment.part, PART), (moment.cut, CUT)):
+        for mesh in meshes:
+            shown = solids.mesh(mesh.vertices, mesh.faces, smooth=True).moved(poses["stock"][0])
+            opaque.append(Thing(shown, paint, 0.0, closed=False))
     opaque += [Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
     if moment.wire is not None:
         opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
     fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
-    subject = [
-        piece.solid.moved(poses[piece.body][0] @ piece.pose).vertices
-        for piece in scene.pieces
-        if piece.body not in fixed
-    ]
+    subject = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
     camera = raster.frame(np.concatenate(subject), _direction(scene), 2 * width, 2 * height)
     image = raster.draw(camera, opaque)
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)

@@ -38,7 +38,7 @@ FloatArray = NDArray[np.float64]
 def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Raw], list[Issue]]:
     """Figures of all exhibits but those of the setup sheet, and issues for those that cannot be drawn.
 
-    ``block`` (3,) is the stock's size [m].
+    ``block`` (2, 3) [m] are the lowest and the highest corner of the block as the operation finds it.
     """
     figures, issues = [], []
     for name, exhibit in exhibits.items():

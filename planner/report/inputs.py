@@ -9,7 +9,8 @@ arm ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,12 @@ from numpy.typing import NDArray
 
 from planner import catalogue
 from planner.catalogue import RobotData
-from planner.claims import FeedWindow, WireJoins
+from planner.claims import CutsSurface, FeedWindow, WireJoins
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report.charts import Band
 from planner.targets import segment_kind
+from planner.units import MM
 from planner.verify.result import Proof
 
 FloatArray = NDArray[np.float64]
@@ -121,6 +123,22 @@ def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
     return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets", (-np.inf, np.inf))
 
 
+def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> str:
+    """Widths [mm] of the slots at the speeds that the feed windows of their segments allow, as text."""
+    window = {w.segment: w for w in windows}
+    widths: list[float] = []
+    for cut in cuts:
+        table = cut.kerf.speed
+        found = window.get(cut.segment)
+        lower, upper = (
+            (found.lower, found.upper) if found is not None else (float(table[0]), float(table[-1]))
+        )
+        inside = table[(table > lower) & (table < upper)]
+        widths += cut.kerf.at(np.concatenate([[lower], inside, [upper]])).tolist()
+    low, high = min(widths) / MM, max(widths) / MM
+    return f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
+
+
 def operation_starts(plan: Plan) -> list[float]:
     """The time [s] at which each operation's clock starts when they run one after the other."""
     lengths = [float(op.time[-1]) if len(op.time) else 0.0 for op in plan.operations]
@@ -165,19 +183,27 @@ def _clearance(series: Mapping[str, Any]) -> Clearance | None:
     return Clearance(np.asarray(time, dtype=np.float64), np.asarray(distance, dtype=np.float64), names)
 
 
+def _numbers(series: Mapping[str, Any], what: str) -> list[int]:
+    """Numbers n of the wires that have ``wire/<n>/<what>``."""
+    found = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
+    return sorted(int(match.group(1)) for match in found if match)
+
+
 def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:
-    """The wires of the proof, in the order of the plan's claims."""
+    """The bent wires of the proof, with the limits of the plan's claims, which are in the same order."""
     limits = [
         c.max_curvature for op in plan.operations for c in op.targets.claims if isinstance(c, WireJoins)
     ]
+    bent = [n for n in _numbers(series, "time") if f"wire/{n}/curvature" in series]
     out = []
-    for n in range(1, len(limits) + 1):
-        time = series.get(f"wire/{n}/time")
-        if time is not None and len(time) > 1:
+    for i, n in enumerate(bent):
+        time = series[f"wire/{n}/time"]
+        if len(time) > 1:
             clear, bend, stable = (
                 series.get(f"wire/{n}/{k}") for k in ("clearance", "curvature", "stability")
             )
-            out.append(WireMotion(np.asarray(time), clear, bend, stable, limits[n - 1]))
+            limit = limits[i] if len(bent) == len(limits) else None
+            out.append(WireMotion(np.asarray(time), clear, bend, stable, limit))
     return tuple(out)
 
 
@@ -185,13 +211,11 @@ def _proven_feed(plan: Plan, series: Mapping[str, Any]) -> Feed:
     """Speeds of the wires' fastest points inside the stock, with the windows that the claims state."""
     windows = {c.segment: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)}
     rows = []
-    n = 1
-    while f"wire/{n}/feed" in series:
+    for n in _numbers(series, "feed"):
         labels = [str(v) for v in series[f"wire/{n}/label"]]
         lower = np.array([windows[v].lower if v in windows else np.nan for v in labels])
         upper = np.array([windows[v].upper if v in windows else np.nan for v in labels])
         rows.append(np.stack([series[f"wire/{n}/time"], series[f"wire/{n}/feed"], lower, upper]))
-        n += 1
     if not rows or not np.isfinite(np.concatenate(rows, axis=1)[1]).any():
         return _feed(plan, operation_starts(plan))
     return Feed(*np.concatenate(rows, axis=1))

@@ -7,21 +7,15 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import plant
-from planner.cell.plant import CellModel
-from planner.geometry.rigid import transform
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import cell_picture, page, replay3d, scene
-from planner.report.cell_picture import Moment, Picture
+from planner.report import moments, page, replay3d
+from planner.report.cell_picture import Picture
 from planner.report.page import Extra
-from planner.targets import segment_kind
 from planner.verify.result import Proof
-
-FloatArray = NDArray[np.float64]
 
 
 def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
@@ -29,14 +23,15 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
 
     Where Meshcat cannot start there is no replay, and the report says so.
     """
-    model = plant.build(problem.cell, problem.stock, plan.stock_pose, plan.bases)
+    first = problem.setups[0]
+    model = plant.build(first.cell, first.stock, plan.places[0], plan.bases)
     out: dict[str, str] = {}
     issues: tuple[Issue, ...] = ()
     try:
         out["replay.html"] = replay3d.document(model, problem, plan)
     except TandemError as error:
         issues = error.issues
-    extra = Extra(picture(model, problem, plan), model.pairs_filtered, issues=issues)
+    extra = Extra(moments.pictures(model, problem, plan), model.pairs_filtered, issues=issues)
     out["report.html"] = page.render(problem, plan, proof, extra)
     if proof is not None:
         out["proof.json"] = _verdict(proof)
@@ -47,7 +42,7 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
 
 def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
     """The report alone, for a problem that was refused or has no plan."""
-    shown: Picture | None = None
+    shown: tuple[tuple[str, Picture], ...] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     if problem is not None:
         place = problem.stock.place
@@ -58,41 +53,15 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
         except TandemError as error:
             issues = [*issues, *(i for i in error.issues if i not in issues)]
         else:
-            shown = picture(model, problem, None)
+            shown = moments.pictures(model, problem, None)
             filtered = model.pairs_filtered
     return page.render(problem, None, None, Extra(shown, filtered, issues=issues))
-
-
-def picture(model: CellModel, problem: Problem, plan: Plan | None) -> Picture:
-    """The cell in the middle of its first cut, with the wire's earlier places; or with all arms at home."""
-    seen = scene.extract(model)
-    part = problem.part
-    meshes = [] if part is None or part.front is None else [part.front]
-    home = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
-    stock_pose = model.stock_pose
-    for operation in plan.operations if plan is not None else ():
-        targets = operation.targets
-        cutting = [i for i, label in enumerate(targets.segment) if segment_kind(label) == "cut"]
-        if not cutting:
-            continue
-        first = [i for i in cutting if targets.segment[i] == targets.segment[cutting[0]]]
-        here = first[int(0.62 * (len(first) - 1))]
-        q = {**home, **{arm: operation.q[arm][here] for arm in operation.q}}
-        wires: list[FloatArray] = []
-        if targets.edge is not None and targets.frame[targets.arms[0]] in ("stock", "world"):
-            frame = stock_pose if targets.frame[targets.arms[0]] == "stock" else np.eye(4)
-            before = [i for i in first if i < here][:: max(1, here // 9)]
-            wires = [transform(frame, targets.edge.points[i]) for i in (*before, here)]
-        wire = wires[-1] if wires else None
-        return cell_picture.picture(seen, Moment(q, wire, wires[:-1], meshes, stock_pose))
-    return cell_picture.picture(seen, Moment(home, None, (), meshes, stock_pose))
 
 
 def _verdict(proof: Proof) -> str:
     """The proof as JSON: verdict, rules, issues, faces without their points."""
     faces = [
-        {k: v for k, v in vars(face).items() if k not in ("points", "deviation", "area")}
-        for face in proof.surfaces
+        {k: v for k, v in vars(face).items() if not isinstance(v, np.ndarray)} for face in proof.surfaces
     ]
     found = aggregate(proof.issues)
     data = {

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from planner import catalogue
-from planner.claims import CutsSurface, WireJoins
+from planner.claims import CutsSurface, FeedWindow, StraightWire, WireJoins
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import inputs, markup
@@ -17,6 +17,9 @@ from planner.report.cell_picture import Picture
 from planner.report.markup import Raw
 from planner.units import DEG, MM
 from planner.verify.result import Proof
+
+MOST_FACES: Final = 4
+"""Cut surfaces with a tile of their own, those nearest to their limit first."""
 
 
 def header(problem: Problem | None, plan: Plan | None, proof: Proof | None, errors: bool) -> str:
@@ -73,11 +76,25 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
     for wire in [c for c in claims if isinstance(c, WireJoins)][:1]:
         out.append(_tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
         out.append(_tile("wire, thickness", f"{wire.thickness / MM:g}", "mm"))
-    for cut in [c for c in claims if isinstance(c, CutsSurface)][:1]:
-        out.append(_tile("kerf", f"{float(cut.kerf.width.min()) / MM:g}", "mm"))
-        out.append(_tile("tolerance", f"±{cut.tolerance / MM:g}", "mm"))
+    bows = [c for c in claims if isinstance(c, StraightWire)]
+    spans = sorted({round(float(np.linalg.norm(c.end - c.start)) / MM, 1) for c in bows})
+    out += [_tile("straight wire", " and ".join(f"{v:g}" for v in spans), "mm")] if spans else []
+    cuts = [c for c in claims if isinstance(c, CutsSurface)]
+    if cuts:
+        out.append(
+            _tile("kerf", inputs.kerf_range(cuts, [c for c in claims if isinstance(c, FeedWindow)]), "mm")
+        )
+        tolerances = sorted({c.tolerance / MM for c in cuts})
+        out.append(
+            _tile(
+                "tolerance",
+                "±" + " – ".join(f"{v:g}" for v in tolerances[:: max(1, len(tolerances) - 1)]),
+                "mm",
+            )
+        )
     if proof is not None:
-        for face in proof.surfaces:
+        shown = sorted(proof.surfaces, key=lambda f: f.share - f.wanted_share)
+        for face in shown[:MOST_FACES]:
             low = face.share < face.wanted_share
             out.append(_tile(f"{face.segment} within tolerance", f"{100 * face.share:.1f}", "%", low))
         held = sum(rule.passed for rule in proof.rules)
@@ -99,14 +116,15 @@ def _duration(seconds: float) -> tuple[str, str]:
     return f"{int(seconds // 60)}:{int(seconds % 60):02d}", "min"
 
 
-def picture(shown: Picture) -> Raw:
-    """The cell's picture with the names of the arms."""
+def picture(shown: Picture, title: str = "") -> Raw:
+    """The cell's picture with the names of the arms, and its title where it has one."""
     address = markup.png(shown.pixels, shown.alpha, premultiplied=True)
     labels = "".join(
         f'<span style="left:{100 * x:.1f}%;top:{100 * y:.1f}%">{html.escape(name)}</span>'
         for name, x, y in shown.labels
     )
-    return Raw(f'<div class="picture"><img alt="the cell" src="{address}">{labels}</div>')
+    body = Raw(f'<div class="picture"><img alt="the cell" src="{address}">{labels}</div>')
+    return markup.figure(title, body) if title else body
 
 
 def made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Raw:

@@ -23,11 +23,11 @@ from planner.verify.result import Proof
 class Extra:
     """What the report shows besides problem, plan and proof.
 
-    ``picture`` of the cell; ``filtered`` pairs of bodies that are not held apart, with reasons; ``programs``:
-    names and numbers of lines; ``issues`` that belong to no plan.
+    ``pictures`` of the cell with their titles; ``filtered`` pairs of bodies that are not held apart, with
+    reasons; ``programs``: names and numbers of lines; ``issues`` that belong to no plan.
     """
 
-    picture: Picture | None = None
+    pictures: Sequence[tuple[str, Picture]] = ()
     filtered: Sequence[tuple[str, str, str]] = ()
     programs: Sequence[tuple[str, int]] = ()
     issues: Sequence[Issue] = ()
@@ -39,8 +39,10 @@ def render(
     """The page as text. Without ``plan`` it shows the problem as far as known, and the issues."""
     extra = extra or Extra()
     drawn, left_out = _exhibits(problem, plan)
+    part = problem.part if problem is not None else None
     found = aggregate(
         [
+            *(part.notes if part is not None else ()),
             *(plan.issues if plan else ()),
             *(i for op in (plan.operations if plan else ()) for i in op.issues),
             *(proof.issues if proof else ()),
@@ -51,8 +53,9 @@ def render(
     sections: list[Raw] = []
     if found:
         sections.append(markup.section("issues", "Issues", verdicts.issues(_unique(found))))
-    if extra.picture is not None:
-        sections.append(markup.section("cell", "Cell", overview.picture(extra.picture)))
+    if extra.pictures:
+        shown = [overview.picture(picture, title) for title, picture in extra.pictures]
+        sections.append(markup.section("cell", "Cell", *shown))
     if proof is not None and proof.surfaces:
         faces = "".join(verdicts.face(face) for face in proof.surfaces)
         sections.append(markup.section("part", "Simulated part against the wanted one", faces))
@@ -94,7 +97,9 @@ def _unique(issues: Sequence[Issue]) -> list[Issue]:
 def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Raw], list[Issue]]:
     sections, left_out = [], []
     for index, operation in enumerate(plan.operations if plan else ()):
-        block = problem.stock.size if problem is not None else np.ones(3)
+        stock = problem.setup_of(index).stock if problem is not None else None
+        corners = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
+        block = corners if stock is None else np.array([stock.lower, stock.upper])
         figures, issues = exhibits.draw(operation.targets.exhibits, block)
         left_out += issues
         title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"

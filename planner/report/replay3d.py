@@ -6,6 +6,7 @@ of capsules, because animated lines keep only their last state. What has been cu
 
 from __future__ import annotations
 
+import dataclasses
 import html
 from pathlib import Path
 from typing import Any, Final
@@ -16,22 +17,27 @@ from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, 
 
 from planner.cell.plant import CellModel, rigid
 from planner.files import write_whole
-from planner.geometry.rigid import inverse, transform
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.problem import Problem
+from planner.problem import Mesh, Problem, Setup, Stock
 from planner.report import scene as scenes
+from planner.report import sweep
 from planner.report.replay_bar import bar
 from planner.report.track import Track, track
-from planner.targets import segment_kind
 
 FloatArray = NDArray[np.float64]
 FPS: Final = 100.0
 KEYS: Final = 480
+KEYS_MORE: Final = 240
+"""Keyframes of a job of one operation, and of each further one."""
+STRIPS: Final = 120
+LEFT: Final = 0.0015
+"""How far [m] outside a trimmed block the cuts that trimmed it are still drawn: half a kerf and some."""
 LINKS: Final = 28
-_WIRE: Final = Rgba(1.0, 0.30, 0.05, 1.0)
-_CUT: Final = Rgba(1.0, 0.72, 0.45, 0.75)
-_PART: Final = Rgba(0.10, 0.52, 0.60, 0.45)
+BLOCK: Final = "/block"
+_CUT: Final = Rgba(1.0, 0.66, 0.36, 1.0)
+_FOAM: Final = Rgba(0.97, 0.91, 0.66, 0.42)
+_PART: Final = Rgba(0.16, 0.56, 0.62, 1.0)
 
 
 def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
@@ -40,21 +46,24 @@ def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
 
 
 def document(model: CellModel, problem: Problem, plan: Plan) -> str:
-    """The replay as text. Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start."""
+    """The replay as text. ``model``: the cell, for its robots and fixed bodies.
+
+    Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start.
+    """
     try:
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     except RuntimeError as error:
         issue = Issue("report.replay_failed", f"Meshcat, which writes replay.html, cannot start: {error}")
         raise TandemError(issue) from error
-    run = track(problem, plan, KEYS)
+    run = track(problem, plan, KEYS + KEYS_MORE * max(0, len(plan.operations) - 1))
     animation = MeshcatAnimation(FPS)
-    frames = np.round((run.time - run.time[0]) * FPS).astype(int)
+    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FPS).astype(int))
     _look(meshcat, model)
-    _bodies(meshcat, animation, frames, model, run)
-    _parts(meshcat, problem, plan)
-    if run.wire is not None and run.shown is not None:
-        _wire(meshcat, animation, frames, run.wire, run.shown, run.wire_radius)
-        _strips(meshcat, animation, frames, run, np.asarray(plan.stock_pose), problem.stock.size)
+    _bodies(film, model, problem, run)
+    _parts(meshcat, problem)
+    if run.wire is not None:
+        _wire(film, run.wire, run.shown, run.wire_radius)
+    _strips(film, problem, run)
     animation.set_autoplay(False)
     animation.set_repetitions(1)
     meshcat.SetAnimation(animation)
@@ -62,6 +71,34 @@ def document(model: CellModel, problem: Problem, plan: Plan) -> str:
     title = f"{problem.name} – Tandem replay"
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
     return page.replace("</body>", bar(problem.name, run) + "</body>", 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Film:
+    """Meshcat, its animation, and the frame (T,) of each key."""
+
+    meshcat: Any
+    animation: Any
+    frames: NDArray[np.int_]
+
+    def move(self, path: str, poses: FloatArray) -> None:
+        """Keys (T, 4, 4) for a thing; keys between two equal neighbours say nothing and are left out."""
+        self.meshcat.SetTransform(path, rigid(poses[0]))
+        moved = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2)) > 1e-9
+        if not moved.any():
+            return
+        keep = np.concatenate([[True], moved]) | np.concatenate([moved, [True]])
+        for i in np.flatnonzero(keep):
+            self.animation.SetTransform(int(self.frames[i]), path, rigid(poses[i]))
+
+    def show(self, path: str, seen: NDArray[np.bool_]) -> None:
+        """Shows and hides a thing by keys (T,)."""
+        if seen.all():
+            return
+        self.meshcat.SetProperty(path, "visible", bool(seen[0]))
+        self.animation.SetProperty(0, path, "visible", bool(seen[0]))
+        for i in np.flatnonzero(np.diff(seen.astype(int))) + 1:
+            self.animation.SetProperty(int(self.frames[i]), path, "visible", bool(seen[i]))
 
 
 def _look(meshcat: Any, model: CellModel) -> None:
@@ -82,62 +119,80 @@ def _look(meshcat: Any, model: CellModel) -> None:
     meshcat.SetCameraPose(eye, target)
 
 
-def _bodies(meshcat: Any, animation: Any, frames: NDArray[np.int_], model: CellModel, run: Track) -> None:
+def _bodies(film: _Film, model: CellModel, problem: Problem, run: Track) -> None:
+    """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it."""
     scene = scenes.extract(model)
     poses = scene.poses(run.q)
     for number, piece in enumerate(scene.pieces):
-        path = f"/cell/{piece.body}/{number}"
-        alpha = 0.30 if piece.body == "stock" else piece.color[3]
-        meshcat.SetObject(path, piece.shape, Rgba(*piece.color[:3], alpha))
-        meshcat.SetTransform(path, rigid(piece.pose))
+        _object(film, f"/cell/{piece.body}/{number}", piece)
     for body in scene.bodies():
-        path = f"/cell/{body}"
-        meshcat.SetTransform(path, rigid(poses[body][0]))
-        if np.ptp(poses[body], axis=0).max() > 1e-9:
-            _animate(animation, frames, path, poses[body])
+        film.move(f"/cell/{body}", poses[body])
+    for arm in model.arms:
+        film.move(f"/cell/{arm}/tool", poses[f"{arm}/tool"])
+    film.move(BLOCK, run.block)
+    sets: dict[str, tuple[list[scenes.Piece], NDArray[np.bool_]]] = {}
+    for index, setup in enumerate(problem.setups):
+        for name, pieces in _groups(setup).items():
+            path = next(
+                (p for p, (known, _) in sets.items() if p.startswith(name) and _same(known, pieces)), ""
+            )
+            path = path or f"{name}/{index}"
+            seen = sets.setdefault(path, (pieces, np.zeros(len(run.time), dtype=bool)))[1]
+            seen |= run.setup == index
+    for path, (pieces, seen) in sets.items():
+        for number, piece in enumerate(pieces):
+            _object(film, f"{path}/{number}", piece)
+        film.show(path, seen)
 
 
-def _animate(animation: Any, frames: NDArray[np.int_], path: str, poses: FloatArray) -> None:
-    """Keys for a moving thing; keys between two equal neighbours say nothing and are left out."""
-    moved = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2)) > 1e-9
-    keep = np.concatenate([[True], moved]) | np.concatenate([moved, [True]])
-    for i in np.flatnonzero(keep):
-        animation.SetTransform(int(frames[i]), path, rigid(poses[i]))
+def _groups(setup: Setup) -> dict[str, list[scenes.Piece]]:
+    """Pieces of a setup by the path of what they move with."""
+    out: dict[str, list[scenes.Piece]] = {}
+    for piece in scenes.mounted(setup):
+        arm, _, kind = piece.body.partition("/")
+        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK}/{piece.body}", []).append(piece)
+    return out
 
 
-def _parts(meshcat: Any, problem: Problem, plan: Plan) -> None:
-    if problem.part is None:
-        return
-    for name, mesh in (("front", problem.part.front), ("back", problem.part.back)):
-        if mesh is not None:
-            path = f"/wanted part/{name}"
-            both = np.concatenate([mesh.faces, mesh.faces[:, ::-1]])
-            meshcat.SetTriangleMesh(path, mesh.vertices.T, both.T.astype(np.int32), _PART)
-            meshcat.SetTransform(path, rigid(np.asarray(plan.stock_pose)))
+def _same(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
+    """Whether two groups look the same."""
+    return len(one) == len(other) and all(
+        a.body == b.body
+        and a.solid.vertices.shape == b.solid.vertices.shape
+        and np.allclose(a.solid.moved(a.pose).vertices, b.solid.moved(b.pose).vertices, atol=1e-9)
+        for a, b in zip(one, other, strict=True)
+    )
 
 
-def _wire(
-    meshcat: Any,
-    animation: Any,
-    frames: NDArray[np.int_],
-    wire: FloatArray,
-    shown: NDArray[np.bool_],
-    radius: float,
-) -> None:
-    """A chain of capsules along the wire (T, P, 3), drawn at least 4 mm thick so that it can be seen."""
+def _object(film: _Film, path: str, piece: scenes.Piece) -> None:
+    film.meshcat.SetObject(path, piece.shape, _FOAM if piece.body == "stock" else Rgba(*piece.color))
+    film.meshcat.SetTransform(path, rigid(piece.pose))
+
+
+def _parts(meshcat: Any, problem: Problem) -> None:
+    """The wanted surfaces, which move with the block."""
+    for name, mesh in sweep.part_meshes(problem.part):
+        _surface(meshcat, f"{BLOCK}/wanted/{name}", mesh, _PART)
+
+
+def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
+    """A surface that can be seen from both sides."""
+    both = np.concatenate([mesh.faces, mesh.faces[:, ::-1]])
+    meshcat.SetTriangleMesh(path, mesh.vertices.T, both.T.astype(np.int32), color)
+
+
+def _wire(film: _Film, wire: FloatArray, shown: NDArray[np.bool_], radius: float) -> None:
+    """A chain of capsules along the wire (T, P, 3), drawn thick enough to be seen."""
     points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, LINKS + 1).round().astype(int))]
     step = np.diff(points, axis=1)
     length = np.linalg.norm(step, axis=-1)
     poses = _along(0.5 * (points[:, 1:] + points[:, :-1]), step)
     for k in range(step.shape[1]):
         path = f"/wire/{k}"
-        meshcat.SetObject(path, Capsule(max(radius, 2.2e-3), float(np.median(length[shown, k]))), _WIRE)
-        meshcat.SetTransform(path, rigid(poses[0, k]))
-        _animate(animation, frames, path, poses[:, k])
-    meshcat.SetProperty("/wire", "visible", bool(shown[0]))
-    animation.SetProperty(0, "/wire", "visible", bool(shown[0]))
-    for i in np.flatnonzero(np.diff(shown.astype(int))) + 1:
-        animation.SetProperty(int(frames[i]), "/wire", "visible", bool(shown[i]))
+        shape = Capsule(max(radius, scenes.SEEN), float(np.median(length[shown, k])))
+        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT))
+        film.move(path, poses[:, k])
+    film.show("/wire", shown)
 
 
 def _along(middle: FloatArray, direction: FloatArray) -> FloatArray:
@@ -152,32 +207,35 @@ def _along(middle: FloatArray, direction: FloatArray) -> FloatArray:
     return pose
 
 
-def _strips(
-    meshcat: Any, animation: Any, frames: NDArray[np.int_], run: Track, place: FloatArray, size: FloatArray
-) -> None:
-    """What the wire sweeps within the block while it cuts, as strips that appear when they are cut."""
-    if run.wire is None:
-        return
-    cutting = np.array([segment_kind(label) == "cut" for label in run.segment])
-    points = run.wire[:, np.unique(np.linspace(0, run.wire.shape[1] - 1, 25).round().astype(int))]
-    rows = np.flatnonzero(cutting[1:] & cutting[:-1])
-    count = points.shape[1]
-    for number, block in enumerate(np.array_split(rows, max(1, min(90, len(rows))))):
-        if not len(block):
-            continue
-        span = np.concatenate([block, block[-1:] + 1])
-        vertices = points[span].reshape(-1, 3)
-        i, j = np.meshgrid(np.arange(len(span) - 1), np.arange(count - 1), indexing="ij")
-        a = (i * count + j).ravel()
-        quads = np.concatenate(
-            [np.stack([a, a + 1, a + count + 1], 1), np.stack([a, a + count + 1, a + count], 1)]
-        )
-        middle = transform(inverse(place), vertices[quads].mean(axis=1)) - [0.0, 0.0, 0.5 * size[2]]
-        quads = quads[(np.abs(middle) <= 0.5 * size).all(axis=1)]
-        if not len(quads):
-            continue
-        faces = np.concatenate([quads, quads[:, ::-1]])
-        path = f"/cut/{number}"
-        meshcat.SetTriangleMesh(path, vertices.T, faces.T.astype(np.int32), _CUT)
-        animation.SetProperty(0, path, "visible", False)
-        animation.SetProperty(int(frames[span[-1]]), path, "visible", True)
+def _strips(film: _Film, problem: Problem, run: Track) -> None:
+    """What wires sweep within the block while they cut, as strips that appear when they are cut and stay.
+
+    In later setups, in which the block may have become smaller, they are drawn as far as it goes then.
+    """
+    number = 0
+    blocks = [setup.stock for setup in problem.setups]
+    total = sum(len(cut.keys) for cut in run.sweeps)
+    for cut in run.sweeps:
+        own = blocks[cut.setup]
+        some = np.unique(np.linspace(0, cut.points.shape[1] - 1, 25).round().astype(int))
+        points = cut.points[:, some]
+        steps = np.arange(len(cut.keys) - 1)
+        count = max(1, min(len(steps), round(STRIPS * len(steps) / max(total, 1))))
+        kept = [k for k, block in enumerate(blocks) if k >= cut.setup and _alike(block, own)]
+        parts = [(part, own.lower, own.upper, kept) for part in np.array_split(steps, count)]
+        smaller = (k for k in range(cut.setup + 1, len(blocks)) if k not in kept)
+        parts += [(steps, blocks[k].lower - LEFT, blocks[k].upper + LEFT, [k]) for k in smaller]
+        for part, lower, upper, setups in parts:
+            mesh = sweep.surface(points[part[0] : part[-1] + 2], lower, upper) if len(part) else None
+            if mesh is None:
+                continue
+            path = f"{BLOCK}/cut/{number}"
+            _surface(film.meshcat, path, mesh, _CUT)
+            done = np.arange(len(run.time)) >= cut.keys[part[-1] + 1]
+            film.show(path, done & np.isin(run.setup, setups))
+            number += 1
+
+
+def _alike(one: Stock, other: Stock) -> bool:
+    """Whether two blocks are of one size."""
+    return np.allclose(one.lower, other.lower) and np.allclose(one.upper, other.upper)

@@ -19,6 +19,7 @@ _COLOURS: Final = {
     "transit": "#7d9fc0",
     "entry": "#aab4c0",
     "exit": "#aab4c0",
+    "setup": "#c9a2c4",
 }
 _OTHER: Final = "#8d99a8"
 

@@ -1,22 +1,27 @@
-"""What a cell looks like, taken from its Drake model once: visible shapes, and where bodies are."""
+"""What a cell looks like: robots and fixed bodies from its Drake model, once, and what each setup adds."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, Sphere
 
-from planner.cell.plant import CellModel
-from planner.report import solids
+from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
+from planner.cell.solids import drake_shape
+from planner.problem import Setup, Shape
+from planner.report import solids, standing
 from planner.report.solids import Solid
 
 FloatArray = NDArray[np.float64]
 _PLAIN = (0.7, 0.72, 0.75, 1.0)
+HOT: Final = (1.0, 0.30, 0.05, 1.0)
+SEEN: Final = 2.2e-3
+"""Least radius [m] at which a wire is drawn, so that it can be seen."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +42,7 @@ class Piece:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """All visible shapes of a cell; ``model`` answers where its bodies are."""
+    """Visible shapes of robots and fixed bodies; ``model`` answers where its bodies are."""
 
     model: CellModel
     pieces: tuple[Piece, ...]
@@ -47,10 +52,14 @@ class Scene:
         return tuple(dict.fromkeys(piece.body for piece in self.pieces))
 
     def poses(self, q: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """World poses {body: (B, 4, 4)} at joint angles {arm: (B, 6)}; arms not named stay at home."""
+        """World poses {body: (B, 4, 4)} at joint angles {arm: (B, 6)}; arms not named stay at home.
+
+        Bodies are those of :meth:`bodies`, and every arm's tool, whose frame is the flange.
+        """
         rows = self.model.stack(q)
         checker = self.model.checker
-        shown = {name: self.model.body(name) for name in self.bodies()}
+        tools = (f"{arm}/tool" for arm in self.model.arms)
+        shown = {name: self.model.body(name) for name in (*self.bodies(), *tools)}
         out = {name: np.empty((len(rows), 4, 4)) for name in shown}
         for i, row in enumerate(rows):
             context = checker.UpdatePositions(row)
@@ -60,7 +69,7 @@ class Scene:
 
 
 def extract(model: CellModel) -> Scene:
-    """The visible shapes of a cell's model."""
+    """The visible shapes of a cell's model but for those that setups change: tools, block, support."""
     inspector = model.diagram.scene_graph().model_inspector()
     names = {model.body(n).index(): n for n in _all_names(model)}
     pieces = []
@@ -71,8 +80,45 @@ def extract(model: CellModel) -> Scene:
         rgba = properties.GetPropertyOrDefault("phong", "diffuse", Rgba(*_PLAIN))
         color = (rgba.r(), rgba.g(), rgba.b(), rgba.a())
         pose = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-        pieces.append(Piece(names[body.index()], shape, pose, color, _solid(shape)))
+        name = names[body.index()]
+        if name not in ("stock", "support") and not name.endswith(("/tool", "/edge")):
+            pieces.append(Piece(name, shape, pose, color, _solid(shape)))
     return Scene(model, tuple(sorted(pieces, key=lambda p: p.body)))
+
+
+def mounted(setup: Setup) -> tuple[Piece, ...]:
+    """What a setup adds: bodies "<arm>/tool" and "<arm>/edge" in the flange's frame, "stock" and "support" in
+    the stock's."""
+    out = []
+    for arm in setup.cell.arms:
+        out += [_piece(f"{arm.name}/tool", shape, TOOL_COLOUR) for shape in arm.tool.shapes]
+        if arm.tool.edge is not None:
+            radius, length = arm.tool.edge.size
+            wire = dataclasses.replace(arm.tool.edge, size=(max(radius, SEEN), length))
+            out.append(_piece(f"{arm.name}/edge", wire, HOT))
+    out.append(_piece("stock", standing.box(setup), STOCK_COLOUR))
+    if setup.stock.held_by is None:
+        out += [_piece("support", shape, SUPPORT_COLOUR) for shape in setup.stock.support]
+    return tuple(out)
+
+
+def stand(
+    scene: Scene, setup: Setup, place: FloatArray, q: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """World poses {body: (B, 4, 4)} of a scene and of what :func:`mounted` adds to it."""
+    out = scene.poses(q)
+    count = len(next(iter(out.values())))
+    for arm in scene.model.arms:
+        out[f"{arm}/edge"] = out[f"{arm}/tool"]
+    stock = standing.block(setup, place, scene.model.bases, q)
+    out["stock"] = out["support"] = np.broadcast_to(stock, (count, 4, 4))
+    return out
+
+
+def _piece(body: str, shape: Shape, color: Any) -> Piece:
+    drawn = drake_shape(shape, solid=False)
+    r, g, b, a = (float(v) for v in color)
+    return Piece(body, drawn, shape.pose, (r, g, b, a), _solid(drawn))
 
 
 def _all_names(model: CellModel) -> list[str]:

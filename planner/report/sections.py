@@ -14,19 +14,23 @@ _MOST = 60
 
 
 def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> str:
-    """An SVG of curves (P, 3) [m] in a parallel view with the block's edges."""
-    toward = np.array([-0.62, 1.0, -0.55]) if block[1] <= block[0] else np.array([-1.0, 0.62, -0.55])
+    """An SVG of curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
+    corner are ``block`` (2, 3)."""
+    size = block[1] - block[0]
+    toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
     z = toward / np.linalg.norm(toward)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
     axes = np.stack([x, np.cross(z, x)], axis=1)
-    corners = np.array([[i, j, k] for i in (-0.5, 0.5) for j in (-0.5, 0.5) for k in (0.0, 1.0)]) * block
+    corners = np.array(
+        [[block[i, 0], block[j, 1], block[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
     flat = [curve @ axes for curve in curves]
     everything = np.concatenate([*flat, corners @ axes])
     low, high = everything.min(axis=0), everything.max(axis=0)
     scale = min(500.0 / (high[0] - low[0]), 300.0 / (high[1] - low[1]))
-    size = (high - low) * scale + 24.0
-    parts = [f'<svg class="plot" viewBox="0 0 {size[0]:.0f} {size[1]:.0f}" style="max-height:340px">']
+    drawn = (high - low) * scale + 24.0
+    parts = [f'<svg class="plot" viewBox="0 0 {drawn[0]:.0f} {drawn[1]:.0f}" style="max-height:340px">']
     hidden = int(np.argmax(corners @ z))
     for a in range(8):
         for b in range(a + 1, 8):

@@ -1,22 +1,20 @@
-"""The setup sheet: what an operator mounts where, lengths to cut, what to set, poses to measure."""
+"""The setup sheet: per setup what the operator does, mounts, clamps and measures, and how the work goes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import catalogue
-from planner.claims import WireJoins
-from planner.geometry.rigid import to_quaternion, to_rpy
+from planner.claims import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Problem
-from planner.report import exhibits, markup
-from planner.report.inputs import operation_starts
+from planner.problem import Problem, Setup
+from planner.report import exhibits, markup, standing
+from planner.report.inputs import kerf_range, operation_starts
 from planner.report.markup import Raw
+from planner.report.setup_tables import block, measure, tools
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
-_FILL = Raw('<span class="fill"></span>')
 _STEPS = {
     "confirm": "the program waits for the operator",
     "message": "message",
@@ -27,70 +25,53 @@ _STEPS = {
 
 
 def sheet(problem: Problem, plan: Plan) -> Raw:
-    """All of the setup sheet for a plan."""
-    parts = [
-        markup.figure("Robots and tools", _tools(problem, plan)),
-        markup.figure("Block", _block(problem, plan)),
-    ]
+    """All of the setup sheet for a plan, a part for each setup."""
     starts = operation_starts(plan)
-    for operation, start in zip(plan.operations, starts, strict=True):
-        title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
-        parts.append(markup.figure(title, _work(problem, operation)))
-        parts.append(markup.figure("Stops with something to do", _stops(operation, start)))
-    parts.append(markup.figure("Measure before the first run", _measure(problem, plan)))
+    parts = []
+    for setup in problem.setups:
+        made = [i for i in setup.operations if i < len(plan.operations)]
+        if not made:
+            continue
+        if len(problem.setups) > 1:
+            names = ", ".join(plan.operations[i].name for i in made)
+            parts.append(Raw(f"<h3>Setup {setup.number}: {markup.text(names)}</h3>"))
+        if setup.steps:
+            parts.append(markup.figure("To do, with all arms at home", _steps(setup)))
+        parts.append(markup.figure("Robots and tools", tools(setup, plan)))
+        parts.append(markup.figure("Block", block(setup, plan, _holds(setup, plan))))
+        for index in made:
+            operation = plan.operations[index]
+            title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
+            parts.append(markup.figure(title, _work(problem, setup, plan, operation)))
+            parts.append(markup.figure("Stops with something to do", _stops(operation, starts[index])))
+        parts.append(markup.figure("Measure before the first run", measure(setup, plan, made[0])))
     return Raw("".join(f'<div style="margin-bottom:20px">{part}</div>' for part in parts))
 
 
-def pose_cells(pose: FloatArray) -> tuple[Raw, Raw, Raw]:
-    """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
-    place = ", ".join(markup.fixed(float(v) / MM, 2) for v in pose[:3, 3])
-    turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
-    quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
-    return Raw(place), Raw(turn), Raw(quaternion)
+def _steps(setup: Setup) -> Raw:
+    """What the operator does, and what the program then asks."""
+    rows = "".join(f"<li>{markup.text(step)}</li>" for step in setup.steps)
+    return Raw(f"<ol>{rows}</ol><p>The program asks: <b>{markup.text(setup.confirmation)}</b></p>")
 
 
-def _tools(problem: Problem, plan: Plan) -> Raw:
-    tools, frames = [], []
-    for arm in problem.cell.arms:
-        robot = catalogue.robot(arm.robot)
-        cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
-        tools.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, Raw(cog)))
-        base = np.asarray(plan.bases.get(arm.name, arm.base))
-        frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
-        frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
-    heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    poses = ("frame", "x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
-    return Raw(markup.table(heads, tools) + markup.table(poses, frames))
+def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
+    """What the controller is told of a held block."""
+    for index in setup.operations:
+        for claim in plan.operations[index].targets.claims if index < len(plan.operations) else ():
+            if isinstance(claim, HoldsStock):
+                return claim
+    return None
 
 
-def _block(problem: Problem, plan: Plan) -> Raw:
-    size = " × ".join(markup.fixed(float(v) / MM, 1) for v in problem.stock.size)
-    place, turn, quaternion = pose_cells(np.asarray(plan.stock_pose))
-    return markup.facts(
-        [
-            ("size x × y × z [mm]", Raw(size)),
-            ("frame", "centre of the bottom face, z up through the block"),
-            ("place in the world x, y, z [mm]", place),
-            ("roll, pitch, yaw [deg]", turn),
-            ("quaternion w, x, y, z", quaternion),
-            ("place chosen by", "the problem" if problem.stock.place is not None else "the placement search"),
-        ]
-    )
-
-
-def _work(problem: Problem, operation: OperationPlan) -> Raw:
+def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) -> Raw:
     targets = operation.targets
     items: list[tuple[object, object]] = []
-    joins = [c for c in targets.claims if isinstance(c, WireJoins)]
-    for wire in joins:
-        items += [
-            ("hot length between the clamps", Raw(f"{markup.fixed(wire.length / MM, 2)} mm")),
-            ("thickness in the bending plane", Raw(f"{markup.fixed(wire.thickness / MM, 3)} mm")),
-            ("section", "round, may spin" if wire.round_section else "strip, must not spin"),
-            ("least bend radius", Raw(f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm")),
-            ("end error allowed for", Raw(f"{markup.fixed(wire.end_error / MM, 2)} mm")),
-        ]
-        items += _mount(problem, operation, wire)
+    for claim in targets.claims:
+        if isinstance(claim, WireJoins):
+            items += _bent(claim) + _mount(setup, plan, operation, claim)
+        elif isinstance(claim, StraightWire):
+            items += _straight(claim)
+    items += _cutting(operation)
     items += exhibits.setup_items(targets.exhibits)
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
     items += (
@@ -103,30 +84,58 @@ def _work(problem: Problem, operation: OperationPlan) -> Raw:
     return markup.facts([*items, ("tasks", tasks)])
 
 
-def _mount(problem: Problem, operation: OperationPlan, wire: WireJoins) -> list[tuple[object, object]]:
+def _bent(wire: WireJoins) -> list[tuple[object, object]]:
+    return [
+        ("hot length between the clamps", Raw(f"{markup.fixed(wire.length / MM, 2)} mm")),
+        ("thickness in the bending plane", Raw(f"{markup.fixed(wire.thickness / MM, 3)} mm")),
+        ("section", "round, may spin" if wire.round_section else "strip, must not spin"),
+        ("least bend radius", Raw(f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm")),
+        ("end error allowed for", Raw(f"{markup.fixed(wire.end_error / MM, 2)} mm")),
+    ]
+
+
+def _straight(wire: StraightWire) -> list[tuple[object, object]]:
+    length = float(np.linalg.norm(wire.end - wire.start))
+    return [
+        ("bow on", wire.arm),
+        ("straight wire between the clamps", Raw(f"{markup.fixed(length / MM, 1)} mm")),
+        ("wire diameter", Raw(f"{markup.fixed(2.0 * wire.radius / MM, 2)} mm")),
+        ("clamps stay clear of the block by", Raw(f"{markup.fixed(wire.margin / MM, 1)} mm")),
+    ]
+
+
+def _cutting(operation: OperationPlan) -> list[tuple[object, object]]:
+    """Range of speeds in the foam, and of the kerf that they make."""
+    claims = operation.targets.claims
+    windows = [c for c in claims if isinstance(c, FeedWindow)]
+    cuts = [c for c in claims if isinstance(c, CutsSurface)]
+    out: list[tuple[object, object]] = []
+    if windows:
+        low, high = min(w.lower for w in windows) / MM, max(w.upper for w in windows) / MM
+        speeds = f"{markup.fixed(low, 1)} to {markup.fixed(high, 1)} mm/s"
+        out.append(("speed of the wire in the foam", Raw(speeds)))
+    if cuts:
+        out.append(("kerf that this makes", Raw(f"{markup.text(kerf_range(cuts, windows))} mm")))
+    return out
+
+
+def _mount(
+    setup: Setup, plan: Plan, operation: OperationPlan, wire: WireJoins
+) -> list[tuple[object, object]]:
     """How the TCPs stand to each other at the first target, where the wire is mounted."""
-    poses = [_tcp(problem.cell.arm(arm), operation.q[arm][0]) for arm in wire.arms]
+    arms = [setup.cell.arm(name) for name in wire.arms]
+    poses = [standing.flanges(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
     gap = poses[1][:3, 3] - poses[0][:3, 3]
     distance = float(np.linalg.norm(gap))
     out: list[tuple[object, object]] = [
         ("as planned: distance of the TCPs at the mount", Raw(f"{markup.fixed(distance / MM, 2)} mm"))
     ]
     if distance > 1e-6:
-        for arm, pose in zip(wire.arms, poses, strict=True):
+        for name, pose in zip(wire.arms, poses, strict=True):
             angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
-            out.append(
-                (
-                    f"as planned: TCP of {arm} to the line between them",
-                    Raw(f"{markup.fixed(float(angle), 2)}°"),
-                )
-            )
+            words = f"as planned: TCP of {name} to the line between them"
+            out.append((words, Raw(f"{markup.fixed(float(angle), 2)}°")))
     return out
-
-
-def _tcp(arm: Arm, q: FloatArray) -> FloatArray:
-    from planner.cell.robots import forward
-
-    return np.asarray(arm.base @ forward(catalogue.robot(arm.robot), q) @ arm.tool.tcp)
 
 
 def _stops(operation: OperationPlan, start: float) -> Raw:
@@ -136,30 +145,3 @@ def _stops(operation: OperationPlan, start: float) -> Raw:
         time = Raw(markup.fixed(float(operation.time[action.at]) + start, 1))
         rows.append((time, operation.targets.name(action.at), _STEPS[action.kind], what))
     return markup.table(("motion time [s]", "at target", "", "what"), rows) if rows else Raw("<p>none</p>")
-
-
-def _measure(problem: Problem, plan: Plan) -> Raw:
-    rows = []
-    for operation in plan.operations[:1]:
-        for arm in problem.cell.arms:
-            if arm.name not in operation.q:
-                continue
-            q = catalogue.robot(arm.robot).to_controller(operation.q[arm.name][0])
-            angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in q)
-            base = np.asarray(plan.bases.get(arm.name, arm.base))
-            placed = Arm(arm.name, arm.robot, base, arm.tool, arm.home)
-            place, turn, _ = pose_cells(_tcp(placed, operation.q[arm.name][0]))
-            name = operation.targets.name(0)
-            rows.append((f"{arm.name}: TCP at {name}, world", place, turn, Raw(angles), _FILL))
-    half = 0.5 * problem.stock.size
-    for label, corner in (
-        ("block, bottom corner −x −y", [-half[0], -half[1], 0.0]),
-        ("block, bottom corner +x −y", [half[0], -half[1], 0.0]),
-        ("block, bottom corner −x +y", [-half[0], half[1], 0.0]),
-        ("block, top corner −x −y", [-half[0], -half[1], 2 * half[2]]),
-    ):
-        point = plan.stock_pose @ np.array([*corner, 1.0])
-        place = Raw(", ".join(markup.fixed(float(v) / MM, 2) for v in point[:3]))
-        rows.append((f"{label}, world", place, Raw(""), Raw(""), _FILL))
-    heads = ("what", "x, y, z [mm]", "roll, pitch, yaw [deg]", "axes on the controller [deg]", "measured")
-    return markup.table(heads, rows)

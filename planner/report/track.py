@@ -1,25 +1,42 @@
-"""The whole job on one clock for a replay: from home through all operations and home again."""
+"""The whole job on one clock for a replay: from home through all setups and operations and home again."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import catalogue
-from planner.cell.robots import forward
-from planner.geometry.rigid import transform
+from planner.geometry.rigid import inverse, transform
 from planner.plans import OperationPlan, Plan
-from planner.problem import Problem
+from planner.problem import Problem, Setup
+from planner.report import standing
 from planner.targets import segment_kind
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 POINTS: Final = 29
 PACE: Final = 0.25
 """Share of the joint speed limits at which the replay shows entry and exit, which have no clock."""
+PAUSE: Final = 2.0
+"""Time [s] for which the replay shows a change of setup, half of it before and half of it after."""
+SETUP: Final = "setup"
+"""Segment of a replay in which the operator changes the setup."""
+FRAME: Final = 0.01
+"""Time [s] in which things change place between two setups."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """What the wire of one operation sweeps: wires ``points`` (K, P, 3) in the stock frame at the keyframes
+    ``keys`` (K,), which follow one another; a straight wire by its two ends."""
+
+    setup: int
+    keys: IntArray
+    points: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,26 +44,32 @@ class Track:
     """Keyframes: ``time`` (T,) [s] ascending; ``q`` {arm: (T, 6)}; ``segment`` (T,) labels; ``stops``: time,
     text.
 
-    ``wire`` (T, P, 3) in the world, None for jobs without; ``shown`` (T,): whether it is mounted.
+    ``setup`` (T,) counts from 0; ``block`` (T, 4, 4) is the stock's pose in the world. ``wire`` (T, P, 3) in
+    the world is a wire that joins the arms, None for jobs without; ``shown`` (T,): whether it is mounted.
+    ``sweeps``: what wires cut.
     """
 
     time: FloatArray
     q: Mapping[str, FloatArray]
     segment: tuple[str, ...]
+    setup: IntArray
+    block: FloatArray
     wire: FloatArray | None
     shown: NDArray[np.bool_]
     wire_radius: float
     stops: tuple[tuple[float, str], ...]
+    sweeps: tuple[Sweep, ...]
 
 
 @dataclasses.dataclass
 class _Rows:
-    """Keyframes as they are gathered; ``wire`` has NaN where none is mounted."""
+    """Keyframes as they are gathered; ``wire`` has NaN where none joins the arms."""
 
     time: list[FloatArray]
     q: dict[str, list[FloatArray]]
     wire: list[FloatArray]
     segment: list[str]
+    operation: list[int]
     stops: list[tuple[float, str]]
 
     def end(self) -> float:
@@ -55,29 +78,41 @@ class _Rows:
 
 def track(problem: Problem, plan: Plan, keys: int) -> Track:
     """About ``keys`` keyframes of a plan, denser where the motion is quick."""
+    setups = problem.setups
     arms = [arm.name for arm in problem.cell.arms]
-    rows = _Rows([], {arm: [] for arm in arms}, [], [], [])
+    rows = _Rows([], {arm: [] for arm in arms}, [], [], [], [])
     here = {arm.name: np.asarray(arm.home) for arm in problem.cell.arms}
-    for operation in plan.operations:
-        here = _alone(rows, problem, operation, operation.entry, operation.order, here, "entry")
-        here = _work(rows, problem, plan, operation, here)
-        here = _alone(rows, problem, operation, operation.exit, operation.order[::-1], here, "exit")
+    for index, operation in enumerate(plan.operations):
+        setup = setups[standing.setup_index(problem, index)]
+        if setup.steps and setup.operations[0] == index:
+            _change(rows, setup, index, here)
+        here = _alone(rows, problem, index, operation.entry, operation.order, here, "entry")
+        here = _work(rows, setup, plan, index, operation, here)
+        here = _alone(rows, problem, index, operation.exit, operation.order[::-1], here, "exit")
     if not rows.time:
-        rows.time.append(np.zeros(1))
-        rows.segment.append("home")
-        rows.wire.append(np.full((1, POINTS, 3), np.nan))
-        for arm in arms:
-            rows.q[arm].append(here[arm][None])
+        _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, ("home",))
     time = np.concatenate(rows.time)
-    edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
-    pick = _keys(time, np.array([segment_kind(s) == "cut" for s in rows.segment]), keys)
-    return _sampled(rows, time, pick, edges[0].radius if edges else None)
+    pick = _keys(time, rows.segment, keys)
+    return _sampled(rows, time, pick, problem, plan)
+
+
+def _change(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray]) -> None:
+    """A pause at home while the operator changes the setup; what changes does so in its middle."""
+    start = rows.end()
+    q = {arm: v[None] for arm, v in here.items()}
+    # on a keyframe's time, which keyframes are rounded to
+    middle = round(start + 0.5 * PAUSE, 2)
+    rows.stops.append((middle, " ".join((*setup.steps, setup.confirmation))))
+    if index > 0:
+        _append(rows, index - 1, np.array([start, middle]), q, None, (SETUP,) * 2)
+        start = middle + FRAME
+    _append(rows, index, np.array([start, middle + 0.5 * PAUSE]), q, None, (SETUP,) * 2)
 
 
 def _alone(
     rows: _Rows,
     problem: Problem,
-    operation: OperationPlan,
+    index: int,
     paths: Mapping[str, FloatArray],
     order: tuple[str, ...],
     here: dict[str, FloatArray],
@@ -92,31 +127,35 @@ def _alone(
         path = np.concatenate([here[name][None], path])
         step = np.max(np.abs(np.diff(path, axis=0)) / (PACE * robot.velocity), axis=1)
         time = rows.end() + np.concatenate([[0.0], np.cumsum(step)])
-        _append(rows, time, {**{a: q[None] for a, q in here.items()}, name: path}, None, (label,) * len(time))
+        q = {**{a: q[None] for a, q in here.items()}, name: path}
+        _append(rows, index, time, q, None, (label,) * len(time))
         here = {**here, name: path[-1]}
-    del operation
     return here
 
 
 def _work(
-    rows: _Rows, problem: Problem, plan: Plan, operation: OperationPlan, here: dict[str, FloatArray]
+    rows: _Rows,
+    setup: Setup,
+    plan: Plan,
+    index: int,
+    operation: OperationPlan,
+    here: dict[str, FloatArray],
 ) -> dict[str, FloatArray]:
     targets = operation.targets
     time = operation.time - operation.time[0] + rows.end()
     q = {**{a: v[None] for a, v in here.items()}, **operation.q}
-    wire = _edge_in_world(problem, plan, operation)
     for action in targets.actions:
         text = action.text or {"on": f"{action.signal} on", "off": f"{action.signal} off"}.get(
             action.kind, ""
         )
         text = text or f"wait {action.seconds:g} s"
         rows.stops.append((float(time[action.at]), text))
-    _append(rows, time, q, wire, targets.segment)
+    _append(rows, index, time, q, edge_in_world(setup, plan, operation), targets.segment)
     return {**here, **{arm: operation.q[arm][-1] for arm in operation.q}}
 
 
-def _edge_in_world(problem: Problem, plan: Plan, operation: OperationPlan) -> FloatArray | None:
-    """The wire (N, P, 3) in the world at every target, with ``POINTS`` points."""
+def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatArray | None:
+    """The wire that joins the arms (N, POINTS, 3) in the world at every target, or None."""
     targets = operation.targets
     if targets.edge is None:
         return None
@@ -129,15 +168,15 @@ def _edge_in_world(problem: Problem, plan: Plan, operation: OperationPlan) -> Fl
     if frame == "world":
         return np.asarray(points)
     if frame == "stock":
-        return transform(np.asarray(plan.stock_pose), points)
-    arm = problem.cell.arm(frame.removeprefix("held:"))
-    flange = forward(catalogue.robot(arm.robot), operation.q[arm.name])
-    pose = np.asarray(plan.bases.get(arm.name, arm.base)) @ flange @ arm.tool.tcp
+        return transform(np.asarray(plan.places[setup.number - 1]), points)
+    arm = setup.cell.arm(frame.removeprefix("held:"))
+    pose = standing.flanges(arm, plan.bases, operation.q[arm.name]) @ arm.tool.tcp
     return np.asarray(np.einsum("nij,npj->npi", pose[:, :3, :3], points) + pose[:, None, :3, 3])
 
 
 def _append(
     rows: _Rows,
+    index: int,
     time: FloatArray,
     q: Mapping[str, FloatArray],
     wire: FloatArray | None,
@@ -149,18 +188,22 @@ def _append(
         gathered.append(np.broadcast_to(q[arm], (count, 6)))
     rows.wire.append(np.full((count, POINTS, 3), np.nan) if wire is None else wire)
     rows.segment += list(segment)
+    rows.operation += [index] * count
 
 
-def _keys(time: FloatArray, cutting: NDArray[np.bool_], keys: int) -> FloatArray:
+def _keys(time: FloatArray, labels: Sequence[str], keys: int) -> FloatArray:
     """Times of the keyframes: most at equal steps, the rest at rows outside the work, which pass quickly."""
     even = np.linspace(time[0], time[-1], max(2, int(0.6 * keys)))
+    cutting = np.array([segment_kind(label) == "cut" for label in labels])
+    still = np.array([label == SETUP for label in labels])
     change = np.flatnonzero(cutting[1:] != cutting[:-1])
     rest = np.flatnonzero(~cutting)
     rest = rest[:: max(1, -(-len(rest) // max(1, int(0.35 * keys))))]
-    return np.unique(np.round(np.concatenate([even, time[rest], time[change], time[change + 1]]), 2))
+    rows = np.concatenate([rest, change, change + 1, np.flatnonzero(still)])
+    return np.unique(np.round(np.concatenate([even, time[rows]]), 2))
 
 
-def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, radius: float | None) -> Track:
+def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, plan: Plan) -> Track:
     right = np.clip(np.searchsorted(time, pick, side="right"), 1, max(len(time) - 1, 1))
     right = np.minimum(right, len(time) - 1)
     left = np.maximum(right - 1, 0)
@@ -172,13 +215,57 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, radius: float | No
         return np.asarray(values[left] * (1.0 - weight) + values[right] * weight)
 
     q = {arm: mix(np.concatenate(parts)) for arm, parts in rows.q.items()}
-    nearest = np.where(share < 1.0, left, right)
-    labels = tuple(rows.segment[i] for i in np.where(share > 0.0, right, nearest))
+    nearest = np.where(share > 1e-9, right, left)
+    labels = tuple(rows.segment[i] for i in nearest)
+    operation = np.array(rows.operation)[nearest]
+    index = np.array([standing.setup_index(problem, i) for i in range(len(plan.operations))] or [0])
+    setup = index[operation]
+    block = np.empty((len(pick), 4, 4))
+    for k in np.unique(setup):
+        own = setup == k
+        held = {arm: values[own] for arm, values in q.items()}
+        block[own] = standing.block(problem.setups[k], plan.places[k], plan.bases, held)
     wire = mix(np.concatenate(rows.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
-    if radius is None or not shown.any():
-        return Track(pick, q, labels, None, np.zeros(len(pick), dtype=bool), 0.0, tuple(rows.stops))
+    sweeps = _sweeps(problem, plan, q, labels, operation, wire, block)
+    edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
+    base = (pick, q, labels, setup, block)
+    if not edges or not shown.any():
+        return Track(*base, None, np.zeros(len(pick), dtype=bool), 0.0, tuple(rows.stops), sweeps)
     # A hidden wire waits where it is next or was last seen, so that nothing flies in from afar.
     seen = np.flatnonzero(shown)
     wire = wire[seen[np.clip(np.searchsorted(seen, np.arange(len(pick))), 0, len(seen) - 1)]]
-    return Track(pick, q, labels, wire, shown, radius, tuple(rows.stops))
+    return Track(*base, wire, shown, edges[0].radius, tuple(rows.stops), sweeps)
+
+
+def _sweeps(
+    problem: Problem,
+    plan: Plan,
+    q: Mapping[str, FloatArray],
+    labels: tuple[str, ...],
+    operation: IntArray,
+    wire: FloatArray,
+    block: FloatArray,
+) -> tuple[Sweep, ...]:
+    """For each operation and each run of keyframes that cut, with the keyframe before it."""
+    cutting = np.array([segment_kind(label) == "cut" for label in labels])
+    out = []
+    for index, made in enumerate(plan.operations):
+        own = np.flatnonzero(cutting & (operation == index))
+        for run in np.split(own, np.flatnonzero(np.diff(own) > 1) + 1):
+            if not len(run):
+                continue
+            keys = np.concatenate([[max(run[0] - 1, 0)], run]) if run[0] > 0 else run
+            setup = problem.setup_of(index)
+            arm = standing.cutter(setup, made.targets.arms)
+            if made.targets.edge is not None:
+                to_block = inverse(block[keys])
+                points = wire[keys] @ np.swapaxes(to_block[:, :3, :3], 1, 2) + to_block[:, None, :3, 3]
+            elif arm is not None:
+                joints = {name: values[keys] for name, values in q.items()}
+                place = plan.places[setup.number - 1]
+                points = standing.wire_in_block(setup, arm, place, plan.bases, joints)
+            else:
+                continue
+            out.append(Sweep(setup.number - 1, keys, points))
+    return tuple(out)

@@ -31,6 +31,10 @@ class WireWork:
     process: str = "elastic_wire"
     arms: tuple[str, ...] = ARMS
 
+    def leaves(self, stock: Stock) -> Stock:
+        """The block as it was."""
+        return stock
+
 
 def tool(arm: str) -> Tool:
     """A holder whose TCP looks along the flange's z (left arm) or against it (right arm)."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from planner.report import charts, exhibits, heatmap
 
-BLOCK = np.array([0.6, 0.1, 0.4])
+BLOCK = np.array([[-0.3, -0.05, 0.0], [0.3, 0.05, 0.4]])
 S = np.linspace(0.0, 1.0, 30)
 CURVES = np.stack([np.stack([S, 0.1 * k * S * (1 - S), 0 * S + 0.1 * k], axis=1) for k in range(4)])
 GOOD = {
