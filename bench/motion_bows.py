@@ -6,11 +6,14 @@ slot.
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.bow import bow
-from planner.geometry.rigid import from_parts, from_rpy, inverse
+from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
 from planner.grippers import gripper_plate
 from planner.materials import foam
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
@@ -32,7 +35,7 @@ def polygon(corners: int, across: float) -> FloatArray:
 
 
 def outline(stock: Stock, corners: FloatArray, count: int) -> tuple[FloatArray, tuple[str, ...]]:
-    """Places (N, 2) of the wire around a polygon (C, 2), and labels; the way in leads along x from outside."""
+    """Places (N, 2) of the wire around a polygon (C, 2), and labels; the way in leads along x."""
     inside = np.array([stock.lower[0], 0.5 * (corners[0, 1] + corners[-1, 1])])
     closed = np.concatenate([[[corners[:, 0].min(), inside[1]]], _from_left(corners)])
     start = inside - [AIR, 0.0]
@@ -81,7 +84,7 @@ def cut(
         pose = pose @ np.concatenate([_turns(spin[:1]), _turns(spin[1:])])
     stop = np.zeros(rows, dtype=bool)
     stop[[0, -1]] = True
-    stop[:-1] |= np.array([a != b for a, b in zip(segment[:-1], segment[1:], strict=True)])
+    stop[:-1] |= np.array([a != b for a, b in itertools.pairwise(segment)])
     bend = np.diff(places, axis=0) / step[:, None]
     stop[1:-1] |= np.einsum("ij,ij->i", bend[1:], bend[:-1]) < 0.99
     full, wide = np.full(rows, np.pi), np.full(rows, slide)
@@ -102,8 +105,6 @@ def cut(
 
 
 def _turns(spin: FloatArray) -> FloatArray:
-    from planner.geometry.rigid import exp_rotation
-
     return from_parts(exp_rotation(spin), np.zeros_like(spin))
 
 
@@ -124,8 +125,8 @@ def held(
     robot: str = "irb140",
     place: FloatArray | None = None,
 ) -> tuple[Cell, Stock, Targets]:
-    """Two arms that face each other: the right one holds a block of 300 x 300 x 200 mm by a plate, the left one
-    cuts a hexagon around it with a bow of 400 mm. ``freedoms``: those that are free."""
+    """Two arms that face each other: the right one holds a block of 300 x 300 x 200 mm by a plate, the left
+    one cuts a hexagon around it with a bow of 400 mm. ``freedoms``: those that are free."""
     front = from_rpy((-distance / 2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     back = from_rpy((distance / 2.0, 0.0, 0.0), (0.0, 0.0, np.pi))
     arms = (
@@ -149,8 +150,6 @@ def held(
 
 def hold(targets: Targets, stock: Stock, freedoms: tuple[str, ...]) -> Targets:
     """The targets of a bow in the frame of the stock, for a stock that the arm ``held_by`` holds."""
-    import dataclasses
-
     cutter, holder = targets.arms[0], str(stock.held_by)
     rows = targets.count
     centre = (stock.grip @ np.append(0.5 * (stock.lower + stock.upper), 1.0))[:3]

@@ -7,9 +7,10 @@ looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,10 @@ Pairs = frozenset[frozenset[str]]
 
 FEW: Final = 16
 """Below so many configurations asking Drake at once is faster than the bounds."""
+
+NUDGE: Final = 1e-6
+NUDGES: Final = 8
+"""A configuration that Drake's solver cannot tell about is moved by up to NUDGE [rad], in so many trials."""
 
 CHUNK: Final = 1024
 TOUCH: Final = 1e-4
@@ -60,9 +65,10 @@ def _asked(
     with _ignored(model, ignore):
         checker.SetPaddingAllRobotRobotPairs(padding)
         checker.SetPaddingAllRobotEnvironmentPairs(padding)
-        good[good] = np.array(
-            checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False), dtype=bool
-        )
+        try:
+            good[good] = checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False)
+        except RuntimeError:
+            good[good] = [_steady(checker.CheckConfigCollisionFree, row) for row in rows[good]]
         checker.SetPaddingAllRobotRobotPairs(0.0)  # distances that others ask for are reduced by the padding
         checker.SetPaddingAllRobotEnvironmentPairs(0.0)
     return good
@@ -97,7 +103,8 @@ def least(
     pairs = [("", "")] * len(rows)
     with _ignored(model, ignore):
         for i in np.flatnonzero(finite & (lower < reach)):
-            found = model.checker.CalcRobotClearance(rows[i], max(min(reach, float(upper[i])), 0.0))
+            within = max(min(reach, float(upper[i])), 0.0)
+            found = _steady(functools.partial(_clearance, model, within), rows[i])
             values = found.distances()
             if len(values) and values.min() < reach:
                 k = int(values.argmin())
@@ -111,12 +118,26 @@ def gradients(
 ) -> list[tuple[float, FloatArray, tuple[str, str]]]:
     """All distances [m] within ``reach`` at one configuration (nq,), each with its gradient (nq,) [m/rad]
     and pair."""
+    return gradients_at(model, np.asarray(q_row, dtype=np.float64)[None], reach, ignore)[0]
+
+
+def gradients_at(
+    model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()
+) -> list[list[tuple[float, FloatArray, tuple[str, str]]]]:
+    """What :func:`gradients` tells, of configurations (B, nq) at once: leaving pairs out takes its time."""
+    out = []
     with _ignored(model, ignore):
-        found = model.checker.CalcRobotClearance(np.asarray(q_row, dtype=np.float64), reach)
-    rows = zip(
-        found.distances(), found.jacobians(), found.robot_indices(), found.other_indices(), strict=True
-    )
-    return [(float(d), np.array(j), _names(model, a, b)) for d, j, a, b in rows]
+        for row in rows:
+            found = _steady(functools.partial(_clearance, model, reach), row)
+            each = zip(
+                found.distances(),
+                found.jacobians(),
+                found.robot_indices(),
+                found.other_indices(),
+                strict=True,
+            )
+            out.append([(float(d), np.array(j), _names(model, a, b)) for d, j, a, b in each])
+    return out
 
 
 def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str, float], ...]:
@@ -147,6 +168,23 @@ def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
     if model.stock.support:
         pairs += [("support", base) for base in bases]
     return pairs
+
+
+def _clearance(model: CellModel, reach: float, row: FloatArray) -> Any:
+    return model.checker.CalcRobotClearance(row, reach)
+
+
+def _steady(ask: Callable[[FloatArray], Any], row: FloatArray) -> Any:
+    """What Drake says of a configuration (nq,), or of one within NUDGE of it.
+
+    Its solver for two boxes gives up, with a ``RuntimeError``, where faces or edges lie exactly in one plane.
+    """
+    for trial in range(NUDGES):
+        try:
+            return ask(row + trial * NUDGE / NUDGES * np.cos(np.arange(len(row)) + trial))
+        except RuntimeError:
+            continue
+    return ask(row + NUDGE * np.sin(np.arange(len(row))))
 
 
 def _names(model: CellModel, a: BodyIndex, b: BodyIndex) -> tuple[str, str]:

@@ -143,11 +143,13 @@ class Avoid:
         """Asks Drake at the rows ``index`` of q."""
         if not len(index):
             return
+        index = np.concatenate([index[self._kind[index] == k] for k in range(len(self._meeting))])
         found = []
-        for i in index:
-            full = self._model.home.copy()
-            full[self._columns] = q[i]
-            found.append(clearance.gradients(self._model, full, QUERY, self._meeting[self._kind[i]]))
+        for kind, meeting in enumerate(self._meeting):
+            part = index[self._kind[index] == kind]
+            full = np.repeat(self._model.home[None], len(part), axis=0)
+            full[:, self._columns] = q[part]
+            found += clearance.gradients_at(self._model, full, QUERY, meeting)
         self.queries += len(index)
         self._widen(len(q), max(len(one) for one in found))
         self._at[index] = q[index]

@@ -134,6 +134,8 @@ def _broken(targets: Targets, index: int) -> Issue:
 
 def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
     """The first target of the last path that collides, with the pair of bodies."""
+    if blocked.hit is not None:
+        return describe(scene, targets, blocked.hit[1], blocked.hit[0])
     if blocked.path is None or blocked.collided is None or scene.model is None:
         raise ValueError("a search that failed without collisions has another reason")
     rows = np.arange(targets.count)

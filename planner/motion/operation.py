@@ -15,9 +15,9 @@ from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import diagnose, entry, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path, tcp_ways
-from planner.motion.reach import SLIDES, Grid, sample, slides_only
+from planner.motion.paths import find
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, Found, search, speed_limits
+from planner.motion.search import Found, speed_limits
 from planner.motion.timing import Clock, Limits, TimingError, clock, least_times
 from planner.motion.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
@@ -106,7 +106,7 @@ class _Watch:
 
 def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found]:
     """The ladder's path, transit moves mended where they collide."""
-    grid, found = _search(scene, targets)
+    grid, found = find(scene, targets)
     watch.lap("ladder")
     if not isinstance(found, Found):
         raise TandemError(diagnose.no_path(scene, targets, grid, found))
@@ -114,21 +114,11 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
     watch.lap("transit")
     if mended is None:
         return targets, found
-    grid, again = _search(scene, mended)
+    grid, again = find(scene, mended)
     watch.lap("ladder")
     if not isinstance(again, Found):
         raise TandemError(diagnose.no_path(scene, mended, grid, again))
     return mended, again
-
-
-def _search(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
-    """Searches with slides and tables at their middle first, at more places only where that has no path."""
-    for slides in (1, SLIDES):
-        grid = sample(targets, slides=slides)
-        found = search(scene, targets, grid)
-        if isinstance(found, Found) or not any(slides_only(f) for f in targets.freedoms):
-            break
-    return grid, found
 
 
 def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:

@@ -9,6 +9,7 @@ the best ones.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -20,8 +21,8 @@ from planner.cell import clearance
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import exp_rotation, from_parts
 from planner.motion.chain import Chain
-from planner.motion.reach import sample
-from planner.motion.scene import Scene
+from planner.motion.reach import full_turn, sample
+from planner.motion.scene import Scene, holders
 from planner.motion.subset import subset
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
@@ -40,6 +41,15 @@ WANTED: Final = 6
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
 SPIN_STEP: Final = np.deg2rad(30.0)
+RING: Final = 8
+"""Samples of each full turn where there are two."""
+
+HALF: Final = 0.5 * np.pi
+UPRIGHT: Final = np.array(
+    [[0, 0, 0], [HALF, 0, 0], [-HALF, 0, 0], [0, HALF, 0], [0, -HALF, 0], [np.pi, 0, 0]], dtype=np.float64
+)
+"""Turns [rad] that bring each of a held block's six sides up."""
+
 ENOUGH: Final = np.deg2rad(40.0)
 """Margins wider than this count no more."""
 
@@ -96,6 +106,8 @@ class Search:
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
         self._fixed = stock.place is not None
+        self._leans = not self._fixed and stock.any_attitude and stock.held_by is not None
+        self._own = 7 if self._leans else 4
         self._start = start
         each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
         self._coarse = [_few(c, t, COARSE_TARGETS) for c, t in each]
@@ -150,6 +162,10 @@ class Search:
                 place[near] = self._start[:3] + 0.1 * self._rng.normal(size=place[near].shape)
                 yaw[near] = self._start[3]
             columns = [np.column_stack([place, yaw])]
+            if self._leans:
+                lean = self._rng.uniform(-np.pi, np.pi, (count, 3))
+                lean[::2] = self._rng.choice(UPRIGHT, len(lean[::2]))
+                columns.append(lean)
         for _ in self._movable:
             shift = self._rng.uniform(-0.5 * reach, 0.5 * reach, (count, 2))
             turn = self._rng.choice([-np.pi / 2.0, 0.0, 0.0, np.pi / 2.0, np.pi], count)
@@ -159,19 +175,21 @@ class Search:
 
     def _spread(self) -> FloatArray:
         stock = [0.0] * 4 if self._fixed else [0.2, 0.2, 0.15, 0.4]
-        return np.array(stock + [0.2, 0.2, 0.3] * len(self._movable))
+        lean = [0.3] * 3 if self._leans else []
+        return np.array(stock + lean + [0.2, 0.2, 0.3] * len(self._movable))
 
     def _stock_pose(self, point: FloatArray) -> FloatArray:
         if self._stock.place is not None:
             return self._stock.place
-        turn = exp_rotation(np.array([0.0, 0.0, point[3]])) @ self._stock.attitude
+        turn = exp_rotation(np.array([0.0, 0.0, point[3]]))
+        turn = turn @ (exp_rotation(point[4:7]) if self._leans else self._stock.attitude)
         return from_parts(turn, point[:3])
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
         """Bases of the movable arms: moved in the world, turned about their own vertical."""
         out = {}
         for k, arm in enumerate(self._movable):
-            dx, dy, turn = point[4 + 3 * k : 7 + 3 * k]
+            dx, dy, turn = point[self._own + 3 * k : self._own + 3 * k + 3]
             pose = arm.base.copy()
             pose[:3, :3] = exp_rotation(np.array([0.0, 0.0, turn])) @ pose[:3, :3]
             pose[:2, 3] += (dx, dy)
@@ -187,14 +205,15 @@ class Search:
             stock = np.array([self._stock_pose(p) for p in part])[:, None]
             moved = [self._bases(p) for p in part]
             bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
-            scores = [margin(f.cell, f.targets, f.values, f.index, stock, bases, self._settings) for f in few]
+            scores = [margin(f, stock, bases, self._settings) for f in few]
             out[first : first + 64] = np.min(scores, axis=0)
         return out
 
     def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:
         """Indices of the best candidates that lie apart."""
         out: list[int] = []
-        weight = np.array([1.0, 1.0, 1.0, 0.3] + [1.0, 1.0, 0.3] * len(self._movable))
+        lean = [0.3] * (self._own - 4)
+        weight = np.array([1.0, 1.0, 1.0, 0.3] + lean + [1.0, 1.0, 0.3] * len(self._movable))
         for k in np.argsort(-scores, kind="stable"):
             if len(out) == LAST or scores[k] <= 0.0:
                 break
@@ -211,9 +230,7 @@ class Search:
 
     def _few_free(self, model: CellModel, place: Place, few: _Few) -> bool:
         scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
-        margins, q = margins_at(
-            scene, few.targets, few.values, few.index, place.stock[None, None], self._settings
-        )
+        margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
         pair = best_branches(margins, few.index)[0]
         choice = np.unravel_index(pair, (8,) * len(few.targets.arms))
         least = np.min([margins[a][0, :, b] for a, b in zip(few.targets.arms, choice, strict=True)], axis=0)
@@ -229,39 +246,59 @@ class _Few:
 
     cell: Cell
     targets: Targets
-    values: FloatArray
     index: NDArray[np.intp]
+    poses: dict[str, FloatArray]
+
+    @functools.cached_property
+    def same(self) -> dict[str, tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """{arm: (rows with different poses, which of them each row has)} of arms whose frames stand: a holder
+        has few poses."""
+        out = {}
+        for arm, holder in holders(self.targets):
+            if holder is None:
+                flat = self.poses[arm].reshape(len(self.index), 16).round(9)
+                _, first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)
+                out[arm] = first, back.reshape(-1)
+        return out
 
 
 def _few(cell: Cell, targets: Targets, count: int) -> _Few:
     rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
     few = subset(targets, rows)
-    grid = sample(few, SPIN_STEP, slides=1)
-    index = np.repeat(np.arange(few.count), grid.samples)
-    return _Few(cell, few, grid.values.reshape(len(index), -1), index)
+    values = _samples(few)
+    index = np.repeat(np.arange(few.count), values.shape[1])
+    return _Few(cell, few, index, few.poses(values.reshape(len(index), -1), index))
+
+
+def _samples(targets: Targets) -> FloatArray:
+    """Values (N, S, F): what turns at every 30 degrees, slides in their middle; of many freedoms those
+    that turn without end, at every 45 degrees."""
+    rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
+    if rings.sum() < 2:
+        return sample(targets, SPIN_STEP, slides=1).values
+    ring = -np.pi + 2.0 * np.pi * np.arange(RING) / RING
+    grid = np.array(list(itertools.product(ring, repeat=int(rings.sum()))))
+    values = np.repeat(targets.neutral()[:, None], len(grid), axis=1)
+    values[..., rings] = grid
+    return values
 
 
 def margin(
-    cell: Cell,
-    targets: Targets,
-    values: FloatArray,
-    index: NDArray[np.intp],
+    few: _Few,
     stock: FloatArray,
     bases: Mapping[str, FloatArray],
     settings: Settings,
 ) -> FloatArray:
     """Least margin (K,) [rad] over all targets for K places (K, 1, 4, 4) of stock and bases, with the best
     branches."""
-    scene = Scene.of(cell, targets.arms, stock, settings, None, bases)
-    margins, _ = margins_at(scene, targets, values, index, stock, settings)
-    return np.asarray(_combined(margins, index).max(axis=1))
+    scene = Scene.of(few.cell, few.targets.arms, stock, settings, None, bases)
+    margins, _ = margins_at(scene, few, stock, settings)
+    return np.asarray(_combined(margins, few.index).max(axis=1))
 
 
 def margins_at(
     scene: Scene,
-    targets: Targets,
-    values: FloatArray,
-    index: NDArray[np.intp],
+    few: _Few,
     stock: FloatArray,
     settings: Settings,
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
@@ -271,20 +308,21 @@ def margins_at(
     Out of reach the margin is -1 less the distance [m] by which the wrist's centre is out of reach.
     """
     placed = dataclasses.replace(scene, stock=stock)
-    poses = placed.world(targets, targets.poses(values, index))
+    poses = placed.world(few.targets, few.poses)
+    every = np.arange(len(few.index))
     out, joints = {}, {}
-    for arm in targets.arms:
+    for arm in few.targets.arms:
         chain = scene.chains[arm]
-        pose = np.broadcast_to(
-            poses[arm], (*np.broadcast_shapes(poses[arm].shape, (*stock.shape[:-2], 1, 1)),)
-        )
+        rows, back = few.same.get(arm, (every, every))
+        pose = poses[arm][..., rows, :, :]
+        pose = np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),))
         q = chain.inverse(pose)
         limit = np.max(chain.limit_margins(q, chain.turns), axis=0) - settings.joint_margin
         single = chain.singularity_margin(q) - settings.singularity_margin
         value = np.minimum(np.minimum(limit, single), ENOUGH)
         beyond = -1.0 - reach_gap(chain, pose)[..., None]
-        out[arm] = np.where(np.isfinite(value), value, beyond)
-        joints[arm] = q
+        out[arm] = np.where(np.isfinite(value), value, beyond)[:, back]
+        joints[arm] = q[:, back]
     return out, joints
 
 

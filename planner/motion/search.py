@@ -46,13 +46,14 @@ class Blocked:
 
     ``reach`` is the table of all arms; ``common`` the first target that no choice of branches passes, N if it
     is collisions that are in the way; then ``path`` is the last path tried and ``collided`` (N, S) what
-    collides.
+    collides, or ``hit`` a target with joints {arm: (6,)} on the move to it that collide.
     """
 
     reach: Mapping[str, Reach]
     common: int
     collided: NDArray[np.bool_] | None = None
     path: Found | None = None
+    hit: tuple[int, dict[str, FloatArray]] | None = None
 
 
 def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:

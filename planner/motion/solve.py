@@ -18,10 +18,10 @@ from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate
 from planner.motion import diagnose, entry
 from planner.motion.operation import plan_operation
+from planner.motion.paths import find
 from planner.motion.placement import Place, Search, Trace
-from planner.motion.reach import sample
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, search
+from planner.motion.search import Blocked
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
@@ -232,8 +232,7 @@ def _no_path(problem: Problem, stand: Stand, models: Sequence[CellModel], place:
         placed = model.with_stock(place.stock).with_bases(place.bases)
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
-            grid = sample(job)
-            found = search(scene, job, grid)
+            grid, found = find(scene, job)
             if isinstance(found, Blocked):
                 out += diagnose.no_path(scene, job, grid, found)
     return out
