@@ -50,7 +50,7 @@ def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Target
     down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
     clear = operation.margin_mm * MM + bow.radius
     route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
-    first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM)
+    first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM, bow.span)
     pose = straight_frames.poses(route.lines, box, first, last)
     issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
     issues += check_holder(operation, setup, route.lines, route.segment)

@@ -26,6 +26,8 @@ GOUGE: Final = 0.3
 """Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""
 SPINS: Final = 72
 """Turns of the bow about the wire that are looked at for room behind the wire."""
+SIGHTS: Final = 65
+"""Places along a wire at which its distance to the holder is looked at."""
 
 
 def check_cut(op: Straight, cut: Cut) -> Iterator[Issue]:
@@ -227,8 +229,8 @@ def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, .
         own = inverse(to_stock @ shape.pose)
         local = Lines(transform(own, lines.start), transform(own, lines.end))
         extent = corners(shape)
-        body = grown(np.stack([extent.min(axis=0), extent.max(axis=0)]), op.margin_mm * MM)
-        hit = cutting & np.isfinite(chord(local, body)[0])
+        body = np.stack([extent.min(axis=0), extent.max(axis=0)])
+        hit = cutting & (_to_box(local, body, op.margin_mm * MM) < op.margin_mm * MM)
         if hit.any():
             k = int(np.argmax(hit))
             yield Issue(
@@ -242,6 +244,19 @@ def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, .
                 unit="mm",
             )
             return
+
+
+def _to_box(lines: Lines, box: FloatArray, far: float) -> FloatArray:
+    """Distance (N,) [m] of lines to a box (2, 3) where it is below ``far`` [m], else infinity; sampled."""
+    first, last = chord(lines, grown(box, far))
+    out = np.full(len(lines), np.inf)
+    near = np.flatnonzero(np.isfinite(first))
+    share = np.linspace(0.0, 1.0, SIGHTS)[None, :, None]
+    ends = [lines[near].at(length[near])[:, None] for length in (first, last)]
+    points = ends[0] + share * (ends[1] - ends[0])
+    gap = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
+    out[near] = np.linalg.norm(gap, axis=2).min(axis=1)
+    return out
 
 
 def _place(point: FloatArray) -> str:

@@ -79,14 +79,22 @@ def _row(ruled: Ruled, wanted: Wanted, start: Start | None) -> Row:
 
 def _closed(wanted: Wanted, on: Beside, start: Start, step: float, clear: float, box: FloatArray) -> Cut:
     """In through the slit, beyond the first corner by half a kerf on both sides of it, and out again."""
-    lines = on.lines
     legs = []
     for k, after in ((0, 1), (-1, -2)):
-        half, end = float(on.half[k].max()), lines[[k]]
-        beyond = end.moved(-_way(on.row.foot, k, after) * half)
-        leg = _straight(beyond if _gap(on) > 0.5 * half else end, start.way, step, clear, box)
-        legs.append(join([beyond, leg]) if _gap(on) > 0.5 * half else leg)
+        corner = _gap(on) > 0.5 * float(on.half[k].max())
+        end = _beyond(on, k, after) if corner else on.lines[[k]]
+        leg = _straight(end, start.way, step, clear, box)
+        legs.append(join([end, leg]) if corner else leg)
     return Cut(wanted, legs[0].reversed(), on, legs[1], start)
+
+
+def _beyond(on: Beside, k: int, after: int) -> Lines:
+    """The wire (1) beyond line ``k``, farther on by half its kerf: both ends at their own speeds, so that the
+    slot keeps its width up to the end of the surface."""
+    lines = on.lines
+    move = np.stack([lines.start[k] - lines.start[after], lines.end[k] - lines.end[after]])
+    move *= float(on.half[k].max()) / max(float(np.linalg.norm(move, axis=1).max()), 1e-12)
+    return Lines(lines.start[[k]] + move[0], lines.end[[k]] + move[1])
 
 
 def _gap(on: Beside) -> float:
@@ -100,16 +108,17 @@ def _gap(on: Beside) -> float:
 def _open(wanted: Wanted, on: Beside, step: float, clear: float, radius: float, box: FloatArray) -> Cut:
     """Straight on from both ends of the strip, or back through the slot."""
     lines = on.lines
+    ends = [_beyond(on, 0, 1), _beyond(on, -1, -2)]
     first, last = _way(on.row.foot, 0, 1), _way(on.row.foot, -1, -2)
     if isinstance(wanted.cut, SurfaceCut) and wanted.cut.lead != "auto":
         first = -_across(np.array(wanted.cut.lead), lines.direction[0])
-    into = _straight(lines[[0]], -first, step, clear, box).reversed()
+    into = join([ends[0], _straight(ends[0], -first, step, clear, box)]).reversed()
     if wanted.cut.leave == "onwards":
-        return Cut(wanted, into, on, _straight(lines[[-1]], -last, step, clear, box), None)
-    half = float(on.half[-1].max())
-    beyond = _straight(lines[[-1]], -last, step, radius + half + THROUGH, box)
-    out = join([beyond, beyond.reversed()[1:], lines.reversed(), into.reversed()])
-    return Cut(wanted, into, on, out, None, len(beyond))
+        return Cut(wanted, into, on, join([ends[1], _straight(ends[1], -last, step, clear, box)]), None)
+    through = radius + float(on.half[-1].max()) + THROUGH
+    away = join([ends[1], _straight(ends[1], -last, step, through, box)])
+    out = join([away, away.reversed()[1:], lines.reversed(), into.reversed()])
+    return Cut(wanted, into, on, out, None, len(away))
 
 
 def _way(foot: Lines, k: int, next_one: int) -> FloatArray:

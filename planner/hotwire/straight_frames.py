@@ -18,24 +18,28 @@ from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-SMOOTH: Final = 9
-"""Targets over which the place of the bow along the wire is meant, an odd number."""
+SMOOTH: Final = (81, 41, 21, 9, 1)
+"""Targets over which the place of the bow along the wire is meant: as many as the wire's length allows."""
 
 
-def stretch(lines: Lines, box: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
+def stretch(lines: Lines, box: FloatArray, margin: float, span: float) -> tuple[FloatArray, FloatArray]:
     """The stretch of each wire that must lie between the bow's clamps, as signed lengths (N,), (N,) [m] from
     the wire's point abreast of the block's middle: what is within ``margin`` of the block.
 
-    In the air it goes over evenly from one cut to the next, and it is widened to be smooth.
+    In the air it goes over evenly from one cut to the next. It is widened to be smooth, as far as the wire's
+    ``span`` [m] allows.
     """
     foot = lines.abreast(np.broadcast_to(0.5 * (box[0] + box[1]), lines.start.shape))
     first, last = chord(lines, grown(box, margin))
     near = np.flatnonzero(np.isfinite(first))
     at = np.arange(len(lines))
     first, last = (np.interp(at, near, (end - foot)[near]) for end in (first, last))
-    first = uniform_filter1d(minimum_filter1d(first, SMOOTH, mode="nearest"), SMOOTH, mode="nearest")
-    last = uniform_filter1d(maximum_filter1d(last, SMOOTH, mode="nearest"), SMOOTH, mode="nearest")
-    return first, last
+    for window in SMOOTH:
+        low, high = minimum_filter1d(first, window), maximum_filter1d(last, window)
+        low, high = uniform_filter1d(low, window), uniform_filter1d(high, window)
+        if (high - low).max() <= span:
+            break
+    return low, high
 
 
 def poses(lines: Lines, box: FloatArray, first: FloatArray, last: FloatArray) -> FloatArray:

@@ -109,20 +109,22 @@ def _tries(ruled: Ruled, contours: tuple[Ruled, ...], cut: SurfaceCut, box: Floa
 
 
 def _places(ruled: Ruled) -> IntArray:
-    """Rulings at which a cut may begin: convex corners, or places all around where there are none."""
-    if not ruled.hole:
-        before, after = outward_sides(ruled)
-        direction = (ruled.end - ruled.start)[:, None]
-        convex = np.sum(np.cross(before, after) * direction, axis=2).mean(axis=1) > 0.0
-        cusp = np.sum(before * after, axis=2).mean(axis=1) < -0.9
-        corners = np.flatnonzero(ruled.corner & (convex | cusp))
-        if len(corners):
-            return corners
+    """Rulings at which a cut may begin: convex corners, or places all around where there are none, but no
+    inner corner, whose two sides cannot both be reached from there."""
+    before, after = outward_sides(ruled)
+    direction = (ruled.end - ruled.start)[:, None]
+    convex = np.sum(np.cross(before, after) * direction, axis=2).mean(axis=1) > 0.0
+    convex |= np.sum(before * after, axis=2).mean(axis=1) < -0.9  # a cusp
+    corners = np.flatnonzero(ruled.corner & convex)
+    if len(corners) and not ruled.hole:
+        return corners
     count = len(ruled.start)
     way = np.linalg.norm(np.diff(_middle(ruled), axis=0, append=_middle(ruled)[:1]), axis=1)
     along = np.concatenate([[0.0], np.cumsum(way)[:-1]])
     even = np.arange(min(PLACES, count)) * way.sum() / min(PLACES, count)
-    return np.unique(np.searchsorted(along, even).clip(0, count - 1))
+    found = np.unique(np.searchsorted(along, even).clip(0, count - 1))
+    smooth = found[~(ruled.corner & ~convex)[found]]
+    return smooth if len(smooth) else found
 
 
 def _middle(ruled: Ruled) -> FloatArray:

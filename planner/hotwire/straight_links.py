@@ -84,8 +84,8 @@ def _around(
     round."""
     direction = a.direction[0]
     plane = np.linalg.svd(direction[None])[2][1:].T
-    corners = np.array(list(itertools.product(*hull.T)))
-    shadow = corners @ plane
+    shadow = np.array(list(itertools.product(*hull.T))) @ plane
+    block = np.array(list(itertools.product(*box.T)))
     ends = [_foot(line, box) for line in (a, b)]
     start, goal = (point @ plane for point in ends)
     polygon = shadow[ConvexHull(shadow).vertices]
@@ -103,8 +103,9 @@ def _around(
     out = []
     for chain in chains:
         length = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-        low = [(chain @ (plane.T @ side)).max() > (corners @ side).max() - SHY for side in down]
-        below = BELOW * float(length.sum()) if any(low) else 0.0
+        middle = 0.5 * (chain[1:] + chain[:-1]) @ plane.T
+        low = np.any([middle @ side > (block @ side).max() - SHY for side in down], axis=0)
+        below = BELOW * float(length[low].sum())
         out.append((float(length.sum()) + below, _along(a, b, chain @ plane.T, direction, ends)))
     return out
 

@@ -18,6 +18,8 @@ IntArray = NDArray[np.intp]
 
 LEAD: Final = 0.040
 """[m] way in the air before the first cut and behind the last one."""
+STRAIGHT_ON: Final = 0.94
+"""Least cosine between moves in the air that are passed without a stop."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +64,9 @@ def lay_out(cuts: list[Cut], box: FloatArray, clear: float, half: float, down: F
             add("approach", _lead(into, on)[::-1])
             stops.append(0)
         else:
+            first = len(labels) - 1
             add("link", link(parts[-1][-1:], into[:1], box, clear, half, down))
+            stops += (first + _corners(join([parts[-2][-1:], parts[-1]]))).tolist()
         stops.append(len(labels) - 1)
         # the move that reaches the first wire beside the surface still belongs to the way in
         add(f"{name}_in", join([into[1:], on[:1]]), number, len(into) - 1)
@@ -79,6 +83,13 @@ def lay_out(cuts: list[Cut], box: FloatArray, clear: float, half: float, down: F
     stop = np.zeros(len(labels), dtype=np.bool_)
     stop[stops] = True
     return Route(join(parts), tuple(labels), stop, np.concatenate(owner), np.concatenate(place), ends)
+
+
+def _corners(lines: Lines) -> IntArray:
+    """Numbers of the lines at which a way in the air turns: there the motion stops, as nothing melts."""
+    move = np.diff(np.concatenate([lines.start, lines.end], axis=1), axis=0)
+    move /= np.maximum(np.linalg.norm(move, axis=1, keepdims=True), 1e-12)
+    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < STRAIGHT_ON) + 1
 
 
 def _lead(into: Lines, on: Lines) -> Lines:
