@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from planner.post.write import programs
 from planner.targets import Action
-from planner.verify import job, replay
+from planner.verify import job, replay, setups
 from tests.post import synthetic
 
 
@@ -79,3 +79,21 @@ def test_any_row_of_segments_reads_back_with_pairs_and_points_in_order(segments,
             assert sum(bool(row) for row in rows) <= 1
         moved += sum(move.kind == "MoveL" for move in rows[0])
     assert moved == (1 + twice) * (len(labels) - 1 - min(repeats, len(labels) - 1))
+
+
+@pytest.mark.parametrize(
+    "made", [synthetic.two_setups, synthetic.held, lambda: synthetic.held(released=True)]
+)
+def test_setups_and_held_blocks_lead_back_to_the_planned_joints(made):
+    plan, problem = made()
+    text = read(plan, problem)
+    of_stage = setups.spans(problem.setups, text).of_stage
+    assert sorted(set(of_stage.tolist())) == list(range(len(problem.setups)))
+    mounted = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in problem.setups]
+    motion = replay.replay(text, plan.bases, [mounted[i] for i in of_stage])
+    assert not motion.faults
+    reached = {arm: np.concatenate([motion.node_conf_q[arm], motion.q[arm]]) for arm in motion.q}
+    for operation in plan.operations:
+        for arm, q in operation.q.items():
+            for wanted in q:
+                assert np.nanmin(np.abs(reached[arm] - wanted).max(axis=1)) < 1e-6
