@@ -139,8 +139,8 @@ def _along(a: Lines, b: Lines, chain: FloatArray, direction: FloatArray, ends: l
     gone = np.concatenate([[0.0], np.cumsum(length)])
     slide = [float(point @ direction) for point in ends]
     total = max(float(gone[-1]), abs(slide[1] - slide[0]))
-    if total < 1e-9:
-        return b
+    if total < 1e-6:
+        return b[:0]  # there already
     own = [
         np.linspace(gone[k], gone[k + 1], max(1, int(np.ceil(piece / AIR_STEP))) + 1)[1:]
         for k, piece in enumerate(length)
