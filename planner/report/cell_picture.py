@@ -74,7 +74,7 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
         opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
     fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
     subject = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
-    camera = raster.frame(np.concatenate(subject), _direction(scene), 2 * width, 2 * height)
+    camera = raster.frame(np.concatenate(subject), _direction(scene, moment.place), 2 * width, 2 * height)
     image = raster.draw(camera, opaque)
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
     color, alpha = _veil(camera, block, image.depth, color, alpha)
@@ -101,10 +101,13 @@ def _cropped(picture: Picture, margin: int = 14) -> Picture:
     return Picture(picture.pixels[a:b], picture.alpha[a:b], labels)
 
 
-def _direction(scene: Scene) -> FloatArray:
-    """A view from above across the line from the first base to the last, or from before a single arm."""
-    places = [scene.model.bases[arm][:3, 3] for arm in scene.model.arms]
-    line = places[-1] - places[0] if len(places) > 1 else scene.model.bases[scene.model.arms[0]][:3, 1] * -1.0
+def _direction(scene: Scene, place: FloatArray) -> FloatArray:
+    """A view from above across the line from the first base to the last, or from a single one to the
+    block."""
+    places = [*(scene.model.bases[arm][:3, 3] for arm in scene.model.arms), place[:3, 3]]
+    line = places[max(1, len(places) - 2)] - places[0]
+    if np.linalg.norm(line[:2]) < 1e-6:
+        line = scene.model.bases[scene.model.arms[0]][:3, 0]
     line = line[:2] / max(float(np.linalg.norm(line[:2])), 1e-9)
     across = np.array([-line[1], line[0]])
     flat = across + 0.30 * line

@@ -58,7 +58,7 @@ def document(model: CellModel, problem: Problem, plan: Plan) -> str:
     run = track(problem, plan, KEYS + KEYS_MORE * max(0, len(plan.operations) - 1))
     animation = MeshcatAnimation(FPS)
     film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FPS).astype(int))
-    _look(meshcat, model)
+    _look(meshcat, model, run)
     _bodies(film, model, problem, run)
     _parts(meshcat, problem)
     if run.wire is not None:
@@ -101,21 +101,25 @@ class _Film:
             self.animation.SetProperty(int(self.frames[i]), path, "visible", bool(seen[i]))
 
 
-def _look(meshcat: Any, model: CellModel) -> None:
-    """Background, camera across the line of the bases, no grid or axes."""
+def _look(meshcat: Any, model: CellModel, run: Track) -> None:
+    """Background, camera across the line of the bases, or of the base and the block; no axes."""
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [0.74, 0.78, 0.83])
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Grid", "visible", True)
     places = np.array([model.bases[arm][:3, 3] for arm in model.arms])
+    back = 0.82 if len(places) > 1 else 1.0
+    if len(places) == 1:
+        places = np.concatenate([places, run.block[:, :3, 3].mean(axis=0, keepdims=True)])
+        places[1, 2] = places[0, 2]
     middle = places.mean(axis=0)
-    line = places[-1] - places[0] if len(places) > 1 else model.bases[model.arms[0]][:3, 1]
+    line = places[-1] - places[0]
     line = line / max(float(np.linalg.norm(line)), 1e-9)
     reach = max(robot.reach for robot in model.robots.values())
     spread = float(np.linalg.norm(places - middle, axis=1).max()) + 0.8 * reach
     across = np.array([line[1], -line[0], 0.0])
     target = middle + np.array([0.0, 0.0, 0.42 * reach])
-    eye = target + 0.82 * spread * across - 0.2 * spread * line + np.array([0.0, 0.0, 0.30 * spread])
+    eye = target + back * spread * across - 0.2 * spread * line + np.array([0.0, 0.0, 0.30 * spread])
     meshcat.SetCameraPose(eye, target)
 
 

@@ -17,6 +17,7 @@ from planner.plans import Plan
 from planner.problem import Problem, Ruled
 from planner.report import inputs, moments, output, page, replay3d, scene, standing, sweep
 from planner.report.track import SETUP, track
+from planner.verify.result import RuleResult
 
 
 @pytest.fixture(scope="module")
@@ -226,3 +227,14 @@ def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Pl
 def test_a_refused_problem_of_setups_has_a_picture(held: tuple[Problem, Plan]) -> None:
     text = output.failure(held[0], ())
     assert 'id="cell"' in text
+
+
+@pytest.mark.parametrize("passed", [True, False])
+def test_the_proof_says_what_is_too_close(two: tuple[Problem, Plan], passed: bool) -> None:
+    """Between targets the proof allows a little less than what is asked for at them."""
+    rule = RuleResult("verify.clearance", "bodies keep apart", passed, 9.8, 10.0, "mm")
+    series = {**job.proof(50).series, "clearance/distance": np.full(50, 0.0098)}
+    proof = dataclasses.replace(job.proof(50), rules=(rule,), series=series)
+    text = page.render(*two, proof)
+    (kind,) = re.findall(r'<div class="(tile[^"]*)"><b>9\.8<small>mm</small>', text)
+    assert ("bad" in kind) != passed
