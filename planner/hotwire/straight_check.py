@@ -17,7 +17,7 @@ from planner.hotwire.straight_lines import Lines, chord, distance_to_polyline, e
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_tool import Bow, corners
 from planner.issues import Issue, Severity
-from planner.problem import Setup
+from planner.problem import Setup, Shape
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -228,9 +228,7 @@ def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, .
     for shape in tool.shapes:
         own = inverse(to_stock @ shape.pose)
         local = Lines(transform(own, lines.start), transform(own, lines.end))
-        extent = corners(shape)
-        body = np.stack([extent.min(axis=0), extent.max(axis=0)])
-        hit = cutting & (_to_box(local, body, op.margin_mm * MM) < op.margin_mm * MM)
+        hit = cutting & (_to_shape(local, shape, op.margin_mm * MM) < op.margin_mm * MM)
         if hit.any():
             k = int(np.argmax(hit))
             yield Issue(
@@ -246,8 +244,11 @@ def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, .
             return
 
 
-def _to_box(lines: Lines, box: FloatArray, far: float) -> FloatArray:
-    """Distance (N,) [m] of lines to a box (2, 3) where it is below ``far`` [m], else infinity; sampled."""
+def _to_shape(lines: Lines, shape: Shape, far: float) -> FloatArray:
+    """Distance (N,) [m] of lines to a shape, in its frame, where it is below ``far`` [m], else infinity;
+    sampled. Round shapes count as cylinders, meshes as boxes."""
+    extent = corners(shape)
+    box = np.stack([extent.min(axis=0), extent.max(axis=0)])
     first, last = chord(lines, grown(box, far))
     out = np.full(len(lines), np.inf)
     near = np.flatnonzero(np.isfinite(first))
@@ -255,6 +256,9 @@ def _to_box(lines: Lines, box: FloatArray, far: float) -> FloatArray:
     ends = [lines[near].at(length[near])[:, None] for length in (first, last)]
     points = ends[0] + share * (ends[1] - ends[0])
     gap = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
+    if shape.kind in ("cylinder", "capsule", "sphere"):
+        radial = np.linalg.norm(points[..., :2], axis=2) - shape.size[0]
+        gap = np.stack([np.maximum(radial, 0.0), gap[..., 2]], axis=2)
     out[near] = np.linalg.norm(gap, axis=2).min(axis=1)
     return out
 

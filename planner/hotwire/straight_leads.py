@@ -24,8 +24,8 @@ WAYS: Final = 48
 LAST_PART: Final = 0.25
 """Share of a contour that holds the piece until last."""
 
-THROUGH_PART: Final = 20.0
-"""What a slit through the part costs, against one through waste of the same length."""
+THROUGH_PART: Final = 1000.0
+"""What a slit through the part costs, against one through waste of its length: more than all the rest."""
 TURN: Final = 0.15
 """What a sharp turn between slit and contour costs, as a share of the block's diagonal."""
 HELD: Final = 0.6
@@ -89,7 +89,11 @@ def _tries(ruled: Ruled, contours: tuple[Ruled, ...], cut: SurfaceCut, box: Floa
     direction = lines.direction
     if cut.lead == "auto":
         angle = 2.0 * np.pi * np.arange(WAYS) / WAYS
-        first, second = _across(direction)
+        first = np.stack(outward_sides(ruled))[:, places].mean(axis=(0, 2))
+        first = first - np.sum(first * direction, axis=1, keepdims=True) * direction
+        size = np.linalg.norm(first, axis=1, keepdims=True)
+        first = np.where(size > 1e-6, first / np.maximum(size, 1e-6), _across(direction)[0])
+        second = np.cross(direction, first)
         fan = np.cos(angle)[:, None] * first[:, None] + np.sin(angle)[:, None] * second[:, None]
     else:
         lead = np.array(cut.lead)

@@ -57,7 +57,8 @@ def _over(
     if tilt > 0.6 * half and _angle(a, b) < SAME:
         return []  # along the side's normal: nothing to turn for there
     centre = 0.5 * (hull[0] + hull[1])
-    place = centre + normal * (0.5 * np.abs(normal) @ (hull[1] - hull[0]) + tilt)
+    # clearly outside the hull, so that it is a corner of what lies around both
+    place = centre + normal * (0.5 * np.abs(normal) @ (hull[1] - hull[0]) + tilt + 10.0 * SHY)
     turning = _turn(a.direction[0], b.direction[0], place, half)
     first, last = (_around(*ends, hull, down, box) for ends in ((a, turning[:1]), (turning[-1:], b)))
     return [

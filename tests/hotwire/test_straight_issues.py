@@ -1,0 +1,174 @@
+"""What a straight wire cannot do is named, with the remedy."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from planner.hotwire import straight
+from planner.hotwire.straight_operation import Straight
+from planner.issues import Issue, Severity, TandemError
+from planner.materials import foams
+from planner.problem import Part, Ruled, Setup, Stock
+from tests.hotwire import foam_blocks as blocks
+
+SQUARE = blocks.prism("sq", [(-0.02, 0.03), (-0.02, 0.07), (0.02, 0.07), (0.02, 0.03)], closed=True)
+XPS = foams()["xps_30"]
+
+
+def issues(part: Part | None, setup: Setup | None = None, **more: object) -> dict[str, Issue]:
+    """Issues by code, of a refusal or of targets."""
+    try:
+        found = straight.make_targets(blocks.operation(**more), setup or blocks.setup(), part).issues
+    except TandemError as error:
+        found = error.issues
+    assert all(str(issue) for issue in found)
+    return {issue.code: issue for issue in found}
+
+
+def refusal(code: str, part: Part | None, setup: Setup | None = None, **more: object) -> Issue:
+    issue = issues(part, setup, **more)[code]
+    assert issue.severity is Severity.ERROR
+    return issue
+
+
+def test_a_part_without_the_surface_says_what_it_has() -> None:
+    issue = refusal("part.missing_surface", blocks.part(SQUARE), cuts=[{"surface": "wing"}])
+    assert "'wing'" in issue.message
+    assert "sq" in issue.message
+    assert refusal("part.missing_surface", None).field == "part"
+
+
+def test_trimming_needs_oversize() -> None:
+    block = blocks.stock((0.2, 0.2, 0.1), oversize=np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    issue = refusal("straight.trim", None, blocks.setup(block), cuts=[{"trim": ["left", "right"]}])
+    assert "right" in issue.message
+    assert issue.value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("arms", "held", "code"),
+    [
+        (["spare"], None, "bow.missing"),
+        (["left", "right"], None, "bow.arms"),
+        (["left"], "right", "bow.arms"),
+        (["left", "spare"], "right", "bow.arms"),
+        (["left"], "left", "bow.arms"),
+    ],
+)
+def test_arms_are_those_that_hold_the_bow_and_the_block(arms: list[str], held: str | None, code: str) -> None:
+    setup = blocks.setup(blocks.stock(held_by=held, foam=XPS))
+    assert refusal(code, blocks.part(SQUARE), setup, arms=arms).message
+
+
+def test_a_block_wider_than_the_wire_says_how_wide_a_bow_must_be() -> None:
+    issue = refusal("bow.span", blocks.part(SQUARE), blocks.setup(span=0.23))
+    assert issue.value == pytest.approx(240.0)
+    assert issue.limit == pytest.approx(230.0)
+    assert "bow.span" not in issues(blocks.part(SQUARE), blocks.setup(span=0.25))
+
+
+def test_a_block_deeper_than_the_throat_says_how_deep_a_bow_must_be() -> None:
+    block = blocks.stock((0.4, 0.2, 0.3))
+    middle = blocks.prism("sq", [(-0.02, 0.13), (-0.02, 0.17), (0.02, 0.17), (0.02, 0.13)], closed=True)
+    issue = refusal("bow.throat", blocks.part(middle), blocks.setup(block, throat=0.15))
+    assert 150.0 < issue.value < 180.0
+    assert issue.limit == pytest.approx(135.0)  # half the beam less
+    assert "bow.throat" not in issues(blocks.part(middle), blocks.setup(block, throat=0.2))
+
+
+def test_an_inner_corner_that_stays_round_is_a_warning_and_a_tight_curve_an_error() -> None:
+    notch = blocks.prism("notch", [(-0.1, 0.06), (-0.002, 0.06), (0.0, 0.03), (0.002, 0.06), (0.1, 0.06)])
+    assert issues(blocks.part(notch))["straight.corner"].severity is Severity.WARNING
+    x = np.linspace(-0.1, 0.1, 2001)
+    groove = 0.06 - 0.002 * np.exp(-((x / 0.0006) ** 2))
+    tight = blocks.prism("tight", np.column_stack([x, groove]), corner=False)
+    issue = refusal("straight.corner", blocks.part(tight))
+    assert issue.value == pytest.approx(0.75)
+    assert "radius" in issue.message
+
+
+def test_a_gap_narrower_than_the_slot_is_refused() -> None:
+    comb = [(-0.1, 0.08), (-0.0005, 0.08), (-0.0005, 0.03), (0.0005, 0.03), (0.0005, 0.08), (0.1, 0.08)]
+    assert (
+        "narrower than the slot" in refusal("straight.crossing", blocks.part(blocks.prism("c", comb))).message
+    )
+
+
+def test_a_lead_through_the_part_is_refused() -> None:
+    issue = refusal(
+        "straight.lead",
+        blocks.part(
+            SQUARE, blocks.prism("other", [(0.05, 0.0), (0.05, 0.1), (0.07, 0.1), (0.07, 0.0)], closed=True)
+        ),
+        cuts=[{"surface": "sq", "lead": [1, 0, 0]}],
+    )
+    assert issue.value == pytest.approx(20.0, abs=0.1)
+
+
+def test_a_slit_to_a_hole_is_told_with_its_place() -> None:
+    a = np.linspace(0.0, 2.0 * np.pi, 181)[:-1]
+    ring = np.column_stack([0.01 * np.cos(a), 0.05 + 0.01 * np.sin(a)])
+    hole = blocks.prism("hole", ring, corner=False, closed=True, hole=True)
+    note = issues(blocks.part(SQUARE, hole))["straight.slit"]
+    assert note.severity is Severity.NOTE
+    assert note.value == pytest.approx(10.0, abs=0.1)
+    assert "along [" in note.message
+
+
+@pytest.mark.parametrize(
+    ("power", "feed", "code"), [(60.0, 2.5, "kerf.too_hot"), (15.0, 9.0, "kerf.too_cold")]
+)
+def test_too_hot_and_too_cold_are_told_apart(power: float, feed: float, code: str) -> None:
+    setup = blocks.setup(blocks.stock(foam=XPS))
+    issue = refusal(code, blocks.part(SQUARE), setup, power_w=power, feed_mm_s=feed, feed_min_mm_s=1)
+    assert issue.unit == "mm"
+    assert (issue.value > 3.0) if code == "kerf.too_hot" else (issue.value < 0.8)
+
+
+def test_doubts_of_the_kerf_model_are_a_warning() -> None:
+    setup = blocks.setup(blocks.stock(foam=XPS))
+    found = issues(blocks.part(SQUARE), setup, power_w=40.0, feed_mm_s=5)
+    assert found["kerf.doubt"].severity is Severity.WARNING
+
+
+def test_power_needs_a_foam() -> None:
+    assert refusal("stock.foam_missing", blocks.part(SQUARE), power_w=40.0).field == "stock.foam"
+
+
+def held(plate: float) -> tuple[Part, Setup]:
+    a = np.deg2rad(np.arange(0, 360, 60))
+    low = np.column_stack([0.07 * np.cos(a), 0.07 * np.sin(a), np.zeros(6)])
+    part = Part(ruled=(Ruled("sides", low, low + np.array([0, 0, 0.1]), np.ones(6, dtype=np.bool_), True),))
+    block: Stock = blocks.stock((0.2, 0.2, 0.1), held_by="right", foam=XPS)
+    return part, blocks.setup(block, plate=plate)
+
+
+def test_a_gripper_larger_than_the_parts_face_is_in_the_wires_way() -> None:
+    part, setup = held(0.10)
+    issue = refusal("stock.footprint", part, setup, arms=["left", "right"])
+    assert issue.arm == "right"
+    part, setup = held(0.03)
+    assert "stock.footprint" not in issues(part, setup, arms=["left", "right"], margin_mm=15)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"kerf_mm": None, "power_w": None}, "give kerf_mm"),
+        ({"power_w": 30}, "one of them"),
+        ({"kerf_range_mm": [3, 1]}, "lower < upper"),
+        ({"cuts": [{"trim": ["left"]}, {"trim": ["left"]}]}, "cut once"),
+        ({"cuts": [{"trim": ["left", "left"]}]}, "each side is cut once"),
+        ({"cuts": [{"trim": ["left"], "along": "x"}]}, "across the side"),
+        ({"feed_mm_s": 2}, "must not exceed"),
+        ({"arms": ["left", "left"]}, "two different arms"),
+    ],
+)
+def test_contradictions_in_the_file_are_refused(change: dict[str, object], words: str) -> None:
+    base = {"name": "shape", "process": "straight_wire", "arms": ["left"], "kerf_mm": 1.5}
+    with pytest.raises(ValidationError, match=words):
+        Straight.model_validate_json(json.dumps(base | change), strict=True)
