@@ -69,7 +69,9 @@ class _Player:
 
     def run(self) -> Motion:
         for number, stage in enumerate(self.job.stages):
-            if self.mounted is not None and (not number or self.mounted[number] != self.mounted[number - 1]):
+            if self.mounted is not None and (
+                not number or self.mounted[number] is not self.mounted[number - 1]
+            ):
                 self.tools = dict(self.mounted[number])
             self._stage(number, stage)
         if not self.labels:

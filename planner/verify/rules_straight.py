@@ -11,7 +11,7 @@ from planner.problem import Stock
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.result import CutFace
 from planner.verify.rules_wire import FEED_SLACK, wire_issue
-from planner.verify.speed import local
+from planner.verify.speed import during, local
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
@@ -133,8 +133,9 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     )
                     measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
                     issues.append(wire_issue(context, wire, "verify.rulings", what, int(rows[i]), *measure))
-                joined = np.diff(rows) == 1
-                missed = _missed(points, joined, guide, float(half.max()) + claim.tolerance + PASSED)
+                whole = np.flatnonzero(during(wire.labels == label))
+                far = float(half.max()) + claim.tolerance + PASSED
+                missed = _missed(wire.points[whole], np.diff(whole) == 1, guide, far)
                 if missed > 0.0:
                     what = f"the wire does not pass {mm(missed):.1f} mm of the {name} line of {claim.segment}"
                     issues.append(Issue("verify.rulings", what, field=claim.segment))

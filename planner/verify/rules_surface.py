@@ -11,7 +11,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
-from planner.verify.speed import local
+from planner.verify.speed import during, local
 from planner.verify.surface import Sweep, cut_face, part_obj
 from planner.verify.wire import Wire, end_error
 
@@ -26,7 +26,7 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
     for claim in context.surfaces:
         parts = []
         for wire, speed in zip(good, speeds, strict=True):
-            rows = np.flatnonzero(_during(wire.labels == claim.segment.lower()))
+            rows = np.flatnonzero(during(wire.labels == claim.segment.lower()))
             if len(rows) and wire.setup == context.of_segment[claim.segment.lower()]:
                 parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
         if parts:
@@ -35,13 +35,6 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
         else:
             out.append(Sweep.steady(np.zeros((0, 2, 3))))
     return tuple(out)
-
-
-def _during(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Chosen stations and the one before each run of them, where the segment begins."""
-    out = chosen.copy()
-    out[:-1] |= chosen[1:]
-    return out
 
 
 def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:

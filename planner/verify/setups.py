@@ -129,7 +129,7 @@ class SetupClaims:
         that has this wire and allows contact in segments of that kind."""
         out: set[str] = set()
         for group in self.groups:
-            hands = {c.arms for c in group if isinstance(c, WireJoins)}
+            hands: set[tuple[str, ...]] = {c.arms for c in group if isinstance(c, WireJoins)}
             hands |= {(c.arm,) for c in group if isinstance(c, StraightWire)}
             kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
             if arms in hands:

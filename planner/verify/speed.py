@@ -1,4 +1,4 @@
-"""Speeds of a wire across itself, from its shapes at stations and the replay's clock."""
+"""Speeds of a wire across itself, from its shapes at stations and the replay's clock; stations of segments."""
 
 from __future__ import annotations
 
@@ -26,3 +26,10 @@ def local(points: FloatArray, time: FloatArray) -> FloatArray:
     during[1:] += span
     during[:-1] += span
     return np.asarray(way / np.maximum(during, 1e-9))
+
+
+def during(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Chosen stations and the one before each run of them, where the segment begins."""
+    out = chosen.copy()
+    out[:-1] |= chosen[1:]
+    return out

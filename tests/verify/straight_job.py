@@ -1,0 +1,178 @@
+"""A small job with a known answer: one arm's bow cuts two tapered, twisted panels out of a block, which is turned
+in between, with another bow.
+
+Each face is ruled between two straight guide lines, along which the wire's ends go at different speeds; the wire
+stands off each of them by half the kerf of the speed there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from planner.bow import bow
+from planner.claims import (
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    FollowsRulings,
+    KerfCurve,
+    KerfWithin,
+    StraightWire,
+)
+from planner.geometry.rigid import from_rpy
+from planner.plans import Plan
+from planner.post import write
+from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
+
+TOLERANCE = 0.0003
+MARGIN = 0.02
+DIGEST = "cd34" * 16
+SIZE = np.array([0.16, 0.08, 0.1])
+OVER = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.012]])
+PLACES = (
+    from_rpy([0.45, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    from_rpy([0.45, 0.0, 0.0], [0.0, 0.0, np.pi / 2.0]),
+)
+SIGNAL = "doWirePower"
+DOWN = np.array([0.0, 0.0, -1.0])
+FEED, AIR = 0.008, 0.05
+BOWS = (bow(0.4, 0.4), bow(0.3, 0.4))
+STEPS = (
+    ("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says."),
+    ("Mount the tool bow_300 on arm left.", "Turn the block by a quarter and clamp it."),
+)
+_SPEED = np.linspace(0.0005, 0.03, 600)
+KERF = KerfCurve(_SPEED, *([0.0006 + 4e-6 / _SPEED] * 3))
+
+
+def guides(k, u):
+    """Points (N, 3) of both guide lines of face ``k`` at ``u`` (N,), -1 to 1 along the face."""
+    if k == 0:
+        start = np.stack([0.08 * u, np.full_like(u, -0.04), 0.066 + 0.002 * u], axis=-1)
+        end = np.stack([0.056 * u, np.full_like(u, 0.04), 0.074 - 0.002 * u], axis=-1)
+    else:
+        start = np.stack([np.full_like(u, -0.08), 0.04 * u, 0.030 + 0.001 * u], axis=-1)
+        end = np.stack([np.full_like(u, 0.08), 0.03 * u, 0.034 + 0.0 * u], axis=-1)
+    return start, end
+
+
+def wire(k, u):
+    """Points (N, 3) of both ends of the wire that cuts face ``k``, half a kerf outwards of the guide lines."""
+    start, end = guides(k, u)
+    h = 1e-5
+    before, after = guides(k, u - h), guides(k, u + h)
+    along = end - start
+    rate = [(b - a) / (2.0 * h) for a, b in zip(before, after, strict=True)]
+    fastest = max(float(np.linalg.norm(r, axis=1).max()) for r in rate)
+    out = []
+    for point, way in zip((start, end), rate, strict=True):
+        normal = np.cross(way, along)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        direction = along / np.linalg.norm(along, axis=1, keepdims=True)
+        across = np.linalg.norm(way - (way * direction).sum(axis=1, keepdims=True) * direction, axis=1)
+        out.append(point + 0.5 * KERF.at(FEED * across / fastest)[:, None] * normal)
+    return out
+
+
+def face(k):
+    """The wanted face as a mesh with normals away from the part."""
+    u = np.linspace(-1.0, 1.0, 41)
+    return np.concatenate(guides(k, u)), strip(u)
+
+
+def cell(k=0):
+    """The cell with the bow of setup ``k``."""
+    arm = Arm("left", "irb140", np.eye(4), BOWS[k], np.zeros(6))
+    pose = PLACES[0] @ frames(np.array([[-0.16, -0.1, 0.2]]), np.array([[-0.16, 0.1, 0.2]]), DOWN)[0]
+    home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, [0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
+    arms = (dataclasses.replace(arm, home=home),)
+    return Cell("straight", arms, (), Controller(("T_ROB1",), ("ROB_1",), wire_signal=SIGNAL))
+
+
+def problem(**settings):
+    """The problem of the job."""
+    stock = Stock(SIZE, PLACES[0], np.eye(3), oversize=OVER)
+    turned = {"place": PLACES[1], "attitude": PLACES[1][:3, :3]}
+    return Problem(
+        "straight",
+        cell(),
+        stock,
+        None,
+        (Operation("top", "straight_wire", ("left",), True), Operation("back", "straight_wire", ("left",))),
+        Settings(**settings),
+        Path("straight.yaml"),
+        DIGEST,
+        changes={0: Change(steps=STEPS[0]), 1: Change({"left": BOWS[1]}, turned, STEPS[1])},
+    )
+
+
+def claims(margin=MARGIN, kerf=KERF):
+    """What the process claims."""
+    out = {}
+    for k, name in enumerate(("top", "back")):
+        half = 0.5 * (0.4, 0.3)[k]
+        segment, u = f"cut/{name}", np.linspace(-1.0, 1.0, 41)
+        out[name] = (
+            StraightWire("left", np.array([-half, 0, 0]), np.array([half, 0, 0]), 0.0002, margin),
+            ContactOnlyIn(("cut",), SIGNAL, 5.0),
+            CutsSurface(segment, *face(k), kerf, TOLERANCE),
+            FollowsRulings(segment, *guides(k, u), kerf, TOLERANCE),
+            KerfWithin(segment, kerf, 0.0008, 0.0016),
+            *(FeedWindow(segment + way, 0.003, 0.012) for way in ("", "_in", "_out")),
+        )
+    return out
+
+
+def way(k, count):
+    """Both ends of the wire at all targets, and speed, label and stop of each."""
+    name, step = ("top", "back")[k], 2.0 / count
+    lead = 0.035 / (0.056, 0.03)[k]  # the slower end comes from outside the block too
+    leads = max(int(np.ceil(lead / step)), 2)
+    into, out = np.linspace(-1.0 - lead, -1.0, leads + 1), np.linspace(1.0, 1.0 + lead, leads + 1)
+    far = 1.0 + lead + 0.3
+    u = np.concatenate([[-far], into, np.linspace(-1.0, 1.0, count + 1)[1:], out[1:], [far]])
+    rows = [(AIR, "approach", True)] * 2
+    rows += [(FEED, f"cut/{name}_in", False)] * leads + [(FEED, f"cut/{name}", False)] * count
+    rows += [(FEED, f"cut/{name}_out", False)] * leads + [(AIR, "retreat", True)]
+    rows[-2] = (*rows[-2][:2], True)
+    return wire(k, u), rows
+
+
+def plan(count=24):
+    """The plan."""
+    parts = []
+    for k, name in enumerate(("top", "back")):
+        start, end = way(k, count)[0]
+        pose = frames(start, end, DOWN)
+        world = PLACES[k] @ pose
+        up = np.eye(4)
+        up[2, 3] = 0.13 if k == 0 else 0.17
+        over = {"left": up @ world[:1]}, {"left": up @ world[-1:]}
+        here = dataclasses.replace(cell(k), arms=(dataclasses.replace(cell().arms[0], tool=BOWS[k]),))
+        rows = way(k, count)[1]
+        parts.append(
+            operation_plan(
+                name,
+                here,
+                {"left": pose},
+                {"left": "stock"},
+                {"left": world},
+                rows,
+                way_of(start, end),
+                SIGNAL,
+                *over,
+                ("left",),
+            )
+        )
+    return Plan("straight", DIGEST, {}, PLACES, {"left": np.eye(4)}, tuple(parts), {})
+
+
+@functools.cache
+def programs(count=24):
+    """The texts of the job as the planner writes them."""
+    return write.programs(plan(count), problem())
