@@ -218,7 +218,7 @@ def confirmed_in_passing(rng, texts):
     def also(rows):
         rows.insert(
             next(i for i, row in enumerate(rows) if "operation_1;" in row),
-            f'    UIMsgBox "Setup {int(rng.integers(1, 3))} done as told, nobody in the cell? More follows.";',
+            f'    UIMsgBox "Setup {int(rng.integers(1, 3))} done as told, nobody in the cell? More.";',
         )
 
     return with_main(texts, also)
@@ -227,7 +227,7 @@ def confirmed_in_passing(rng, texts):
 @mutator("verify.setup", *BOTH)
 def confirmed_by_time(rng, texts):
     def hurry(rows):
-        first, last = question(rows, int(rng.integers(1, 3)))
+        _first, last = question(rows, int(rng.integers(1, 3)))
         options = ["\\MaxTime:=5", "\\Buttons:=btnYesNo", "\\Buttons:=btnOKCancel"]
         rows[last] = f"        {pick(rng, options)}\\Icon:=iconInfo;"
 
@@ -282,7 +282,7 @@ def the_other_bow(rng, texts):
     kind = pick(rng, ["Main", "Cut1"])
     rows = rows_of(texts, 1, kind)
     if kind == "Main":
-        first, last = question(rows, 2)
+        _first, last = question(rows, 2)
         i = pick(rng, [k for k in range(last, len(rows)) if "MoveAbsJ" in rows[k]])
     else:
         i = pick(rng, moves(texts, 1, *PROCS))
@@ -297,7 +297,7 @@ def another_tcp(rng, texts):
     rows = rows_of(texts, task, "Data")
     i = pick(rng, [k for k, row in enumerate(rows) if "PERS tooldata" in row])
     rows[i] = re.sub(
-        r"(\d+\.\d{4})\],\[1", lambda m: f"{float(m.group(1)) + pick(rng, [-1, 1]):.4f}],[1", rows[i], 1
+        r"(\d+\.\d{4})\],\[1", lambda m: f"{float(m.group(1)) + pick(rng, [-1, 1]):.4f}],[1", rows[i], count=1
     )
     return put(texts, task, "Data", rows)
 

@@ -1,5 +1,5 @@
-"""Plans made by hand: poses are given, joints follow by the proof's own inverse kinematics in the posture of home;
-nothing is searched."""
+"""Plans made by hand: poses are given, joints follow by the proof's own inverse kinematics in the posture of
+home; nothing is searched."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A small job with a known answer: one arm holds a block that the other one's bow cuts while both move; then the
-block is put down and cut once more, with the holder waiting at home.
+"""A small job with a known answer: one arm holds a block that the other one's bow cuts while both move; then
+the block is put down and cut once more, with the holder waiting at home.
 
-The holder lifts and tilts the block as it likes; in the block's own frame the wire runs as in ``straight_job``.
+The holder lifts and tilts the block as it likes; in the block's own frame the wire runs as it does in
+``straight_job``.
 """
 
 from __future__ import annotations

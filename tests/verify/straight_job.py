@@ -1,8 +1,8 @@
-"""A small job with a known answer: one arm's bow cuts two tapered, twisted panels out of a block, which is turned
-in between, with another bow.
+"""A small job with a known answer: one arm's bow cuts two tapered, twisted panels out of a block, which is
+turned in between, with another bow.
 
-Each face is ruled between two straight guide lines, along which the wire's ends go at different speeds; the wire
-stands off each of them by half the kerf of the speed there.
+Each face is ruled between two straight guide lines, along which the wire's ends go at different speeds; the
+wire stands off each of them by half the kerf of the speed there.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def guides(k, u):
 
 
 def wire(k, u):
-    """Points (N, 3) of both ends of the wire that cuts face ``k``, half a kerf outwards of the guide lines."""
+    """Points (N, 3) of the wire over the guide lines of face ``k``, half a kerf outwards of them."""
     start, end = guides(k, u)
     h = 1e-5
     before, after = guides(k, u - h), guides(k, u + h)

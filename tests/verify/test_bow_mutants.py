@@ -1,5 +1,5 @@
-"""Jobs with a bow, over two setups, on a standing and on a held block: clean programs are proven, each kind of fault
-is caught by the rule that is named for it, and seeded mutants are all caught."""
+"""Jobs with a bow, over two setups, on a standing and on a held block: clean programs are proven, each kind
+of fault is caught by the rule that is named for it, and seeded mutants are all caught."""
 
 from __future__ import annotations
 
