@@ -1,173 +1,39 @@
-"""The part of a problem file: its schema in mm and degrees, and the part in the stock frame in SI units."""
+"""The part of a problem file: one of several kinds, and the part in the stock frame in SI units.
+
+Each kind has a module of its own: faces (:mod:`planner.part_faces_file`), ruled surfaces between guides
+(:mod:`planner.part_ruled_file`), wings (:mod:`planner.part_wing_file`), plates
+(:mod:`planner.part_plate_file`), surfaces that are ruled or cut into ruled strips
+(:mod:`planner.part_surface_file`).
+"""
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner.geometry.curves import ArcRail, CurveKind, Loft, tessellate
-from planner.geometry.mesh import (
-    LARGEST,
-    SMALLEST,
-    TriangleMesh,
-    check_surface,
-    face_areas,
-    offset,
-    read_mesh,
-    vertex_normals,
-)
+from planner import part_faces_file, part_plate_file, part_ruled_file, part_surface_file, part_wing_file
+from planner.geometry.laying import check_ruled, lay_along, standing_out
+from planner.geometry.mesh import TriangleMesh
 from planner.geometry.placing import fit_into_block, overhang
 from planner.geometry.rigid import from_rpy, transform
-from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Part
-from planner.schema import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
-from planner.units import DEG, LENGTH_UNITS, MM
+from planner.issues import Issue, TandemError, has_errors
+from planner.part_faces_file import BackFile, Faces, FrontFile
+from planner.part_plate_file import PlateFile
+from planner.part_ruled_file import RuledFile
+from planner.part_surface_file import RuledMeshFile, StripsFile
+from planner.part_wing_file import WingFile
+from planner.problem import Mesh, Part, Ruled
+from planner.schema import Strict, Vector
+from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
-
-
-class RailFile(Strict):
-    """A horizontal arc about ``centre_mm``; profiles stand in its normal planes."""
-
-    radius_mm: Positive
-    start_deg: Angle
-    end_deg: Angle
-    centre_mm: Vector = (0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _turns(self) -> RailFile:
-        if not 0.0 < abs(self.end_deg - self.start_deg) <= 360.0:
-            raise ValueError("start_deg and end_deg must differ by more than 0 and at most 360 degrees")
-        return self
-
-
-class CurveFile(Strict):
-    """One profile or section: control points of a Bezier curve or of a clamped cubic B-spline."""
-
-    at: Fraction
-    bezier_mm: Annotated[list[list[Far]], Field(min_length=2, max_length=16)] | None = None
-    bspline_mm: Annotated[list[list[Far]], Field(min_length=2, max_length=200)] | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> CurveFile:
-        if (self.bezier_mm is None) == (self.bspline_mm is None):
-            raise ValueError("give either bezier_mm or bspline_mm")
-        return self
-
-    @property
-    def kind(self) -> CurveKind:
-        """Which of the two kinds it is."""
-        return "bezier" if self.bezier_mm is not None else "bspline"
-
-    @property
-    def control(self) -> list[list[Far]]:
-        """The control points [mm]."""
-        return self.bezier_mm or self.bspline_mm or []
-
-
-class RegionFile(Strict):
-    """The piece of the surface that is the face: ``u`` along the row of curves, ``v`` along each curve."""
-
-    u: tuple[Fraction, Fraction] = (0.0, 1.0)
-    v: tuple[Fraction, Fraction] = (0.0, 1.0)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> RegionFile:
-        if self.u[0] >= self.u[1] or self.v[0] >= self.v[1]:
-            raise ValueError("u and v must each be [lower, upper] with lower < upper")
-        return self
-
-
-class LoftFile(Strict):
-    """A loft: profiles (out, up) along an arc ``rail``, or ``sections`` given as curves in space."""
-
-    rail: RailFile | None = None
-    profiles: tuple[CurveFile, ...] = ()
-    sections: tuple[CurveFile, ...] = ()
-    region: RegionFile = RegionFile()
-    chord_mm: Annotated[
-        float, Field(ge=0.0005, le=1, description="how far facets may be off the surface")
-    ] = 0.005
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
-
-    @model_validator(mode="after")
-    def _complete(self) -> LoftFile:
-        curves, size = (self.profiles, 2) if self.rail is not None else (self.sections, 3)
-        key = "profiles" if self.rail is not None else "sections"
-        if self.rail is None and self.profiles:
-            raise ValueError("profiles need a rail; curves in space are given as sections")
-        if self.rail is not None and self.sections:
-            raise ValueError("give profiles with a rail, or sections without one")
-        if len(curves) < (1 if self.rail is not None else 2):
-            raise ValueError(f"{key}: too few curves; a rail needs 1 profile, a loft in space 2 sections")
-        first = curves[0]
-        for i, curve in enumerate(curves):
-            if curve.kind != first.kind or len(curve.control) != len(first.control):
-                raise ValueError(
-                    f"{key}.{i}: all curves must be of one kind with equally many control points"
-                )
-            if any(len(point) != size for point in curve.control):
-                raise ValueError(f"{key}.{i}: every control point must have {size} numbers")
-        at = [curve.at for curve in curves]
-        if any(b <= a for a, b in itertools.pairwise(at)):
-            raise ValueError(f"{key}: at must grow from curve to curve")
-        if len(at) > 1 and (at[0] > self.region.u[0] or at[-1] < self.region.u[1]):
-            raise ValueError(f"{key}: the curves span at {at[0]:g} to {at[-1]:g}, the region's u goes beyond")
-        return self
-
-    def loft(self) -> Loft:
-        """The surface in SI units."""
-        curves = self.profiles if self.rail is not None else self.sections
-        rail = None
-        if self.rail is not None:
-            rail = ArcRail(
-                self.rail.radius_mm * MM,
-                self.rail.start_deg * DEG,
-                self.rail.end_deg * DEG,
-                np.array(self.rail.centre_mm) * MM,
-            )
-        control = np.array([curve.control for curve in curves]) * MM
-        return Loft(curves[0].kind, np.array([curve.at for curve in curves]), control, rail)
-
-
-class FaceMeshFile(Strict):
-    """An open mesh in an OBJ, STL or PLY file, in a stated unit; ``scale`` multiplies it on top."""
-
-    file: FileName
-    unit: Unit
-    scale: Scale = 1.0
-    flip: Annotated[bool, Field(description="turn the side that faces away from the part")] = False
-
-
-class FrontFile(Strict):
-    """The front face: exactly one of ``loft`` and ``mesh``. Its normal points away from the part."""
-
-    loft: LoftFile | None = None
-    mesh: FaceMeshFile | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> FrontFile:
-        if (self.loft is None) == (self.mesh is None):
-            raise ValueError("give either loft or mesh")
-        return self
-
-
-class BackFile(Strict):
-    """The back face: the front moved inwards by ``offset_mm``, or a ``mesh`` of its own."""
-
-    offset_mm: Annotated[float, Field(ge=0.5, le=10_000)] | None = None
-    mesh: FaceMeshFile | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> BackFile:
-        if (self.offset_mm is None) == (self.mesh is None):
-            raise ValueError("give either offset_mm or mesh")
-        return self
+KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips")
 
 
 class PlaceFile(Strict):
@@ -176,107 +42,159 @@ class PlaceFile(Strict):
     xyz_mm: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
 
+    def matrix(self) -> FloatArray:
+        """The pose as (4, 4) in metres."""
+        return from_rpy(np.array(self.xyz_mm) * MM, np.array(self.rpy_deg) * DEG)
+
+
+InStock = Annotated[
+    Annotated[Literal["auto"], Tag("word")] | Annotated[PlaceFile, Tag("mapping")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "mapping"),
+]
+
 
 class PartFile(Strict):
-    """The wanted part. ``in_stock: auto`` lays it into the block, front up, long side along long side."""
+    """The wanted part: exactly one of ``front`` (with or without ``back``), ``ruled``, ``wing``, ``plate``,
+    ``mesh`` and ``strips``.
 
-    front: FrontFile
+    ``in_stock: auto`` lays it into the block: a front up, long side along long side; ruled surfaces with
+    their rulings along the longest axis of the block along which they fit; outlines of a plate in the middle.
+    """
+
+    front: FrontFile | None = None
     back: BackFile | None = None
-    in_stock: Literal["auto"] | PlaceFile = "auto"
+    ruled: Annotated[tuple[RuledFile, ...], Field(min_length=1, max_length=50)] | None = None
+    wing: WingFile | None = None
+    plate: PlateFile | None = None
+    mesh: RuledMeshFile | None = None
+    strips: StripsFile | None = None
+    in_stock: InStock = "auto"
+
+    @model_validator(mode="after")
+    def _one(self) -> PartFile:
+        given = [kind for kind in KINDS if getattr(self, kind) is not None]
+        if len(given) != 1:
+            got = " and ".join(given) or "none of them"
+            raise ValueError(f"give exactly one of {', '.join(KINDS)}; got {got}")
+        if self.back is not None and self.front is None:
+            raise ValueError("a back belongs to a front")
+        names = [ruled.name.lower() for ruled in self.ruled or ()]
+        if len(set(names)) != len(names):
+            raise ValueError("ruled: two surfaces have the same name; rename one")
+        return self
 
 
 def build(spec: PartFile, folder: Path, stock_size: FloatArray) -> Part:
     """The part in the stock frame of a block of ``stock_size`` (3,) [m]; files are looked up from ``folder``.
 
-    Raises ``TandemError``: issues of mesh files, ``part.offset``, ``part.faces``, ``part.stock_too_small``.
+    Raises ``TandemError``: issues of files and shapes, ``part.stock_too_small``.
     """
-    front, normals = _front(spec.front, folder)
-    _check_size(front)
-    back = None
-    if spec.back is not None:
-        if spec.back.offset_mm is not None:
-            inner = offset(front, -spec.back.offset_mm * MM, normals)
-            back = TriangleMesh(inner.vertices, inner.faces[:, ::-1])
-        elif spec.back.mesh is not None:
-            back = _file(spec.back.mesh, folder, "part.back")
-            _check_sides(front, back)
-    everything = front.vertices if back is None else np.vstack([front.vertices, back.vertices])
+    if spec.front is not None:
+        faces = part_faces_file.build(spec.front, spec.back, folder)
+        return _with_faces(faces, spec.in_stock, stock_size)
+    if spec.plate is not None:
+        ruled, notes = part_plate_file.build(spec.plate, folder, float(stock_size[2]))
+        _refuse_shapes(ruled, "part.plate")
+        return _laid(ruled, notes, spec.in_stock, stock_size, part_plate_file.middle(ruled, stock_size))
+    ruled, notes, field = _surfaces(spec, folder)
+    _refuse_shapes(ruled, field)
+    pose = None
     if spec.in_stock == "auto":
-        pose = fit_into_block(front, everything, stock_size)
-    else:
-        pose = from_rpy(np.array(spec.in_stock.xyz_mm) * MM, np.array(spec.in_stock.rpy_deg) * DEG)
-    missing = overhang(transform(pose, everything), stock_size)
-    if (missing > 1e-6).any():
-        raise TandemError(_too_small(missing, stock_size, spec.in_stock == "auto"))
-    return Part(_placed(front, pose), None if back is None else _placed(back, pose))
+        pose = lay_along(ruled, stock_size, longest_first=True)
+    return _laid(ruled, notes, spec.in_stock, stock_size, pose)
 
 
-def _front(spec: FrontFile, folder: Path) -> tuple[TriangleMesh, FloatArray]:
+def _surfaces(spec: PartFile, folder: Path) -> tuple[list[Ruled], list[Issue], str]:
+    """Ruled surfaces in the part's frame, notes, and the field that gave them."""
+    if spec.wing is not None:
+        skin, notes = part_wing_file.build(spec.wing, folder)
+        return [skin], notes, "part.wing"
     if spec.mesh is not None:
-        mesh = _file(spec.mesh, folder, "part.front")
-        return mesh, vertex_normals(mesh)
-    if spec.loft is None:
-        raise ValueError("a front face needs a loft or a mesh")
-    region = spec.loft.region
-    vertices, normals, faces = tessellate(spec.loft.loft(), region.u, region.v, spec.loft.chord_mm * MM)
-    if spec.loft.flip:
-        normals, faces = -normals, faces[:, ::-1]
-    return TriangleMesh(vertices, faces), normals
+        patch, notes = part_surface_file.build_mesh(spec.mesh, folder)
+        return [patch], notes, "part.mesh"
+    if spec.strips is not None:
+        strip, notes = part_surface_file.build_strips(spec.strips, folder)
+        return [strip], notes, "part.strips"
+    found: list[Ruled] = []
+    told_all: list[Issue] = []
+    faults: list[Issue] = []
+    for index, own in enumerate(spec.ruled or ()):
+        try:
+            ruled, told = part_ruled_file.build(own, folder, f"part.ruled.{index}")
+            found.append(ruled)
+            told_all += told
+        except TandemError as error:
+            faults += error.issues
+    if faults:
+        raise TandemError(faults)
+    return found, told_all, "part.ruled"
 
 
-def _check_size(front: TriangleMesh) -> None:
-    """A face of no width, or longer than any cell, is a slip of units or of the region."""
-    length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
-    width = float(face_areas(front).sum()) / length  # on average; a bent strip's extents do not tell it
-    if width < SMALLEST or length > LARGEST:
-        raise TandemError(
-            Issue(
-                "mesh.unit",
-                f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
-                f"{SMALLEST * 1e3:g} to {LARGEST * 1e3:g} mm; correct its measures, unit or region",
-                field="part.front",
-            )
-        )
+def _with_faces(faces: Faces, in_stock: InStock, stock_size: FloatArray) -> Part:
+    points = [mesh.vertices for mesh in (faces.front, faces.back) if mesh is not None]
+    everything = np.vstack(points)
+    if isinstance(in_stock, PlaceFile):
+        pose = in_stock.matrix()
+    else:
+        pose = fit_into_block(faces.front, everything, stock_size)
+    _refuse_small(overhang(transform(pose, everything), stock_size), stock_size, in_stock == "auto")
+    return Part(
+        _moved(faces.front, pose),
+        None if faces.back is None else _moved(faces.back, pose),
+        () if faces.edges is None else (_ruled(faces.edges, pose),),
+        faces.notes,
+    )
 
 
-def _file(spec: FaceMeshFile, folder: Path, field: str) -> TriangleMesh:
-    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit] * spec.scale)
-    issues = check_surface(mesh, field, str(folder / spec.file))
-    if issues:
+def _laid(
+    ruled: Sequence[Ruled],
+    notes: Sequence[Issue],
+    in_stock: InStock,
+    stock_size: FloatArray,
+    pose: FloatArray | None,
+) -> Part:
+    if isinstance(in_stock, PlaceFile):
+        pose = in_stock.matrix()
+    if pose is None:
+        raise ValueError("a part needs a pose in the block")
+    placed = tuple(_ruled(own, pose) for own in ruled)
+    _refuse_small(standing_out(placed, stock_size), stock_size, in_stock == "auto")
+    return Part(ruled=placed, notes=tuple(notes))
+
+
+def _refuse_shapes(ruled: Sequence[Ruled], field: str) -> None:
+    def each() -> Iterator[Issue]:
+        for own in ruled:
+            yield from check_ruled(own, field)
+
+    issues = list(each())
+    if has_errors(issues):
         raise TandemError(issues)
-    return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1]) if spec.flip else mesh
 
 
-def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
-    """The back must lie behind the front, and its normals must point away from the part as well."""
-    depth = (front.vertices.mean(axis=0) - back.vertices.mean(axis=0)) @ vertex_normals(front).mean(axis=0)
-    facing = float(vertex_normals(front).mean(axis=0) @ vertex_normals(back).mean(axis=0))
-    if depth <= 0.0 or facing >= 0.0:
-        what = "does not lie behind the front" if depth <= 0.0 else "has normals that point into the part"
-        raise TandemError(
-            Issue(
-                "part.faces",
-                f"the face {what}; normals of both faces must point away from the part "
-                "(flip: true turns those of a file)",
-                field="part.back",
-            )
-        )
-
-
-def _placed(mesh: TriangleMesh, pose: FloatArray) -> Mesh:
+def _moved(mesh: TriangleMesh, pose: FloatArray) -> Mesh:
     return Mesh(transform(pose, mesh.vertices), mesh.faces)
 
 
-def _too_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> Issue:
+def _ruled(own: Ruled, pose: FloatArray) -> Ruled:
+    return dataclasses.replace(own, start=transform(pose, own.start), end=transform(pose, own.end))
+
+
+def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> None:
+    """Raises ``part.stock_too_small`` where the part stands out of the block by more than a micrometre."""
+    if not (missing > 1e-6).any():
+        return
     short = ", ".join(f"{v * 1e3:.1f} mm in {a}" for v, a in zip(missing, "xyz", strict=True) if v > 1e-6)
     size = " x ".join(f"{v * 1e3:g}" for v in stock_size)
     turned = "also when turned to fit best" if auto else "at in_stock; try in_stock: auto or move it"
     worst = int(np.argmax(missing))
-    return Issue(
-        "part.stock_too_small",
-        f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
-        field="stock.size_mm",
-        value=float((stock_size + missing)[worst] * 1e3),
-        limit=float(stock_size[worst] * 1e3),
-        unit="mm",
+    raise TandemError(
+        Issue(
+            "part.stock_too_small",
+            f"the part stands out of the block of {size} mm by {short}, {turned}; use a larger block",
+            field="stock.size_mm",
+            value=float((stock_size + missing)[worst] * 1e3),
+            limit=float(stock_size[worst] * 1e3),
+            unit="mm",
+        )
     )

@@ -12,6 +12,7 @@ moved off the grid by Gauss-Newton steps. A developable surface has f = 0 all al
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -36,10 +37,20 @@ def least_twist(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     curves = _spline(a), _spline(b)
     even = np.linspace(0.0, 1.0, _GRID + 1)
     cost = _twist(curves, even[:, None], even[None, :]) ** 2 + _EVEN * (even[:, None] - even[None, :]) ** 2
+    return best_path(cost, lambda s, t: _twist(curves, s, t)[:, None], _EVEN, _SMOOTH)
+
+
+def best_path(
+    cost: FloatArray, residual: Callable[[FloatArray, FloatArray], FloatArray], even: float, smooth: float
+) -> tuple[FloatArray, FloatArray]:
+    """Ascending shares s and t (K,) of two curves, from (0, 0) to (1, 1), along which ``cost`` is least.
+
+    ``cost`` (n, n) is on an even grid; ``residual`` gives (K, R) at s and t (K,), whose squares' sum is to be
+    least off the grid. ``even`` and ``smooth`` weigh (t - s)^2 and bends of the path beside it.
+    """
     s, t = _cheapest(cost)
-    middle = np.linspace(0.0, 1.0, 2 * _GRID + 1)
-    skew = np.interp(middle, 0.5 * (s + t), t - s)
-    skew = _refine(curves, middle, skew)
+    middle = np.linspace(0.0, 1.0, 2 * len(cost) - 1)
+    skew = _refine(residual, middle, np.interp(middle, 0.5 * (s + t), t - s), even, smooth)
     return np.maximum.accumulate(middle - 0.5 * skew), np.maximum.accumulate(middle + 0.5 * skew)
 
 
@@ -102,28 +113,34 @@ def _cheapest(cost: FloatArray) -> tuple[FloatArray, FloatArray]:
     return places[:, 0], places[:, 1]
 
 
-def _refine(curves: tuple[CubicSpline, CubicSpline], middle: FloatArray, skew: FloatArray) -> FloatArray:
-    """The path as t - s (K,) over (s + t) / 2 (K,), moved to where f^2 and its bends are least."""
+def _refine(
+    residual: Callable[[FloatArray, FloatArray], FloatArray],
+    middle: FloatArray,
+    skew: FloatArray,
+    even: float,
+    smooth: float,
+) -> FloatArray:
+    """The path as t - s (K,) over (s + t) / 2 (K,), moved to where residuals and bends are least."""
     gap = middle[1] - middle[0]
     bend = np.diff(np.eye(len(middle)), 2, axis=0)
-    stiff = _SMOOTH / gap**2 * (bend.T @ bend)
+    stiff = smooth / gap**2 * (bend.T @ bend)
     bands = np.zeros((5, len(middle)))
     for k in range(-2, 3):
         bands[2 - k, max(0, k) : len(middle) + min(0, k)] = np.diagonal(stiff, k)
 
     def value(w: FloatArray) -> FloatArray:
-        return _twist(curves, middle - 0.5 * w, middle + 0.5 * w)
+        return residual(middle - 0.5 * w, middle + 0.5 * w)
 
     def total(w: FloatArray) -> float:
-        return float(np.sum(value(w) ** 2) + _EVEN * np.sum(w * w) + w @ (stiff @ w))
+        return float(np.sum(value(w) ** 2) + even * np.sum(w * w) + w @ (stiff @ w))
 
     best, least, damping = skew, total(skew), 1e-6
     for _ in range(40):
         f = value(best)
         slope = (value(best + 1e-6) - value(best - 1e-6)) / 2e-6
         matrix = bands.copy()
-        matrix[2] += slope * slope + _EVEN + damping
-        down = slope * f + _EVEN * best + stiff @ best
+        matrix[2] += np.sum(slope * slope, axis=1) + even + damping
+        down = np.sum(slope * f, axis=1) + even * best + stiff @ best
         matrix[1, 1] = matrix[0, 2] = matrix[3, -2] = matrix[4, -3] = 0.0
         matrix[2, [0, -1]], down[[0, -1]] = 1.0, 0.0
         tried = _ascending(best - solve_banded((2, 2), matrix, down), gap)

@@ -1,0 +1,162 @@
+"""How parts that are cut by rulings are laid into their block, and checks of what they look like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull
+from shapely import LinearRing
+
+from planner.geometry.placing import overhang
+from planner.geometry.rigid import exp_rotation, from_parts
+from planner.geometry.rulings import points
+from planner.issues import Issue
+from planner.problem import Ruled
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+SHORTEST: Final = 1e-3
+"""Shortest ruling [m] of a part."""
+LONGEST: Final = 20.0
+"""Longest extent [m] of a part."""
+_FITS: Final = 1e-6
+
+
+def lay_along(parts: Sequence[Ruled], size: FloatArray, longest_first: bool) -> FloatArray:
+    """Pose (4, 4) of the part's frame in the stock frame, with the rulings along an axis of the block.
+
+    Axes are tried from the block's longest to its shortest (``longest_first`` False: the other way round) and
+    the first is taken along which the part fits, its own z up as far as possible; failing that, also tilted.
+    Where nothing fits, the pose that stands out least. The part is centred in the block.
+    """
+    cloud = np.concatenate([p for part in parts for p in (part.start, part.end)])
+    hull = cloud[ConvexHull(cloud, qhull_options="QJ").vertices]
+    direction = np.concatenate([part.end - part.start for part in parts]).mean(axis=0)
+    if np.linalg.norm(direction) < 1e-9:
+        direction = parts[0].end[0] - parts[0].start[0]
+    order = np.argsort(-size, kind="stable") if longest_first else np.argsort(size, kind="stable")
+    plain = [_turned(direction, int(axis)) for axis in order]
+    for rotation in plain:
+        if _excess(rotation, hull, size) <= _FITS:
+            return _centred(rotation, hull, size)
+    tilted = [_tilted(rotation, hull, size) for rotation in plain]
+    worst = [_excess(rotation, hull, size) for rotation in tilted]
+    first = next((i for i, w in enumerate(worst) if w <= _FITS), int(np.argmin(worst)))
+    return _centred(tilted[first], hull, size)
+
+
+def _turned(direction: FloatArray, axis: int) -> FloatArray:
+    """A rotation (3, 3) that takes ``direction`` along a block axis and leaves z up as far as it can."""
+    own = direction / np.linalg.norm(direction)
+    up = np.eye(3)[2] if abs(own[2]) < 0.8 else np.eye(3)[0]
+    up = up - (up @ own) * own
+    up = up / np.linalg.norm(up)
+    here = np.stack([own, up, np.cross(own, up)])
+    there_up = np.eye(3)[2] if axis != 2 else np.eye(3)[0]
+    there = np.stack([np.eye(3)[axis], there_up, np.cross(np.eye(3)[axis], there_up)])
+    return np.asarray(there.T @ here)
+
+
+def _excess(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> float:
+    return float((np.ptp(hull @ rotation.T, axis=0) - size).max())
+
+
+def _tilted(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatArray:
+    """The rotation with a tilt of up to 45 degrees or so that makes the part stand out least."""
+    best = minimize(
+        lambda w: 1e3 * _excess(np.asarray(exp_rotation(w) @ rotation), hull, size),
+        np.zeros(3),
+        method="Nelder-Mead",
+        options={"initial_simplex": np.vstack([np.zeros(3), 0.1 * np.eye(3)]), "xatol": 1e-6, "fatol": 1e-6},
+    )
+    return np.asarray(exp_rotation(best.x) @ rotation)
+
+
+def _centred(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatArray:
+    laid = hull @ rotation.T
+    middle = 0.5 * (laid.min(axis=0) + laid.max(axis=0))
+    return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - middle)
+
+
+def standing_out(parts: Sequence[Ruled], size: FloatArray) -> FloatArray:
+    """How much larger (3,) [m] the block must be along each axis to hold the surfaces where they are."""
+    return overhang(np.concatenate([p for part in parts for p in (part.start, part.end)]), size)
+
+
+def check_ruled(part: Ruled, field: str) -> Iterator[Issue]:
+    """Issues of a surface: its size, rulings of no length, rings that cross themselves, folds."""
+    sight = points(part, np.array([0.0, 0.5, 1.0]))
+    extent = float(np.ptp(sight.reshape(-1, 3), axis=0).max())
+    length = np.linalg.norm(part.end - part.start, axis=1)
+    if extent > LONGEST or length.min() < SHORTEST:
+        what = (
+            f"surface {part.name} is {extent / MM:.4g} mm long with rulings from {length.min() / MM:.3g} mm; "
+            f"allowed are {LONGEST / MM:g} mm and rulings of at least {SHORTEST / MM:g} mm; correct its "
+            "measures, "
+            "or let its guides stay apart"
+        )
+        yield Issue("part.ruled_shape", what, field=field)
+        return
+    direction = (part.end - part.start).mean(axis=0)
+    if part.closed and np.linalg.norm(direction) > 1e-9:
+        flat = sight @ _across(direction)
+        for place, name in ((0, "start"), (1, "middle"), (2, "end")):
+            if len(flat) < 3 or not LinearRing(flat[:, place]).is_simple:
+                what = (
+                    f"surface {part.name}: its ring at the {name} of the rulings crosses itself; correct it"
+                )
+                yield Issue("part.guide", what, field=field)
+                return
+    fold = _folds(part)
+    if fold is not None:
+        at = sight[fold, 1] / MM
+        what = (
+            f"surface {part.name} folds over itself near ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm, "
+            "where its "
+            "guides run against each other; run one of them the other way, or match it otherwise"
+        )
+        yield Issue("part.ruled_shape", what, field=field)
+
+
+def _folds(part: Ruled) -> int | None:
+    """The first ruling whose ends look to opposite sides, or None."""
+    following = np.roll(np.arange(len(part.start)), -1)
+    here = np.arange(len(part.start)) if part.closed else np.arange(len(part.start) - 1)
+    next_one = following[here]
+    way = part.end[here] - part.start[here]
+    first, last = (np.cross(e[next_one] - e[here], way) for e in (part.start, part.end))
+    size = np.linalg.norm(first, axis=1) * np.linalg.norm(last, axis=1)
+    turned = np.sum(first * last, axis=1) < -1e-6 * size
+    moving = size > (1e-7 * np.linalg.norm(way, axis=1)) ** 2
+    bad = np.flatnonzero(turned & moving)
+    return int(here[bad[0]]) if len(bad) else None
+
+
+def _across(direction: FloatArray) -> FloatArray:
+    """Two unit vectors as (3, 2) at right angles to ``direction``, counterclockwise about it."""
+    own = direction / np.linalg.norm(direction)
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(own)))], own)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(own, x)], axis=1)
+
+
+def outwards(part: Ruled) -> Ruled:
+    """A closed surface run so that its normals point away from the part: out of the ring, or into a hole."""
+    direction = (part.end - part.start).mean(axis=0)
+    flat = points(part, np.array([0.5]))[:, 0] @ _across(direction)
+    following = np.roll(flat, -1, axis=0)
+    area = float(np.sum(flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]))
+    return backwards(part) if (area < 0.0) != part.hole else part
+
+
+def backwards(part: Ruled) -> Ruled:
+    """The surface with its rulings in the opposite order, so that it looks to its other side."""
+    order = np.arange(len(part.start))[::-1]
+    if part.closed:
+        order = np.roll(order, 1)
+    return Ruled(part.name, part.start[order], part.end[order], part.corner[order], part.closed, part.hole)
