@@ -12,7 +12,17 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from planner import cell_file, part_file, posed, problem_file
+from planner import (
+    cell_file,
+    part_faces_file,
+    part_file,
+    part_plate_file,
+    part_ruled_file,
+    part_surface_file,
+    part_wing_file,
+    posed,
+    problem_file,
+)
 from planner.hotwire import operation
 from planner.verify import prove
 
@@ -24,13 +34,25 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`stock`", "", problem_file.StockFile),
     ("`settings`", "", problem_file.SettingsFile),
     ("`part`", "", part_file.PartFile),
-    ("`part.front`", "", part_file.FrontFile),
-    ("`part.front.loft`", "", part_file.LoftFile),
-    ("`part.front.loft.rail`", "", part_file.RailFile),
-    ("`part.front.loft.profiles` and `sections`, each", "", part_file.CurveFile),
-    ("`part.front.loft.region`", "", part_file.RegionFile),
-    ("`part.front.mesh`, `part.back.mesh`", "", part_file.FaceMeshFile),
-    ("`part.back`", "", part_file.BackFile),
+    ("`part.front`", "", part_faces_file.FrontFile),
+    ("`part.front.loft`, `part.strips.loft`", "", part_faces_file.LoftFile),
+    ("`part.front.loft.rail`", "", part_faces_file.RailFile),
+    ("`part.front.loft.profiles` and `sections`, each", "", part_faces_file.CurveFile),
+    ("`part.front.loft.region`", "", part_faces_file.RegionFile),
+    ("`part.front.mesh`, `part.back.mesh`, `part.strips.mesh`", "", part_faces_file.FaceMeshFile),
+    ("`part.back`", "", part_faces_file.BackFile),
+    ("`part.ruled`, each", "", part_ruled_file.RuledFile),
+    ("`start` and `end` of `part.ruled`", "", part_ruled_file.GuideFile),
+    ("`dxf` of a guide", "", part_ruled_file.DxfFile),
+    ("`part.wing`", "", part_wing_file.WingFile),
+    ("`root` and `tip` of `part.wing`", "", part_wing_file.SectionFile),
+    ("`part.plate`", "", part_plate_file.PlateFile),
+    ("`part.plate.outlines`, each", "", part_plate_file.OutlineFile),
+    ("`circle` of an outline", "", part_plate_file.CircleFile),
+    ("`part.plate.dxf`", "", part_plate_file.PlateDxfFile),
+    ("`part.mesh`", "", part_surface_file.RuledMeshFile),
+    ("`part.strips`", "", part_surface_file.StripsFile),
+    ("`part.in_stock`", "", part_file.PlaceFile),
     ("Process `elastic_wire`", "elastic_wire", operation.ElasticWire),
     ("`wire` of `elastic_wire`", "", operation.WireFile),
     ("Process `targets`", "process-targets", posed.Posed),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -165,8 +164,3 @@ def arc_length(points: FloatArray) -> FloatArray:
 def along(points: FloatArray, places: FloatArray, wanted: FloatArray) -> FloatArray:
     """Points (K, 3) of a polyline (N, 3) at ``wanted`` (K,) of its ascending ``places`` (N,)."""
     return np.stack([np.interp(wanted, places, points[:, axis]) for axis in range(points.shape[1])], axis=1)
-
-
-def extents(parts: Sequence[FloatArray]) -> FloatArray:
-    """Lengths (3,) of the box round several arrays of points (N, 3)."""
-    return np.asarray(np.ptp(np.concatenate(parts), axis=0))
