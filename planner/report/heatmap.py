@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from planner.report import charts, markup
 from planner.report.markup import Raw
@@ -13,6 +14,7 @@ FloatArray = NDArray[np.float64]
 _COLD = np.array([0.13, 0.36, 0.70])
 _MILD = np.array([0.93, 0.94, 0.93])
 _WARM = np.array([0.78, 0.18, 0.13])
+_GRID = (1500, 41)
 _MISSED = np.array([0.35, 0.13, 0.45])
 
 
@@ -84,6 +86,25 @@ def laid(points: FloatArray) -> tuple[FloatArray, str]:
     return uv, words
 
 
+def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> tuple[FloatArray, str]:
+    """Coordinates (M, 2) [m] of points (M, 3) on the ruled surface between ``start`` and ``end`` (K, 3), laid
+    flat: along its middle line, and along its rulings; and words that say so.
+
+    Each point takes the place of the nearest one of a dense grid on the surface.
+    """
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))])
+    at, share = np.linspace(0.0, way[-1], _GRID[0]), np.linspace(0.0, 1.0, _GRID[1])
+    low, high = (
+        np.stack([np.interp(at, way, side[:, c]) for c in range(3)], axis=-1) for side in (start, end)
+    )
+    grid = low[:, None] + share[:, None] * (high - low)[:, None]
+    _, nearest = cKDTree(grid.reshape(-1, 3)).query(points)
+    row, column = np.divmod(nearest, _GRID[1])
+    length = float(np.linalg.norm(end - start, axis=1).mean())
+    words = "laid flat: along the cut to the right, along the wire up; mm"
+    return np.stack([at[row], length * share[column]], axis=1), words
+
+
 def span_of(deviation: FloatArray, tolerance: float) -> float:
     """What the colours reach to [m]: nearly all deviations, so that small ones can be seen too."""
     finite = np.abs(deviation[np.isfinite(deviation)])
@@ -91,9 +112,18 @@ def span_of(deviation: FloatArray, tolerance: float) -> float:
     return max(1.15 * largest, 0.05 * tolerance)
 
 
-def deviation_map(points: FloatArray, deviation: FloatArray, tolerance: float, title: str) -> Raw:
-    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut."""
-    uv, words = laid(points)
+def deviation_map(
+    points: FloatArray,
+    deviation: FloatArray,
+    tolerance: float,
+    title: str,
+    rulings: tuple[FloatArray, FloatArray] | None = None,
+) -> Raw:
+    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut.
+
+    A surface of the ``rulings`` from (K, 3) to (K, 3) is laid flat, any other one seen along its normal.
+    """
+    uv, words = laid(points) if rulings is None else unrolled(points, *rulings)
     span = span_of(deviation, tolerance)
     grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)

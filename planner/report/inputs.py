@@ -86,7 +86,8 @@ class WireMotion:
 class Motion:
     """All that is drawn over time; ``source`` says where it comes from.
 
-    ``work`` is the time from the first target to the last [s]: outside it arms move alone, by their joints.
+    ``work``: from when to when [s] the targets' segments run; at other times arms move alone, by their
+    joints. Without any all of it is work.
     """
 
     arms: Mapping[str, ArmMotion]
@@ -95,12 +96,14 @@ class Motion:
     wires: tuple[WireMotion, ...]
     bands: tuple[Band, ...]
     source: str
-    work: tuple[float, float]
+    work: tuple[tuple[float, float], ...] = ()
 
     def wrist(self, arm: str) -> float:
-        """Least wrist angle [rad] of an arm from its first target to its last."""
+        """Least wrist angle [rad] of an arm in the segments of the targets."""
         moved = self.arms[arm]
-        inside = (moved.time >= self.work[0]) & (moved.time <= self.work[1])
+        inside = np.zeros(len(moved.time), dtype=bool)
+        for start, end in self.work:
+            inside |= (moved.time >= start) & (moved.time <= end)
         return float(np.min(moved.wrist_angle[inside if inside.any() else slice(None)]))
 
 
@@ -113,14 +116,13 @@ def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
         bands = _bands(tuple(str(v) for v in series.get("label", ())), np.asarray(series["time"]))
         feed = _proven_feed(plan, series)
         source = "replayed from the programs' text, from home to home"
-        named = {label for op in plan.operations for label in op.targets.segment}
-        inside = [band for band in bands if band.name in named] or list(bands)
-        work = (inside[0].start, inside[-1].end) if inside else (-np.inf, np.inf)
+        named = {label.lower() for op in plan.operations for label in op.targets.segment}
+        work = tuple((band.start, band.end) for band in bands if band.name.lower() in named)
         return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work)
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
     shown = _planned(problem, plan, starts)
-    return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets", (-np.inf, np.inf))
+    return Motion(shown, None, _feed(plan, starts), (), bands, "the plan's targets")
 
 
 def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> str:
@@ -209,10 +211,12 @@ def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:
 
 def _proven_feed(plan: Plan, series: Mapping[str, Any]) -> Feed:
     """Speeds of the wires' fastest points inside the stock, with the windows that the claims state."""
-    windows = {c.segment: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)}
+    windows = {
+        c.segment.lower(): c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
+    }
     rows = []
     for n in _numbers(series, "feed"):
-        labels = [str(v) for v in series[f"wire/{n}/label"]]
+        labels = [str(v).lower() for v in series[f"wire/{n}/label"]]
         lower = np.array([windows[v].lower if v in windows else np.nan for v in labels])
         upper = np.array([windows[v].upper if v in windows else np.nan for v in labels])
         rows.append(np.stack([series[f"wire/{n}/time"], series[f"wire/{n}/feed"], lower, upper]))

@@ -124,7 +124,7 @@ def margins(motion: Motion, settings: Settings) -> list[Raw]:
         note = f"least: {markup.fixed(least, 1)}°"
         if attribute == "wrist_angle" and motion.arms:
             at_work = min(motion.wrist(name) for name in motion.arms)
-            note = f"least between first and last target: {markup.fixed(at_work / DEG, 1)}°"
+            note = f"least between targets: {markup.fixed(at_work / DEG, 1)}°"
         body = chart(
             lines,
             x_label="s",

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planner.claims import FollowsRulings
 from planner.issues import Issue, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem
@@ -57,7 +58,13 @@ def render(
         shown = [overview.picture(picture, title) for title, picture in extra.pictures]
         sections.append(markup.section("cell", "Cell", *shown))
     if proof is not None and proof.surfaces:
-        faces = "".join(verdicts.face(face) for face in proof.surfaces)
+        ruled = {
+            claim.segment.lower(): (claim.start, claim.end)
+            for operation in (plan.operations if plan is not None else ())
+            for claim in operation.targets.claims
+            if isinstance(claim, FollowsRulings)
+        }
+        faces = "".join(verdicts.face(face, ruled.get(face.segment.lower())) for face in proof.surfaces)
         sections.append(markup.section("part", "Simulated part against the wanted one", faces))
     sections += drawn
     if problem is not None and plan is not None and plan.operations:

@@ -71,8 +71,10 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) 
             items += _bent(claim) + _mount(setup, plan, operation, claim)
         elif isinstance(claim, StraightWire):
             items += _straight(claim)
-    items += _cutting(operation)
-    items += exhibits.setup_items(targets.exhibits)
+    own = exhibits.setup_items(targets.exhibits)
+    straight = any(isinstance(claim, StraightWire) for claim in targets.claims)
+    # the straight wire's process says all this by itself
+    items += own if own and straight else [*_cutting(operation), *own]
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
     items += (
         [("signals", Raw(", ".join(f"<code>{markup.text(s)}</code>" for s in signals)))] if signals else []
@@ -99,7 +101,6 @@ def _straight(wire: StraightWire) -> list[tuple[object, object]]:
     return [
         ("bow on", wire.arm),
         ("straight wire between the clamps", Raw(f"{markup.fixed(length / MM, 1)} mm")),
-        ("wire diameter", Raw(f"{markup.fixed(2.0 * wire.radius / MM, 2)} mm")),
         ("clamps stay clear of the block by", Raw(f"{markup.fixed(wire.margin / MM, 1)} mm")),
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.issues import Issue, Severity
 from planner.report import heatmap, markup
@@ -12,6 +13,7 @@ from planner.report.markup import Raw
 from planner.units import MM
 from planner.verify.result import CutFace, RuleResult
 
+FloatArray = NDArray[np.float64]
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
 
 
@@ -70,8 +72,8 @@ def rules(results: Sequence[RuleResult]) -> Raw:
     return markup.table(("", "rule", "worst", "limit", "where", "code"), rows)
 
 
-def face(cut: CutFace) -> Raw:
-    """Heat map, histogram and figures of one simulated face."""
+def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Raw:
+    """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
     items = [
         (f"within ±{markup.number(cut.tolerance / MM)} mm", f"{100 * cut.share:.2f} % of the face"),
@@ -88,6 +90,7 @@ def face(cut: CutFace) -> Raw:
         cut.deviation,
         cut.tolerance,
         Raw(f"Simulated less wanted: {markup.text(cut.segment)}{tag}"),
+        rulings,
     )
     spread = markup.figure("Spread", heatmap.histogram(cut.deviation, cut.tolerance))
     return Raw(f'<div class="grid two part">{chart}<div>{spread}{markup.facts(items)}</div></div>')

@@ -141,3 +141,19 @@ def test_view_looks_along_the_normal(normal: tuple[float, float, float]) -> None
     across, up, found = heatmap.view(points)
     assert abs(abs(found @ n) - 1.0) < 1e-9
     np.testing.assert_allclose(np.cross(across, up), found, atol=1e-12)
+
+
+def test_a_ruled_surface_is_laid_flat() -> None:
+    """A quarter of a cone's mantle: along the middle line radius times angle, along the ruling its length."""
+    angle = np.linspace(0.0, 0.5 * np.pi, 200)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    start, end = 0.2 * ring, 0.1 * ring + np.array([0.0, 0.0, 0.3])
+    rng = np.random.default_rng(1)
+    row, share = rng.integers(0, 200, 500), rng.random(500)
+    points = start[row] + share[:, None] * (end - start)[row]
+    uv, words = heatmap.unrolled(points, start, end)
+    np.testing.assert_allclose(uv[:, 0], 0.15 * angle[row], atol=5e-4)
+    np.testing.assert_allclose(
+        uv[:, 1], np.hypot(0.1, 0.3) * share, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4
+    )
+    assert "laid flat" in words
