@@ -103,11 +103,13 @@ def with_end_error(
 
 
 def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """No target stands out of the smooth surface that its neighbours make by more than the tolerance."""
+    """No target of a bent wire stands out of the smooth surface that its neighbours make by more than the
+    tolerance; a straight one is held against its rulings, which may have edges."""
     issues, worst, limit, where = [], 0.0, None, ""
     nodes = context.motion.node_sample
+    ruled = {claim.segment.lower() for claim in context.rulings}
     for claim in context.surfaces:
-        for wire in wires:
+        for wire in wires if claim.segment.lower() not in ruled else ():
             rows = np.flatnonzero((wire.labels == claim.segment.lower()) & np.isin(wire.sample, nodes))
             if wire.fault or len(rows) < 5:
                 continue
