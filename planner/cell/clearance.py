@@ -7,6 +7,7 @@ looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.multibody.tree import BodyIndex
 
 from planner.cell.distance import LeastClearance
 from planner.cell.edge import edge
@@ -109,7 +109,7 @@ def least(
             if len(values) and values.min() < reach:
                 k = int(values.argmin())
                 distance[i] = values[k]
-                pairs[i] = _names(model, found.robot_indices()[k], found.other_indices()[k])
+                pairs[i] = _names(model, int(found.robot_indices()[k]), int(found.other_indices()[k]))
     return LeastClearance(distance, tuple(pairs))
 
 
@@ -118,25 +118,30 @@ def gradients(
 ) -> list[tuple[float, FloatArray, tuple[str, str]]]:
     """All distances [m] within ``reach`` at one configuration (nq,), each with its gradient (nq,) [m/rad]
     and pair."""
-    return gradients_at(model, np.asarray(q_row, dtype=np.float64)[None], reach, ignore)[0]
+    (near,) = gradients_at(model, np.asarray(q_row, dtype=np.float64)[None], reach, ignore)
+    rows = zip(near.distance, near.gradient, near.bodies.tolist(), strict=True)
+    return [(float(d), g, _names(model, *pair)) for d, g, pair in rows]
 
 
-def gradients_at(
-    model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()
-) -> list[list[tuple[float, FloatArray, tuple[str, str]]]]:
+@dataclasses.dataclass(frozen=True)
+class Near:
+    """Distances (D,) [m] at one configuration, their gradients (D, nq) [m/rad] and pairs of Drake's body
+    indices (D, 2)."""
+
+    distance: FloatArray
+    gradient: FloatArray
+    bodies: NDArray[np.intp]
+
+
+def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()) -> list[Near]:
     """What :func:`gradients` tells, of configurations (B, nq) at once: leaving pairs out takes its time."""
     out = []
     with _ignored(model, ignore):
         for row in rows:
             found = _steady(functools.partial(_clearance, model, reach), row)
-            each = zip(
-                found.distances(),
-                found.jacobians(),
-                found.robot_indices(),
-                found.other_indices(),
-                strict=True,
-            )
-            out.append([(float(d), np.array(j), _names(model, a, b)) for d, j, a, b in each])
+            bodies = zip(found.robot_indices(), found.other_indices(), strict=True)
+            pairs = np.array([(int(a), int(b)) for a, b in bodies], dtype=np.intp).reshape(-1, 2)
+            out.append(Near(np.array(found.distances()), np.array(found.jacobians()), pairs))
     return out
 
 
@@ -187,8 +192,8 @@ def _steady(ask: Callable[[FloatArray], Any], row: FloatArray) -> Any:
     return ask(row + NUDGE * np.sin(np.arange(len(row))))
 
 
-def _names(model: CellModel, a: BodyIndex, b: BodyIndex) -> tuple[str, str]:
-    first, second = sorted((model.body_name(int(a)), model.body_name(int(b))))
+def _names(model: CellModel, a: int, b: int) -> tuple[str, str]:
+    first, second = sorted((model.body_name(a), model.body_name(b)))
     return first, second
 
 

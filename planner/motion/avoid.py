@@ -64,7 +64,7 @@ class Avoid:
         self._kind = np.zeros(0, dtype=np.intp)
         local = _local_pairs(model, arms)
         self._bounds = [model.bounds.among(local | pairs) for pairs in self._meeting]
-        self._masks: dict[tuple[str, str], FloatArray] = {}
+        self._table = self._masks()
         self._bound_at = self._at = np.zeros((0, 0))
         self._bound = np.zeros(0)
         self._distance = np.zeros((0, 0))
@@ -151,17 +151,17 @@ class Avoid:
             full[:, self._columns] = q[part]
             found += clearance.gradients_at(self._model, full, QUERY, meeting)
         self.queries += len(index)
-        self._widen(len(q), max(len(one) for one in found))
+        self._widen(len(q), max(len(one.distance) for one in found))
         self._at[index] = q[index]
         self._own[index] = True
         self._distance[index] = np.inf
         self._gradient[index] = 0.0
         self._mask[index] = 0.0
         for i, one in zip(index, found, strict=True):
-            for k, (distance, gradient, pair) in enumerate(one):
-                self._distance[i, k] = distance
-                self._gradient[i, k] = gradient[self._columns]
-                self._mask[i, k] = self._moving(pair)
+            count = len(one.distance)
+            self._distance[i, :count] = one.distance
+            self._gradient[i, :count] = one.gradient.reshape(count, -1)[:, self._columns]
+            self._mask[i, :count] = self._table[one.bodies[:, 0], one.bodies[:, 1]]
 
     def _widen(self, rows: int, count: int) -> None:
         have = self._distance.shape[1] if len(self._distance) == rows else 0
@@ -175,16 +175,18 @@ class Avoid:
             mask[:, :have] = self._mask
         self._distance, self._gradient, self._mask = distance, gradient, mask
 
-    def _moving(self, pair: tuple[str, str]) -> FloatArray:
-        """(J,) 1 for the joints that move one body of a pair against the other."""
-        if pair not in self._masks:
-            mask = np.zeros(len(self._columns))
-            for k, arm in enumerate(self._arms):
-                ends = [_link(name) for name in pair if _carrier(self._model, name) == arm]
+    def _masks(self) -> FloatArray:
+        """(bodies, bodies, J) 1 for the joints that move one body of a pair against the other."""
+        bodies = range(self._model.plant.num_bodies())
+        names = [self._model.body_name(i) for i in bodies]
+        out = np.zeros((len(names), len(names), len(self._columns)))
+        for k, arm in enumerate(self._arms):
+            place = [_link(name) if _carrier(self._model, name) == arm else -1 for name in names]
+            for a, b in itertools.product(bodies, repeat=2):
+                ends = [end for end in (place[a], place[b]) if end >= 0]
                 low = min(ends) if len(ends) == 2 else 0
-                mask[6 * k + low : 6 * k + max(ends, default=0)] = 1.0
-            self._masks[pair] = mask
-        return self._masks[pair]
+                out[a, b, 6 * k + low : 6 * k + max(ends, default=0)] = 1.0
+        return out
 
 
 def _levers(model: CellModel, arm: str) -> FloatArray:

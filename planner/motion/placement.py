@@ -41,7 +41,7 @@ WANTED: Final = 6
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
 SPIN_STEP: Final = np.deg2rad(30.0)
-RING: Final = 8
+RING: Final = 6
 """Samples of each full turn where there are two."""
 
 HALF: Final = 0.5 * np.pi
@@ -272,7 +272,7 @@ def _few(cell: Cell, targets: Targets, count: int) -> _Few:
 
 def _samples(targets: Targets) -> FloatArray:
     """Values (N, S, F): what turns at every 30 degrees, slides in their middle; of many freedoms those
-    that turn without end, at every 45 degrees."""
+    that turn without end, at every 60 degrees."""
     rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
     if rings.sum() < 2:
         return sample(targets, SPIN_STEP, slides=1).values

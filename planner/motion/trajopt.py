@@ -78,7 +78,7 @@ def improve(
         while scale > 0.05:
             trial = problem.clip(values + scale * step)
             moved = problem.joints(trial, joints)
-            offered = problem.cost(trial, moved) if moved is not None else np.inf
+            offered = problem.cost(trial, moved, cost) if moved is not None else np.inf
             if moved is not None and offered < cost:
                 done = True
                 break
@@ -171,11 +171,14 @@ class _Problem:
         rows = margin_rows(self.scene, self.targets.arms, joints)
         return rows + list(self.obstacles.rows(joints)) if self.obstacles else rows
 
-    def cost(self, values: FloatArray, joints: FloatArray) -> float:
+    def cost(self, values: FloatArray, joints: FloatArray, limit: float = np.inf) -> float:
+        """The cost, or inf where it is ``limit`` or more before obstacles are looked at."""
         scaled = joints / self.speed
         total = float(np.sum(scaled * _times(self.stencil, scaled)))
         total += sum(r.cost for r in margin_rows(self.scene, self.targets.arms, joints, slopes=False))
         total += sum(r.cost for r in preference_rows(self.targets, values, self.rings))
+        if total >= limit:
+            return np.inf
         return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
 
     def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
