@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from shapely import LinearRing, Polygon, STRtree
+from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
 from planner.issues import Issue
@@ -17,7 +18,7 @@ from planner.units import MM
 FloatArray = NDArray[np.float64]
 
 SAME: Final = 1e-5
-"""Outlines [m] that are this near all along are the same one."""
+"""Outlines [m] that are this near touch each other; all along, they are the same one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,15 +59,15 @@ def check(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Issue]:
         issues.append(Issue("part.outline_crossing", what, field=name))
     tree = STRtree(polygons)
     for i, polygon in enumerate(polygons):
-        for j in sorted(int(k) for k in tree.query(polygon) if k > i):
+        for j in sorted(int(k) for k in tree.query(polygon, predicate="dwithin", distance=SAME) if k > i):
             if not (sound[i] and sound[j]):
                 continue
             other = polygons[j]
             if polygon.exterior.hausdorff_distance(other.exterior) < SAME:
                 what = f"is the same outline as {names[i]}; leave one out"
                 issues.append(Issue("part.outline_duplicate", what, field=names[j]))
-            elif polygon.exterior.intersects(other.exterior):
-                meet = polygon.exterior.intersection(other.exterior).representative_point()
+            elif polygon.exterior.dwithin(other.exterior, SAME):
+                meet = nearest_points(polygon.exterior, other.exterior)[0]
                 what = f"crosses or touches {names[i]} near ({meet.x / MM:.2f}, {meet.y / MM:.2f}) mm; "
                 what += "outlines must "
                 what += "lie apart or one in the other, so move or join them"

@@ -64,7 +64,7 @@ def find_rulings(patch: Patch, name: str) -> tuple[Ruled, Deviation]:
 
 def deviation(ruled: Ruled, mesh: TriangleMesh, near: Nearness) -> Deviation:
     """How far the ruled surface and the mesh are apart, looked at from both."""
-    own = resample(ruled, 1e-4, max(near_step(mesh), 1e-3))
+    own = resample(ruled, 1e-4, max(2.0 * near_step(mesh), 1e-3))
     sight = points(own, np.linspace(0.0, 1.0, 21)).reshape(-1, 3)
     facets = tessellate(own, 1e-5)
     other = Nearness(TriangleMesh(facets.vertices, facets.faces), _spacing(mesh))

@@ -115,8 +115,8 @@ def _measured(patch: Patch, across: Across, share: FloatArray, count: int, near:
         rows = rows[:, ::-1]
     bent = np.array([turns(row, False) > CORNER_ANGLE for row in rows])
     strips = tuple(Ruled("strip", rows[k], rows[k + 1], bent[k] | bent[k + 1]) for k in range(count))
-    inner = np.linspace(0.0, 1.0, 9)
-    sight = np.concatenate([points(s, inner)[::4].reshape(-1, 3) for s in strips])
+    inner = np.linspace(0.0, 1.0, 7)[1:-1]
+    sight = np.concatenate([points(s, inner)[::8].reshape(-1, 3) for s in strips])
     apart = near.distance(sight)[0].reshape(count, -1).max(axis=1)
     normals = [outward(s) for s in strips]
     kink = [_angle(one[1], two[0]).max() for one, two in itertools.pairwise(normals)]

@@ -1,0 +1,344 @@
+"""Parts that are cut by rulings, as problem files give them: edges of faces, guides, wings, plates."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import ezdxf
+import numpy as np
+import pytest
+import trimesh
+from pydantic import ValidationError
+
+from planner.geometry.rulings import outward, outward_sides, points, tessellate
+from planner.issues import Issue, TandemError
+from planner.part_file import PartFile, build
+from planner.problem import Part
+
+BLOCK = np.array([0.3, 0.6, 0.1])
+SQUARE = [[0, 0], [100, 0], [100, 100], [0, 100]]
+
+
+def make(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> Part:
+    return build(PartFile.model_validate_json(json.dumps(spec), strict=True), folder, size)
+
+
+def refused(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> list[Issue]:
+    with pytest.raises(TandemError) as caught:
+        make(spec, folder, size)
+    return list(caught.value.issues)
+
+
+def panel(**more: Any) -> dict[str, Any]:
+    loft = {
+        "rail": {"radius_mm": 300, "start_deg": 0, "end_deg": 20},
+        "profiles": [{"at": 0, "bezier_mm": [[0, 0], [30, 200], [60, 400]]}],
+        "chord_mm": 0.02,
+    }
+    return {"front": {"loft": loft}, **more}
+
+
+def test_a_panel_has_four_smooth_edges_with_corners_between() -> None:
+    part = make(panel(back={"offset_mm": 20}))
+    (edges,) = part.ruled
+    assert edges.name == "edges"
+    assert edges.closed
+    assert edges.corner.sum() == 4
+    np.testing.assert_allclose(np.linalg.norm(edges.end - edges.start, axis=1), 0.020, atol=2e-5)
+    front = trimesh.Trimesh(part.front.vertices, part.front.faces, process=False)
+    assert np.abs(trimesh.proximity.closest_point(front, edges.start)[1]).max() < 1e-5
+    middle = points(edges, np.array([0.5]))[:, 0]
+    normal = outward(edges)[0]
+    assert (np.sum((middle - middle.mean(axis=0)) * normal, axis=1) > 0).all()
+    before, after = outward_sides(edges)
+    turn = np.rad2deg(np.arccos(np.clip(np.sum(before[:, 0] * after[:, 0], axis=1), -1, 1)))
+    np.testing.assert_allclose(turn[edges.corner], 90.0, atol=3.0)
+    assert make(panel()).ruled == ()
+
+
+def plate_mesh(path: Path, corners: list[list[float]], cells: int, up: bool) -> None:
+    a, b, c, d = np.array(corners, dtype=float)
+    s, t = np.meshgrid(np.linspace(0, 1, cells + 1), np.linspace(0, 1, cells + 1), indexing="ij")
+    s, t = s[..., None], t[..., None]
+    grid = ((1 - s) * (1 - t) * a + s * (1 - t) * b + s * t * c + (1 - s) * t * d).reshape(-1, 3)
+    i = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    p, q, r, w = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, w], 1)])
+    trimesh.Trimesh(grid, faces if up else faces[:, ::-1], process=False).export(path)
+
+
+def test_a_back_of_its_own_is_joined_corner_to_corner(tmp_path: Path) -> None:
+    plate_mesh(tmp_path / "front.ply", [[0, 0, 40], [200, 0, 40], [200, 90, 50], [0, 90, 40]], 8, True)
+    plate_mesh(tmp_path / "back.ply", [[5, 5, 0], [190, 5, 0], [190, 80, 0], [5, 80, 0]], 5, False)
+    spec = {
+        "front": {"mesh": {"file": "front.ply", "unit": "mm"}},
+        "back": {"mesh": {"file": "back.ply", "unit": "mm"}},
+        "in_stock": {"xyz_mm": [-100, -45, 0]},
+    }
+    (edges,) = make(spec, tmp_path).ruled
+    got = 1e3 * np.stack([edges.start, edges.end], axis=1)[edges.corner] + [100, 45, 0]
+    wanted = {(0, 0, 40, 5, 5, 0), (200, 0, 40, 190, 5, 0), (200, 90, 50, 190, 80, 0), (0, 90, 40, 5, 80, 0)}
+    assert {tuple(np.round(row.ravel()).astype(int)) for row in got} == wanted
+    assert (np.sum(outward(edges)[1] * (edges.end - edges.end.mean(axis=0)), axis=1) > 0).all()
+
+
+def test_faces_that_cannot_be_joined_say_so_in_a_note(tmp_path: Path) -> None:
+    plate_mesh(tmp_path / "front.ply", [[0, 0, 40], [200, 0, 40], [200, 90, 40], [0, 90, 40]], 4, True)
+    corner = np.array([[0, 0, 0], [200, 0, 0], [100, 90, 0]])
+    trimesh.Trimesh(corner, [[0, 2, 1]], process=False).export(tmp_path / "back.ply")
+    front, back = ({"mesh": {"file": f"{n}.ply", "unit": "mm"}} for n in ("front", "back"))
+    part = make({"front": front, "back": back}, tmp_path)
+    assert part.ruled == ()
+    assert [note.code for note in part.notes] == ["part.edges"]
+    assert "4 corners and the back's 3" in part.notes[0].message
+
+
+def guides(**more: Any) -> dict[str, Any]:
+    top = [[x, y, 60] for x, y in SQUARE[1:] + SQUARE[:1]]
+    own = {"start": {"polyline_mm": [[*p, 0] for p in SQUARE]}, "end": {"polyline_mm": top}, "closed": True}
+    return {"ruled": [{"name": "sides", **own, **more}]}
+
+
+def test_two_closed_guides_make_a_prism_that_faces_outwards_and_a_hole_inwards() -> None:
+    (sides,) = make(guides()).ruled
+    assert sides.corner.sum() == 4
+    np.testing.assert_allclose(np.ptp(sides.start, axis=0).max(), 0.1, atol=1e-9)
+    out = np.sum(outward(sides)[0] * (sides.start - sides.start.mean(axis=0)), axis=1)
+    assert (out > 0).all()
+    (hole,) = make(guides(hole=True)).ruled
+    assert hole.hole
+    assert (np.sum(outward(hole)[0] * (hole.start - hole.start.mean(axis=0)), axis=1) < 0).all()
+
+
+def test_an_open_surface_is_turned_by_flip_and_a_crossing_guide_is_run_the_other_way() -> None:
+    start = {"bezier_mm": [[0, 0, 0], [100, 0, 40], [200, 0, 0]]}
+    end = {"bspline_mm": [[200, 80, 10], [120, 80, 30], [60, 80, 30], [0, 80, 0]]}
+    own = {"name": "roof", "start": start, "end": end}
+    place = {"xyz_mm": [-100, -40, 0]}
+    part = make({"ruled": [own], "in_stock": place})
+    assert [note.code for note in part.notes] == ["part.guide_turned"]
+    (roof,) = part.ruled
+    np.testing.assert_allclose(roof.end[[0, -1], 0], [-0.1, 0.1], atol=1e-9)
+    assert (outward(roof)[0][:, 2] > 0).all()
+    (other,) = make({"ruled": [own | {"flip": True}], "in_stock": place}).ruled
+    assert (outward(other)[0][:, 2] < 0).all()
+
+
+def test_unequal_corners_name_both_counts_and_can_be_given() -> None:
+    bent = {"polyline_mm": [[0, 0, 60], [100, 0, 60], [100, 100, 60], [50, 130, 60], [0, 100, 60]]}
+    (issue,) = refused(guides(end=bent))
+    assert issue.code == "part.corners"
+    assert "4 corners" in issue.message
+    assert "end guide 5" in issue.message
+    assert "corners_mm" in issue.message
+    four = {**bent, "corners_mm": [[0, 0, 60], [100, 0, 60], [100, 100, 60], [0, 100, 60]]}
+    assert make(guides(end=four)).ruled[0].corner.sum() == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"start": {"polyline_mm": [[0, 0, 0], [0, 0, 0], [5, 0, 0]]}}, "part.guide"),
+        ({"start": {"polyline_mm": [[0, 0, 0], [100, 100, 0], [100, 0, 0], [0, 100, 0]]}}, "part.guide"),
+        ({"end": {"polyline_mm": [[*p, 0] for p in SQUARE]}}, "part.ruled_shape"),
+        ({"end": {"polyline_mm": [[*p, 60_000] for p in SQUARE]}}, "part.ruled_shape"),
+    ],
+)
+def test_guides_without_size_that_cross_themselves_or_meet_are_refused(
+    change: dict[str, Any], code: str
+) -> None:
+    assert [issue.code for issue in refused(guides(**change))] == [code]
+
+
+def test_a_surface_that_folds_over_itself_is_refused() -> None:
+    arc = [[100 - 100 * np.cos(t), 60 * np.sin(t), 0] for t in np.linspace(0, np.pi, 30)]
+    line = [[0, 30, 50], [200, 30, 50]]
+    fold = {"name": "fold", "start": {"polyline_mm": arc}, "end": {"polyline_mm": line}, "match": "parameter"}
+    bad = {
+        **fold,
+        "end": {"polyline_mm": [[0, 30, 1], [120, 30, 1], [80, 30, 1], [200, 30, 1]], "corners_mm": []},
+    }
+    assert make({"ruled": [fold]}).ruled
+    assert refused({"ruled": [bad]})[0].code == "part.ruled_shape"
+
+
+WING = {
+    "root": {"naca": "2412", "chord_mm": 200},
+    "tip": {"naca": "23112", "chord_mm": 120},
+    "span_mm": 500,
+    "sweep_deg": 6,
+    "twist_deg": 2,
+    "dihedral_deg": 2,
+    "trailing_edge_mm": 1,
+}
+
+
+@pytest.mark.parametrize("size", [[0.25, 0.6, 0.06], [0.6, 0.25, 0.06], [0.06, 0.25, 0.6]])
+def test_a_wing_lies_along_the_longest_axis_of_its_block(size: list[float]) -> None:
+    (skin,) = make({"wing": WING}, size=np.array(size)).ruled
+    way = (skin.end - skin.start).mean(axis=0)
+    assert np.abs(way[int(np.argmax(size))]) > 0.98 * np.linalg.norm(way)
+    both = np.concatenate([skin.start, skin.end])
+    lower, upper = np.array([-0.5, -0.5, 0.0]) * size, np.array([0.5, 0.5, 1.0]) * size
+    assert (both > lower - 1e-6).all()
+    assert (both < upper + 1e-6).all()
+    centre = points(skin, np.array([0.5]))[:, 0].mean(axis=0)
+    facets = tessellate(skin)
+    body = trimesh.Trimesh(facets.vertices, facets.faces, process=False)
+    across = body.triangles_center - centre
+    across -= np.outer(across @ way, way) / (way @ way)
+    assert (np.sum(body.face_normals * across, axis=1) > 0).mean() > 0.97
+
+
+def test_wings_from_files_and_their_faults_by_field(tmp_path: Path) -> None:
+    rows = [f"{x:.6f} {y:.6f}" for x, y in np.array([[1, 0.001], [0, 0], [1, -0.001]])]
+    (tmp_path / "bad.dat").write_text("bad\n" + "\n".join(rows))
+    wing = {**WING, "root": {"file": "bad.dat", "chord_mm": 200}, "tip": {"naca": "0099", "chord_mm": 100}}
+    assert {(i.code, i.field) for i in refused({"wing": wing}, tmp_path)} == {
+        ("part.airfoil_points", "part.wing.root.file"),
+        ("part.naca", "part.wing.tip.naca"),
+    }
+    assert [i.code for i in refused({"wing": WING | {"trailing_edge_mm": 20}})] == ["part.wing"] * 2
+    assert refused({"wing": WING}, size=np.array([0.2, 0.4, 0.06]))[0].code == "part.stock_too_small"
+
+
+def outline(*more: Any) -> dict[str, Any]:
+    return {"plate": {"outlines": [{"polyline_mm": SQUARE}, *more]}}
+
+
+def circle(x: float, y: float, radius: float) -> dict[str, Any]:
+    return {"circle": {"centre_mm": [x, y], "radius_mm": radius}}
+
+
+def test_outlines_go_through_the_plate_with_holes_first_and_pieces_in_holes_before_them() -> None:
+    clockwise = {"polyline_mm": [[20, 20], [20, 40], [40, 40], [40, 20]]}
+    part = make(outline(circle(70, 70, 20), clockwise, circle(70, 70, 5)))
+    assert [(r.name, r.hole) for r in part.ruled] == [
+        ("outline_a", False),
+        ("hole_a", True),
+        ("hole_b", True),
+        ("outline_b", False),
+    ]
+    for ruled in part.ruled:
+        assert ruled.closed
+        np.testing.assert_allclose(ruled.start[:, 2], 0.0)
+        np.testing.assert_allclose(ruled.end[:, 2], 0.1)
+        out = np.sum(outward(ruled)[0] * (ruled.start - ruled.start.mean(axis=0)), axis=1)
+        assert ((out < 0) if ruled.hole else (out > 0)).all()
+    ring = part.ruled[2].start[:, :2]
+    centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
+    np.testing.assert_allclose(centre, [0.02, 0.02], atol=1e-6)
+    # the chord of a step a sags by r (1 - cos(a / 2))
+    assert 0.02 - np.linalg.norm(0.5 * (ring + np.roll(ring, 1, 0)) - centre, axis=1).min() < 1e-5
+    assert part.ruled[3].corner.sum() == 4
+
+
+def test_outlines_are_turned_by_a_quarter_where_they_fit_only_so() -> None:
+    long = {"polyline_mm": [[0, 0], [500, 0], [500, 50], [0, 50]]}
+    (own,) = make({"plate": {"outlines": [long]}}).ruled
+    np.testing.assert_allclose(np.ptp(own.start, axis=0), [0.05, 0.5, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("more", "code"),
+    [
+        ({"polyline_mm": [[10, 10], [60, 60], [60, 10], [10, 60]]}, "part.outline_crossing"),
+        (circle(100, 50, 10), "part.outline_overlap"),
+        (circle(90, 50, 10), "part.outline_overlap"),
+        ({"polyline_mm": SQUARE[2:] + SQUARE[:2]}, "part.outline_duplicate"),
+        ({"polyline_mm": [[10, 10], [10, 10], [10, 10]]}, "part.guide"),
+    ],
+)
+def test_faults_of_outlines_are_named(more: dict[str, Any], code: str) -> None:
+    issues = refused(outline(more))
+    assert [issue.code for issue in issues] == [code]
+    assert issues[0].field == "part.plate.outlines.1"
+
+
+def drawing(path: Path) -> None:
+    document = ezdxf.new("R2010")
+    space = document.modelspace()
+    space.add_line((0, 0), (80, 0), dxfattribs={"layer": "cut"})
+    space.add_arc((80, 20), 20, 270, 90, dxfattribs={"layer": "cut"})
+    space.add_line((0, 40), (80, 40), dxfattribs={"layer": "cut"})
+    space.add_lwpolyline([(0, 40), (0, 0)], dxfattribs={"layer": "cut"})
+    space.add_circle((70, 20), 8, dxfattribs={"layer": "cut"})
+    space.add_text("a note", dxfattribs={"layer": "cut"})
+    space.add_spline([(0, 0, 0), (50, 30, 20), (100, 0, 0)], dxfattribs={"layer": "guide"})
+    space.add_line((0, 80, 0), (40, 80, 0), dxfattribs={"layer": "open"})
+    document.saveas(path)
+
+
+def test_outlines_from_a_drawing_are_joined_from_their_pieces(tmp_path: Path) -> None:
+    drawing(tmp_path / "plate.dxf")
+    part = make({"plate": {"dxf": {"file": "plate.dxf", "unit": "mm", "layer": "cut"}}}, tmp_path)
+    assert [r.name for r in part.ruled] == ["hole_a", "outline_a"]
+    assert [note.code for note in part.notes] == ["part.dxf_left_out"]
+    assert "TEXT" in part.notes[0].message
+    outer = part.ruled[1].start[:, :2]
+    x, y = outer.T
+    area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    assert area == pytest.approx(0.08 * 0.04 + 0.5 * np.pi * 0.02**2, rel=1e-3)
+    assert part.ruled[1].corner.sum() == 2  # the arc runs smoothly into the lines
+
+
+def test_drawings_that_do_not_hold_what_is_wanted_are_refused(tmp_path: Path) -> None:
+    drawing(tmp_path / "plate.dxf")
+    dxf = {"file": "plate.dxf", "unit": "mm"}
+    assert refused({"plate": {"dxf": dxf | {"layer": "open"}}}, tmp_path)[0].code == "part.outline_open"
+    issue = refused({"plate": {"dxf": dxf | {"layer": "nothing"}}}, tmp_path)[0]
+    assert issue.code == "part.dxf"
+    assert "cut" in issue.message
+    (tmp_path / "junk.dxf").write_text("not a drawing")
+    assert refused({"plate": {"dxf": dxf | {"file": "junk.dxf"}}}, tmp_path)[0].code == "part.dxf"
+    assert refused({"plate": {"dxf": dxf | {"file": "no.dxf"}}}, tmp_path)[0].code == "problem.missing_file"
+
+
+def test_a_guide_comes_from_a_drawing(tmp_path: Path) -> None:
+    drawing(tmp_path / "plate.dxf")
+    dxf = {"file": "plate.dxf", "unit": "mm", "layer": "guide"}
+    own = {"name": "roof", "start": {"dxf": dxf}, "end": {"polyline_mm": [[0, 90, 5], [100, 90, 5]]}}
+    (roof,) = make({"ruled": [own]}, tmp_path).ruled
+    assert np.ptp(roof.start, axis=0).max() == pytest.approx(0.1, abs=1e-3)
+    flat = {**own, "start": {"dxf": dxf | {"z_mm": 5}}}
+    assert make({"ruled": [flat]}, tmp_path).ruled
+    every = {**own, "start": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}
+    assert refused({"ruled": [every]}, tmp_path)[0].code == "part.dxf"
+
+
+def test_without_the_extra_a_drawing_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawing(tmp_path / "plate.dxf")
+    monkeypatch.setitem(sys.modules, "ezdxf", None)
+    (issue,) = refused({"plate": {"dxf": {"file": "plate.dxf", "unit": "mm"}}}, tmp_path)
+    assert issue.code == "part.extra_missing"
+    assert "tandem-planner[cad]" in issue.message
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {},
+        {"wing": WING, **outline()},
+        {"wing": WING, "back": {"offset_mm": 5}},
+        {"ruled": []},
+        guides(flip=True),
+        guides(name="side_2"),
+        guides(closed=False, hole=True),
+        guides(start={"polyline_mm": [[0, 0, 0], [1, 0, 0]], "bezier_mm": [[0, 0, 0], [1, 0, 0]]}),
+        {"wing": WING | {"root": {"chord_mm": 100}}},
+        {"wing": WING | {"root": {"naca": 2412, "chord_mm": 100}}},
+        {"wing": WING | {"span_mm": 0}},
+        {"plate": {}},
+        {"plate": {"outlines": [{"polyline_mm": SQUARE[:2]}]}},
+        {"strips": {"across": "u"}},
+        {"ruled": guides()["ruled"] * 2},
+    ],
+)
+def test_what_is_no_part_is_refused_when_read(spec: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        PartFile.model_validate_json(json.dumps(spec), strict=True)
