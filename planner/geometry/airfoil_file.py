@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 
 FEWEST: Final = 15
 """Fewest points of a section; with less a spline through them says little of the nose."""
+MOST: Final = 5000
 WIDEST: Final = 0.10
 """Widest trailing edge, per chord; a larger gap means that points are missing."""
 _MOST_BYTES: Final = 2_000_000
@@ -49,10 +50,9 @@ def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
     if repeated.any():
         points = points[~repeated]
         notes.append(_note(path, field, f"left out {int(repeated.sum())} points that repeat the one before"))
-    if len(points) < FEWEST:
-        what = (
-            f"has {len(points)} points, at least {FEWEST} are needed; take a finer file of the same section"
-        )
+    if not FEWEST <= len(points) <= MOST:
+        what = f"has {len(points)} points, {FEWEST} to {MOST} are wanted; take another file of the same "
+        what += "section"
         raise _refuse("part.airfoil_points", path, field, what)
     points = _ordered(points, path, field, notes)
     _whole(points, path, field)

@@ -19,6 +19,7 @@ KINDS: Final = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POL
 FLATNESS: Final = 2e-6
 """How far [m] the points of arcs and splines may be off them."""
 _MOST_BYTES: Final = 50_000_000
+_MOST_PIECES: Final = 2000
 _MEET: Final = 1e-5
 """Ends [m] that are this near are joined."""
 
@@ -65,6 +66,9 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
         notes.append(Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field=field))
     pieces = [_flat(e, ezpath, unit) for e in curves]
     pieces = [p for p in pieces if len(p) > 1]
+    if len(pieces) > _MOST_PIECES:
+        what = f"has {len(pieces)} curves, {_MOST_PIECES} are read; name a layer, or join them to polylines"
+        raise _refuse("part.dxf", path, field, what)
     if any(not np.isfinite(p).all() for p in pieces):
         raise _refuse("part.dxf", path, field, "has numbers that are not finite; export it again")
     return _joined(pieces), notes

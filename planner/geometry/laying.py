@@ -102,6 +102,12 @@ def check_ruled(part: Ruled, field: str) -> Iterator[Issue]:
         )
         yield Issue("part.ruled_shape", what, field=field)
         return
+    turn = np.diff(sight[:, 1], axis=0)
+    area = float(np.linalg.norm(np.cross(turn, (part.end - part.start)[1:]), axis=1).sum())
+    if area < 1e-4 * extent * extent:
+        what = f"surface {part.name} has hardly any area: its guides and rulings lie in one line; correct it"
+        yield Issue("part.ruled_shape", what, field=field)
+        return
     direction = (part.end - part.start).mean(axis=0)
     if part.closed and np.linalg.norm(direction) > 1e-9:
         flat = sight @ _across(direction)

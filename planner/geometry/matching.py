@@ -32,29 +32,47 @@ def aligned(start: Guide, end: Guide, match: Match) -> tuple[Guide, Guide, bool]
         return (start, turned(end), True) if back < ahead else (start, end, False)
     first = np.flatnonzero(start.anchor)
     start = rolled(start, int(first[0])) if len(first) else start
-    best: tuple[float, Guide, bool] | None = None
-    for candidate, reverse in ((end, False), (turned(end), True)):
-        for at in _first_points(candidate, start, match):
-            tried = rolled(candidate, int(at))
-            cost = _apart(start, tried)
-            if best is None or cost < best[0] * (1.0 - 1e-9):
-                best = cost, tried, reverse
-    if best is None:
-        raise ValueError("a closed guide has no points")
-    return start, best[1], best[2]
+    ahead, at_ahead = _nearest_start(start, end, match)
+    back, at_back = _nearest_start(start, turned(end), match)
+    if back < ahead * (1.0 - 1e-9):
+        return start, rolled(turned(end), at_back), True
+    return start, rolled(end, at_ahead), False
 
 
-def _first_points(candidate: Guide, start: Guide, match: Match) -> NDArray[np.int64]:
-    if candidate.anchor.any():
-        return np.flatnonzero(candidate.anchor)
-    if match == "parameter":
-        return np.array([0])
-    # the point that makes the rulings shortest, from the correlation of both curves over the arc length
-    own, other = (_even(g, 512) for g in (start, candidate))
+def _nearest_start(start: Guide, end: Guide, match: Match) -> tuple[float, int]:
+    """The point at which a closed guide is to start, and the mean square [m^2] of the rulings' lengths
+    then.
+    """
+    anchors = np.flatnonzero(end.anchor)
+    if len(anchors) == 0:
+        if match == "parameter":
+            return _apart(start, end), 0
+        # over the arc length, to a 512th of it
+        apart, shift = _correlated(_even(start, 512)[:, None], _even(end, 512)[:, None])
+        length = arc_length(np.concatenate([end.points, end.points[:1]]))
+        return apart, int(np.argmin(np.abs(length[:-1] - shift / 512.0 * length[-1])))
+    own, other = (_samples(g) for g in (start, rolled(end, int(anchors[0]))))
+    if len(own) != len(other):
+        raise ValueError(f"guides with {len(own)} and {len(other)} anchors cannot be aligned")
+    apart, shift = _correlated(own, other)
+    return apart, int(anchors[shift])
+
+
+def _correlated(own: FloatArray, other: FloatArray) -> tuple[float, int]:
+    """The cyclic shift of ``other`` (C, S, 3) that is nearest to ``own``, and the mean square distance
+    then.
+    """
     spectrum = np.fft.fft(other, axis=0) * np.conj(np.fft.fft(own, axis=0))
-    shift = int(np.argmax(np.fft.ifft(spectrum, axis=0).real.sum(axis=1)))
-    length = arc_length(np.concatenate([candidate.points, candidate.points[:1]]))
-    return np.array([np.argmin(np.abs(length[:-1] - shift / 512.0 * length[-1]))])
+    together = np.fft.ifft(spectrum, axis=0).real.sum(axis=(1, 2))
+    shift = int(np.argmax(together))
+    apart = (np.sum(own * own) + np.sum(other * other) - 2.0 * together[shift]) / own[..., 0].size
+    return float(apart), shift
+
+
+def _samples(guide: Guide) -> FloatArray:
+    """Points (C, 8, 3) at equal shares of the arc length of every piece."""
+    share = np.arange(8) / 8.0
+    return np.stack([along(own, _share(own), share) for own, _ in pieces(guide)])
 
 
 def _even(guide: Guide, count: int) -> FloatArray:
@@ -113,6 +131,8 @@ def _places(
         both = both[np.concatenate([[True], np.diff(both) > 1e-9])]
         both[-1] = 1.0
         return both, both
+    if _straight(a) and _straight(b):  # then evenly, as twisted as any but for two flat triangles
+        return np.array([0.0, 1.0]), np.array([0.0, 1.0])
     s, t = least_twist(a, b)
     path = s + t
     more = np.concatenate([path, np.interp(own_a, s, path), np.interp(own_b, t, path)])
@@ -132,3 +152,10 @@ def _share(points: FloatArray) -> FloatArray:
     if length[-1] <= 0.0:  # a side that is a point, as a sharp trailing edge that becomes blunt
         return np.linspace(0.0, 1.0, len(points))
     return np.asarray(length / length[-1])
+
+
+def _straight(points: FloatArray) -> bool:
+    way = points[-1] - points[0]
+    length = float(np.linalg.norm(way))
+    off = np.linalg.norm(np.cross(points - points[0], way), axis=1)
+    return bool((off <= 1e-9 * length).all()) if length > 0.0 else True

@@ -176,6 +176,23 @@ WING = {
 }
 
 
+def test_surfaces_of_no_area_and_many_corners_are_taken_as_they_are() -> None:
+    line = [[x, 0, 0] for x in (0, 50, 100)]
+    flat = {
+        "name": "flat",
+        "start": {"polyline_mm": line},
+        "end": {"polyline_mm": [[x + 150, 0, 0] for x in (0, 9, 99)]},
+    }
+    assert refused({"ruled": [flat]})[0].code == "part.ruled_shape"
+    angle = np.arange(800) * 2 * np.pi / 800
+    wheel = (90 + 10 * (np.arange(800) % 2)) * np.array([np.cos(angle), np.sin(angle)])
+    start, end = ([[x, y, z] for x, y in np.roll(wheel.T, shift, axis=0)] for z, shift in ((0, 0), (80, 250)))
+    gear = {"name": "gear", "start": {"polyline_mm": start}, "end": {"polyline_mm": end}, "closed": True}
+    (teeth,) = make({"ruled": [gear | {"match": "least_twist"}]}).ruled
+    assert teeth.corner.sum() == 800
+    np.testing.assert_allclose(np.linalg.norm(teeth.end - teeth.start, axis=1), 0.08, atol=1e-9)
+
+
 @pytest.mark.parametrize("size", [[0.25, 0.6, 0.06], [0.6, 0.25, 0.06], [0.06, 0.25, 0.6]])
 def test_a_wing_lies_along_the_longest_axis_of_its_block(size: list[float]) -> None:
     (skin,) = make({"wing": WING}, size=np.array(size)).ruled
