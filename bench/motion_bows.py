@@ -22,6 +22,9 @@ from planner.targets import ScrewFreedom, Targets
 FloatArray = NDArray[np.float64]
 
 HOME = np.deg2rad([0.0, -30.0, 20.0, 0.0, 45.0, 0.0])
+ASIDE = np.deg2rad([60.0, -30.0, 20.0, 0.0, 45.0, 0.0])
+"""Home of arms that face each other with long tools."""
+
 SPIN = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 SLIDE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 AIR = 0.04
@@ -130,8 +133,8 @@ def held(
     front = from_rpy((-distance / 2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     back = from_rpy((distance / 2.0, 0.0, 0.0), (0.0, 0.0, np.pi))
     arms = (
-        Arm("left", robot, front, bow(), HOME),
-        Arm("right", robot, back, gripper_plate(0.15, 0.15), HOME),
+        Arm("left", robot, front, bow(), ASIDE),
+        Arm("right", robot, back, gripper_plate(0.15, 0.15), ASIDE),
     )
     stock = Stock(
         np.array([0.3, 0.3, 0.2]),

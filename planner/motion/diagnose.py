@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
 from planner.motion.joints import Dense
+from planner.motion.placement import reach_gap
 from planner.motion.reach import Grid, Reach, reach, sample
-from planner.motion.scene import Scene
+from planner.motion.scene import Scene, holders
 from planner.motion.search import Blocked
 from planner.motion.subset import subset
 from planner.targets import Targets
@@ -48,7 +49,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     count = int((~r.exists[branch]).sum())
     name = targets.name(index)
     if not r.solved[branch, index]:
-        far = _beyond(scene, targets, arm, index)
+        far = _beyond(scene, targets, grid, arm, index)
         return Issue(
             "motion.no_reach",
             f"arm {arm} cannot reach target {name}: its wrist would have to be {far / MM:.0f} mm "
@@ -56,7 +57,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             value=far / MM,
             limit=0.0,
             unit="mm",
-            hint="move the stock toward the arm, or take a larger arm",
+            hint=_nearer(targets),
             arm=arm,
             index=index,
             target=name,
@@ -81,7 +82,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             value=float(limit[best]) / DEG,
             limit=scene.settings.joint_margin / DEG,
             unit="deg",
-            hint="move or turn the stock, or let the targets turn more freely",
+            hint=_elsewhere(targets),
             arm=arm,
             index=index,
             target=name,
@@ -99,7 +100,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         value=single / DEG,
         limit=scene.settings.singularity_margin / DEG,
         unit="deg",
-        hint="move or turn the stock, or let the targets turn more freely",
+        hint=_elsewhere(targets),
         arm=arm,
         index=index,
         target=name,
@@ -107,17 +108,11 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
     )
 
 
-def _beyond(scene: Scene, targets: Targets, arm: str, index: int) -> float:
-    """How far [m] the wrist's centre of a target lies out of reach (at the neutral freedoms)."""
-    chain = scene.chains[arm]
-    pose = scene.tcp(targets, targets.neutral())[arm][index]
-    flange = np.linalg.inv(chain.base) @ pose @ np.linalg.inv(chain.tcp)
-    p = chain.robot.opw
-    centre = flange[:3, 3] - p.c4 * flange[:3, 2]
-    radial = float(np.hypot(centre[0], centre[1])) - p.a1
-    distance = float(np.hypot(radial, centre[2] - p.c1))
-    forearm = float(np.hypot(p.a2, p.c3))
-    return max(distance - (p.c2 + forearm), abs(p.c2 - forearm) - distance, 0.0)
+def _beyond(scene: Scene, targets: Targets, grid: Grid, arm: str, index: int) -> float:
+    """How far [m] the wrist's centre of a target lies out of reach, at the samples of its freedoms nearest to
+    it."""
+    pose = scene.tcp(targets, grid.values[index], np.full(grid.samples, index))[arm]
+    return float(reach_gap(scene.chains[arm], pose).min())
 
 
 def _broken(targets: Targets, index: int) -> Issue:
@@ -128,7 +123,7 @@ def _broken(targets: Targets, index: int) -> Issue:
         f"can go, but not on without a jump of a joint, or not both with the same freedoms",
         index=index,
         target=name,
-        hint="move or turn the stock, or let the targets turn more freely",
+        hint=_elsewhere(targets),
     )
 
 
@@ -162,7 +157,7 @@ def describe(
     return Issue(
         "motion.collision",
         f"{pair[0]} and {pair[1]} are {distance / MM:.1f} mm apart at target {name}, "
-        f"allowed is {scene.settings.clearance / MM:.1f} mm at least, with every freedom tried",
+        f"allowed is {scene.settings.clearance / MM:.1f} mm at least, with {_tried(targets)} tried",
         index=index,
         target=name,
         bodies=pair,
@@ -170,8 +165,35 @@ def describe(
         limit=scene.settings.clearance / MM,
         unit="mm",
         count=count,
-        hint="move the stock or the obstacle, or lower clearance_mm",
+        hint=f"{_else(targets)}, move the obstacle, or lower clearance_mm",
     )
+
+
+def _held(targets: Targets) -> bool:
+    return any(holder is not None for _, holder in holders(targets))
+
+
+def _nearer(targets: Targets) -> str:
+    if _held(targets):
+        return (
+            "let the place of the held block be found (place: auto), move bases nearer, or take larger arms"
+        )
+    return "move the stock toward the arm, or take a larger arm"
+
+
+def _elsewhere(targets: Targets) -> str:
+    return f"{_else(targets)}, or let the targets turn more freely"
+
+
+def _else(targets: Targets) -> str:
+    if _held(targets):
+        return "let the place of the held block be found (place: auto), or grip it otherwise"
+    return "move or turn the stock"
+
+
+def _tried(targets: Targets) -> str:
+    names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
+    return f"every freedom ({', '.join(names)})" if len(names) > 1 else "every freedom"
 
 
 def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], samples: Dense) -> None:

@@ -154,5 +154,5 @@ def _blocked(
         value=distance,
         limit=scene.settings.clearance / MM,
         unit="mm",
-        hint="choose another home posture, or move what is in the way",
+        hint="choose other home postures (home_deg), such as with axis 1 turned away, or clear the way",
     )

@@ -49,9 +49,10 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
     plan = levels(targets, coordinates)
     hit: tuple[int, dict[str, FloatArray]] | None = None
     checks = 0
+    in_reach = list(plan)
     for rungs in RUNGS:
         rows = _rows(targets, rungs)
-        for level in plan:
+        for level in list(in_reach):
             tried = _Attempt(scene, targets, coordinates, level, rows)
             found = tried.run()
             checks += tried.checks
@@ -60,6 +61,8 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
                     found, checks=checks
                 )
             hit = tried.hit or hit
+            if not tried.in_reach:
+                in_reach.remove(level)
         if len(rows) == targets.count:
             break
     return _blocked(scene, targets, coordinates, plan, hit)
@@ -83,6 +86,7 @@ class _Attempt:
         self.samples, self.names = level.samples, level.names
         self.hit: tuple[int, dict[str, FloatArray]] | None = None
         self.checks = 0
+        self.in_reach = False
 
     def run(self) -> Found | None:
         """A path, or None; ``hit`` then has a collision that was in the way, if there was one."""
@@ -99,6 +103,7 @@ class _Attempt:
             cost = sum(r.penalty.min(axis=-1) for r in rungs.values())
             if np.isfinite(cost).any(axis=1).all():
                 offers.append((float(np.min(cost, axis=1).sum()), len(offers), rungs))
+        self.in_reach = bool(offers)
         offers.sort(key=lambda offer: offer[:2])
         graphs: list[tuple[float, int, _Graph]] = []
         for _, _, rungs in offers[:CHOICES]:

@@ -1,0 +1,239 @@
+"""Straight wires: a bow around a standing block, and around a block that another arm holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.motion_bows import held, standing
+from planner.cell import clearance, plant
+from planner.geometry.rigid import from_parts, from_rpy, interpolate, inverse
+from planner.issues import TandemError
+from planner.motion import diagnose
+from planner.motion.avoid import Avoid
+from planner.motion.joints import dense, tcp_ways
+from planner.motion.operation import plan_operation
+from planner.motion.paths import find
+from planner.motion.scene import Scene, cutting
+from planner.motion.search import Blocked, Found
+from planner.motion.solve import check, solve
+from planner.motion.spread import Coordinates, levels, own_turn
+from planner.plans import OperationPlan
+from planner.problem import Cell, Problem, Settings, Stock
+from planner.targets import Targets
+from tests.motion.scenes import box
+
+FloatArray = NDArray[np.float64]
+EVERY = ("spin", "slide", "x", "y", "z", "tilt_x", "tilt_y", "turn")
+ALONG = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""The holder's hand points to the other arm."""
+
+
+def job(cell: Cell, stock: Stock, targets: Targets) -> Problem:
+    operation = SimpleNamespace(name="side", process="", arms=targets.arms, leaves=lambda b: b)
+    return Problem("job", cell, stock, None, (operation,), Settings(), Path("job.yaml"), "0")
+
+
+def scene_of(cell: Cell, stock: Stock, targets: Targets, place: FloatArray) -> Scene:
+    return Scene.of(cell, targets.arms, place, Settings(), plant.build(cell, stock, place))
+
+
+def hand_at(cell: Cell, stock: Stock, degrees: tuple[float, ...]) -> FloatArray:
+    """The place of a held block where the holder stands at these joints."""
+    chain = Scene.of(cell, ("right",), np.eye(4), Settings()).chains["right"]
+    return np.asarray(chain.pose(np.deg2rad(degrees)) @ stock.grip)
+
+
+def require_sound(scene: Scene, targets: Targets, plan: OperationPlan) -> None:
+    """Poses are as the freedoms prescribe, and nothing but the wire in the foam comes near anything."""
+    wanted = scene.tcp(targets, plan.values)
+    for arm in targets.arms:
+        assert np.abs(scene.chains[arm].pose(plan.q[arm]) - wanted[arm]).max() < 1e-8
+        assert np.abs(np.diff(plan.q[arm], axis=0)).max() < np.deg2rad(60.0)
+    for freedom, values in zip(targets.freedoms, plan.values.T, strict=True):
+        if not getattr(freedom, "periodic", False):
+            assert (values >= freedom.lower - 1e-9).all()
+            assert (values <= freedom.upper + 1e-9).all()
+    assert scene.model is not None
+    wire = frozenset({frozenset(("left/edge", "stock"))})
+    cuts = cutting(targets)
+    assert clearance.free(scene.model, {a: q[cuts] for a, q in plan.q.items()}, 0.0099, wire).all()
+    assert clearance.free(scene.model, {a: q[~cuts] for a, q in plan.q.items()}, 0.0099).all()
+    inside = clearance.least(scene.model, {a: q[cuts] for a, q in plan.q.items()}, 0.05).distance
+    assert (inside < 0.0).mean() > 0.8
+
+
+@pytest.fixture(scope="module")
+def facing() -> tuple[Cell, Stock, Targets, FloatArray]:
+    cell, stock, targets = held(120)
+    return cell, stock, targets, hand_at(cell, stock, (0.0, -20.0, -10.0, 0.0, 0.0, 0.0))
+
+
+def test_one_arm_cuts_around_a_standing_block_found_a_place_for() -> None:
+    cell, stock, targets = standing(100)
+    plan = solve(job(cell, stock, targets), [targets])
+    scene = scene_of(cell, stock, targets, plan.places[0])
+    require_sound(scene, targets, plan.operations[0])
+    assert np.allclose(plan.places[0][:3, 2], [0.0, 0.0, 1.0])
+    assert plan.operations[0].metrics["clearance_mm"] >= 10.0
+
+
+def test_a_wire_may_pass_the_foam_in_cuts_only() -> None:
+    cell, stock, targets = standing(60)
+    place = from_rpy((0.5, 0.0, 0.3), (0.0, 0.0, 0.0))
+    scene = scene_of(cell, stock, targets, place)
+    deep = targets.segment.index("cut/side") + 3
+    pose = scene.tcp(targets, targets.neutral())["left"][[deep]]
+    every = scene.chains["left"].inverse(pose)[0]
+    q = {"left": every[np.isfinite(every).all(axis=1)][:1]}
+    found = scene.least(targets, q, np.array([deep]), 0.5)
+    assert set(found.pair[0]) != {"left/edge", "stock"}
+    air = scene.least(targets, q, np.array([0]), 0.5)
+    assert air.distance[0] < 0.0
+    assert scene.passing == frozenset({frozenset(("left/edge", "stock"))})
+
+
+def test_two_arms_share_the_motion_and_the_place_is_found() -> None:
+    cell, stock, targets = held(70)
+    plan = solve(job(cell, stock, targets), [targets])
+    scene = scene_of(cell, stock, targets, plan.places[0])
+    require_sound(scene, targets, plan.operations[0])
+    again = plan_operation("side", cell, targets, Settings(), plan.places[0], scene.model)
+    assert np.array_equal(again.values, plan.operations[0].values)
+    assert np.array_equal(again.time, plan.operations[0].time)
+    moved = np.ptp(plan.operations[0].values, axis=0)
+    assert (moved[2:] > 1e-4).sum() >= 4, "the holder uses its freedoms"
+
+
+def test_turning_axis_6_alone_has_no_path_where_all_freedoms_have_one() -> None:
+    """The holder's axis 5 is straight, which no turn about the block's own axis changes."""
+    straight = (0.0, -40.0, 40.0, 0.0, 0.0, 0.0)
+    cell, stock, turn_only = held(60, freedoms=("spin", "turn"))
+    place = hand_at(cell, stock, straight)
+    scene = scene_of(cell, stock, turn_only, place)
+    grid, blocked = find(scene, turn_only)
+    assert isinstance(blocked, Blocked)
+    issues = diagnose.no_path(scene, turn_only, grid, blocked)
+    assert "motion.singular" in {issue.code for issue in issues if issue.arm == "right"}
+    assert all("place: auto" in str(issue.hint) for issue in issues)
+    cell, stock, every = held(60)
+    full = scene_of(cell, stock, every, place)
+    plan = plan_operation("side", cell, every, Settings(), place, full.model)
+    require_sound(full, every, plan)
+    assert check(job(cell, dataclasses.replace(stock, place=place), every), [every]) == []
+
+
+def test_few_freedoms_are_used_where_they_will_do(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
+    cell, stock, targets, place = facing
+    scene = scene_of(cell, stock, targets, place)
+    _, found = find(scene, targets)
+    assert isinstance(found, Found)
+    names = [f.name for f in targets.freedoms]
+    still = [k for k, name in enumerate(names) if name not in ("spin", "block_turn")]
+    assert np.ptp(found.values[:, still], axis=0).max() < 1e-12
+
+
+def test_a_path_goes_through_corners_where_the_nominal_pose_jumps() -> None:
+    cell, stock, turned = held(100, turned=True, freedoms=("spin", "turn"))
+    _, _, level = held(100, freedoms=("spin", "turn"))
+    place = hand_at(cell, stock, (0.0, -20.0, -10.0, 0.0, 0.0, 0.0))
+    paths = []
+    for targets in (turned, level):
+        _, found = find(scene_of(cell, stock, targets, place), targets)
+        assert isinstance(found, Found)
+        paths.append(found)
+    assert np.abs(np.diff(own_turn(turned, 0))).max() > np.deg2rad(59.0)
+    assert paths[0].path.cost == pytest.approx(paths[1].path.cost, rel=0.2)
+
+
+def test_moves_are_straight_in_the_held_frame(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
+    cell, stock, targets, place = facing
+    scene = scene_of(cell, stock, targets, place)
+    _, found = find(scene, targets)
+    assert isinstance(found, Found)
+    samples = dense(scene, targets, found.path.branch, found.q, least=4)
+    poses = {arm: scene.chains[arm].pose(q) for arm, q in samples.q.items()}
+    ends = {arm: scene.chains[arm].pose(q) for arm, q in found.q.items()}
+    inner = samples.move > 0
+    move, share = samples.move[inner], samples.share[inner]
+    hand = interpolate(ends["right"][move - 1], ends["right"][move], share)
+    assert np.abs(hand - poses["right"][inner]).max() < 1e-9
+    seen = inverse(ends["right"]) @ ends["left"]
+    bow = interpolate(seen[move - 1], seen[move], share)
+    assert np.abs(bow - inverse(poses["right"][inner]) @ poses["left"][inner]).max() < 1e-9
+    world = interpolate(ends["left"][move - 1], ends["left"][move], share)
+    assert np.abs(world - poses["left"][inner]).max() > 1e-4
+    ways = tcp_ways(scene, targets, samples)
+    chord = np.linalg.norm(np.diff(ends["left"][:, :3, 3], axis=0), axis=1)
+    assert (ways["left"][1:] >= chord - 1e-12).all()
+
+
+def test_hinges_follow_the_kind_of_segment(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
+    cell, stock, targets, place = facing
+    scene = scene_of(cell, stock, targets, place)
+    _, found = find(scene, targets)
+    assert isinstance(found, Found)
+    assert scene.model is not None
+    q = np.concatenate([found.q[arm] for arm in targets.arms], axis=1)
+    avoid = Avoid(scene.model, targets.arms, 0.010, 1.0, scene.by_kind(targets, np.arange(targets.count)))
+    strict = Avoid(scene.model, targets.arms, 0.010, 1.0)
+    assert strict.cost(q) > 100.0 * max(avoid.cost(q), 0.01)
+    exact = np.zeros(targets.count)
+    for ignore, rows in scene.by_kind(targets, np.arange(targets.count)):
+        for i in rows:
+            for distance, _, _ in clearance.gradients(scene.model, q[i], 0.05, ignore):
+                exact[i] += max(0.018 - distance, 0.0) ** 2 / 0.008**2
+    assert avoid.cost(q) == pytest.approx(exact.sum(), abs=1e-6)
+    step = 0.02 * np.random.default_rng(3).normal(size=q.shape)
+    fresh = Avoid(scene.model, targets.arms, 0.010, 1.0, scene.by_kind(targets, np.arange(targets.count)))
+    assert avoid.cost(q + step) == pytest.approx(fresh.cost(q + step), abs=1e-6)
+
+
+def test_samples_of_many_freedoms_keep_within_bounds_and_begin_with_full_turns() -> None:
+    _, _, targets = held(30)
+    coordinates = Coordinates(targets)
+    found = levels(targets, coordinates)
+    assert [len(level.names) for level in found] == [2, 4, 8]
+    assert set(found[0].names) == {"spin", "block_turn"}
+    rows = np.arange(targets.count)
+    for level in found:
+        values = coordinates.values(level.samples[:, None], rows)
+        for j, freedom in enumerate(targets.freedoms):
+            if not getattr(freedom, "periodic", False):
+                assert (values[..., j] >= freedom.lower - 1e-12).all()
+                assert (values[..., j] <= freedom.upper + 1e-12).all()
+
+
+def test_a_block_too_far_for_the_bow_is_told(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
+    cell, stock, targets, _ = facing
+    away = from_parts(ALONG, np.array([3.0, 0.0, 0.5]))
+    fixed = job(cell, dataclasses.replace(stock, place=away), targets)
+    with pytest.raises(TandemError) as caught:
+        solve(fixed, [targets])
+    issue = next(i for i in caught.value.issues if i.code == "motion.no_reach")
+    assert issue.value is not None
+    assert issue.value > 500.0
+    assert "place: auto" in str(issue.hint)
+    assert "moving the stock" not in str(issue.hint)
+
+
+def test_a_table_in_the_way_of_everything_is_told_with_the_freedoms(
+    facing: tuple[Cell, Stock, Targets, FloatArray],
+) -> None:
+    cell, stock, targets, place = facing
+    few = dataclasses.replace(
+        targets, freedoms=tuple(f for f in targets.freedoms if f.name in ("spin", "block_turn"))
+    )
+    middle = (float(place[0, 3]), float(place[1, 3]), float(place[2, 3]) - 0.25)
+    walled = dataclasses.replace(cell, obstacles=(box("wall", (0.5, 0.5, 0.1), middle),))
+    scene = scene_of(walled, stock, few, place)
+    grid, found = find(scene, few)
+    assert isinstance(found, Blocked)
+    (issue,) = diagnose.no_path(scene, few, grid, found)
+    assert issue.code == "motion.collision"
+    assert "spin, block_turn" in issue.message
