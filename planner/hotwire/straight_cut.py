@@ -13,7 +13,7 @@ from planner.geometry.rulings import resample
 from planner.hotwire.straight_leads import Start, choose
 from planner.hotwire.straight_lines import Lines, exit_length, fastest, grown, join
 from planner.hotwire.straight_offset import Beside, Row, beside, make_row
-from planner.hotwire.straight_operation import Straight, SurfaceCut
+from planner.hotwire.straight_operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight_order import Wanted
 from planner.problem import Ruled
 from planner.units import MM
@@ -24,6 +24,8 @@ CHORD: Final = 0.1
 """Share of the tolerance that straight moves between rulings may cost."""
 LEAST_LEAD: Final = 2e-3
 """[m] least way in and out, where the surface itself begins in the air."""
+PLAIN: Final = 3.0
+"""Where the wire only goes straight on (sides of the block, ways in and out) steps are longer by this."""
 THROUGH: Final = 1e-3
 """[m] the wire's surface is out of the block by this where it turns to go back through its slot."""
 
@@ -53,6 +55,8 @@ def make_cut(
     """The cut of one surface in the block ``box`` (2, 3); ``radius`` [m] is the wire's, ``contours`` are all
     closed surfaces of the part."""
     step, feed = op.step_mm * MM, op.feed_mm_s * MM
+    plain = step * PLAIN
+    step = plain if isinstance(wanted.cut, TrimCut) else step
     ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step)
     start = None
     if wanted.ruled.closed and isinstance(wanted.cut, SurfaceCut):
@@ -67,8 +71,8 @@ def make_cut(
         on = beside(_row(ruled, wanted, start), kerf, feed, box)
     clear = op.margin_mm * MM + radius
     if start is not None:
-        return _closed(wanted, on, start, step, clear, box)
-    return _open(wanted, on, step, clear, radius, box)
+        return _closed(wanted, on, start, plain, clear, box)
+    return _open(wanted, on, plain, clear, radius, box)
 
 
 def _row(ruled: Ruled, wanted: Wanted, start: Start | None) -> Row:

@@ -26,7 +26,7 @@ LAST_PART: Final = 0.25
 
 THROUGH_PART: Final = 1000.0
 """What a slit through the part costs, against one through waste of its length: more than all the rest."""
-TURN: Final = 0.15
+TURN: Final = 0.05
 """What a sharp turn between slit and contour costs, as a share of the block's diagonal."""
 HELD: Final = 0.6
 """What it costs to cut the wrong side last, as a share of the block's diagonal."""

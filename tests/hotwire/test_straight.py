@@ -173,7 +173,7 @@ def test_a_wing_like_outline_begins_at_its_sharp_edge_and_ends_with_its_upper_si
 def test_a_given_lead_is_taken() -> None:
     targets = make(square("sq", 0.0, 0.05, 0.05), cuts=[{"surface": "sq", "lead": [-1, 0, 0]}])
     into = targets.pose["left"][rows(targets, "cut/sq_in"), :3, 3]
-    assert into[0, 0] < -0.16
+    assert into[0, 0] < -0.15
     assert np.ptp(into[:-2, 2]) < 1e-9
 
 
@@ -206,7 +206,7 @@ def test_links_keep_away_from_the_block_and_go_above_rather_than_below(sides: li
     low = targets.pose["left"][link, 2, 3]
     assert low.max() > 0.12
     moves = np.stack([np.linalg.norm(np.diff(end, axis=0), axis=1) for end in wires(targets)]).max(axis=0)
-    assert moves[link - 1].max() < 0.0125
+    assert moves[link - 1].max() < 0.025
     np.testing.assert_allclose(targets.travel[link[1:]], moves[link[1:] - 1], rtol=0.5)
 
 
