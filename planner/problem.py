@@ -157,7 +157,7 @@ class Stock:
     ``oversize`` (2, 3) [m]: how far the block, as an operation finds it, stands out of the datum block on the
     lower and on the upper side along x, y and z. ``place`` (4, 4) is the stock frame's pose in the world, or
     None where the placement search is to find it, with ``attitude`` (3, 3), its rotation up to a yaw about
-    the world's vertical, unless ``any_attitude`` leaves that open too. ``support``: shapes in the stock
+    the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes in the stock
     frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose tool holds
     the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the pose about
     which the holder moves the block.
@@ -192,6 +192,11 @@ class Stock:
     def mass(self) -> float | None:
         """Mass [kg] of the block as found, None without a foam."""
         return None if self.foam is None else float(np.prod(self.upper - self.lower)) * self.foam.density
+
+    @property
+    def leans_freely(self) -> bool:
+        """Whether the search may give the block any attitude: only a block that is held has no bottom."""
+        return self.any_attitude and self.held_by is not None and self.place is None
 
     @property
     def gravity(self) -> FloatArray:

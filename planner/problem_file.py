@@ -142,7 +142,8 @@ def _with_first_steps(problem: Problem) -> Problem:
     first = problem.changes.get(0, Change())
     if not steps:
         return problem
-    changes = {**problem.changes, 0: dataclasses.replace(first, steps=(*steps, *first.steps))}
+    own = [step for step in first.steps if step not in steps and not step.startswith("Clamp the block")]
+    changes = {**problem.changes, 0: dataclasses.replace(first, steps=(*steps, *own))}
     return dataclasses.replace(problem, changes=changes)
 
 

@@ -138,11 +138,12 @@ def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) ->
 def first_steps(problem: Problem) -> tuple[str, ...]:
     """What the operator does before the first operation of a job in which something is changed or held."""
     steps = []
-    if len(problem.setups) > 1:
-        steps += [f"Mount the tool {arm.tool.name} on arm {arm.name}." for arm in problem.cell.arms]
-    if problem.stock.held_by is not None:
-        steps.append(f"Fix the block to the gripper of arm {problem.stock.held_by} as the setup sheet says.")
-    elif len(problem.setups) > 1:
+    first, several = problem.setups[0], len(problem.setups) > 1
+    if several:
+        steps += [f"Mount the tool {arm.tool.name} on arm {arm.name}." for arm in first.cell.arms]
+    if first.stock.held_by is not None:
+        steps.append(f"Fix the block to the gripper of arm {first.stock.held_by} as the setup sheet says.")
+    elif several:
         steps.append("Clamp the block as the setup sheet says.")
     return tuple(steps)
 

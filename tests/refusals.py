@@ -15,7 +15,7 @@ from planner.issues import Issue, TandemError
 from tests import small_problem
 
 CELL = yaml.safe_load(data_dir("problems").joinpath("cells", "two_irb140_facing.yaml").read_text())
-CAPITAL = yaml.safe_load(data_dir("problems").joinpath("column_capital", "problem.yaml").read_text())
+CAPITAL = yaml.safe_load(data_dir("problems").joinpath("column_capital", "faces.yaml").read_text())
 CAPITAL["cell"] = CELL
 POSES = yaml.safe_load(small_problem.PROBLEM)
 OPERATION = "operations.0."

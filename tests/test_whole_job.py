@@ -1,4 +1,4 @@
-"""The whole way through on the bundled capital: what a user may rely on, asked of the result."""
+"""The whole way through on the faces of the bundled capital: what a user may rely on, asked of the result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.pipeline import Outcome
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    return planner.plan(planner.load("column_capital"))
+    return planner.plan(planner.load("column_capital/faces.yaml"))
 
 
 def test_the_programs_are_proven_and_every_rule_ran(outcome: Outcome) -> None:
@@ -83,7 +83,7 @@ def test_both_arms_share_one_clock_and_never_stop_in_the_foam(outcome: Outcome) 
 
 
 def test_the_same_problem_gives_the_same_bytes(outcome: Outcome) -> None:
-    again = planner.plan(planner.load("column_capital"))
+    again = planner.plan(planner.load("column_capital/faces.yaml"))
     assert again.programs == outcome.programs
     assert plan_io.dump(again.plan) == plan_io.dump(outcome.plan)
 

@@ -106,7 +106,7 @@ class Search:
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
         self._fixed = stock.place is not None
-        self._leans = not self._fixed and stock.any_attitude and stock.held_by is not None
+        self._leans = stock.leans_freely
         self._own = 7 if self._leans else 4
         self._start = start
         each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
