@@ -25,14 +25,17 @@ SHORTEST: Final = 1e-3
 LONGEST: Final = 20.0
 """Longest extent [m] of a part."""
 _FITS: Final = 1e-6
+_NEAR: Final = float(np.deg2rad(35.0))
 
 
 def lay_along(parts: Sequence[Ruled], size: FloatArray, longest_first: bool) -> FloatArray:
     """Pose (4, 4) of the part's frame in the stock frame, with the rulings along an axis of the block.
 
-    Axes are tried from the block's longest to its shortest (``longest_first`` False: the other way round) and
-    the first is taken along which the part fits, its own z up as far as possible; failing that, also tilted.
-    Where nothing fits, the pose that stands out least. The part is centred in the block.
+    The rulings' mean direction counts, or the axis of the part's frame that is within 35 degrees of it where
+    the part fits so. Axes are tried from the block's longest to its shortest (``longest_first`` False: the
+    other way round) and the first is taken along which the part fits, its own z up as far as possible;
+    failing that, also tilted. Where nothing fits, the pose that stands out least. The part is centred in
+    the block.
     """
     cloud = np.concatenate([p for part in parts for p in (part.start, part.end)])
     hull = cloud[ConvexHull(cloud, qhull_options="QJ").vertices]
@@ -40,7 +43,13 @@ def lay_along(parts: Sequence[Ruled], size: FloatArray, longest_first: bool) -> 
     if np.linalg.norm(direction) < 1e-9:
         direction = parts[0].end[0] - parts[0].start[0]
     order = np.argsort(-size, kind="stable") if longest_first else np.argsort(size, kind="stable")
-    plain = [_turned(direction, int(axis)) for axis in order]
+    frame_axis = np.sign(direction) * np.eye(3)[int(np.argmax(np.abs(direction)))]
+    ways = [direction]
+    if frame_axis @ direction >= np.cos(_NEAR) * np.linalg.norm(direction):
+        ways.insert(
+            0, frame_axis
+        )  # so that planes of the part's frame stay planes of the block where it fits
+    plain = [_turned(way, int(axis)) for axis in order for way in ways]
     for rotation in plain:
         if _excess(rotation, hull, size) <= _FITS:
             return _centred(rotation, hull, size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import ezdxf
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from pydantic import ValidationError
 
 from planner.geometry.rulings import outward, outward_sides, points, tessellate
@@ -359,3 +361,30 @@ def test_without_the_extra_a_drawing_says_what_to_install(
 def test_what_is_no_part_is_refused_when_read(spec: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         PartFile.model_validate_json(json.dumps(spec), strict=True)
+
+
+def test_the_examples_of_the_page_on_parts_are_parts(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "parts.md").read_text("utf-8")
+    examples = re.findall(r"^```yaml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    assert len(examples) == 4
+    document = ezdxf.new("R2010")
+    document.modelspace().add_circle((150, 60), 20, dxfattribs={"layer": "cut"})
+    document.saveas(tmp_path / "pieces.dxf")
+    for text in examples:
+        part = make(yaml.safe_load(text)["part"], tmp_path, np.array([0.32, 0.6, 0.25]))
+        assert part.ruled
+
+
+def test_a_shell_piece_stands_on_its_base_though_its_sides_lean(tmp_path: Path) -> None:
+    angle = np.deg2rad(np.arange(6) * 60.0)
+    base = [[480 * np.cos(a), 280 * np.sin(a), 0] for a in angle]
+    top = [
+        [440 * np.cos(a + 0.05) + 30, 250 * np.sin(a + 0.05), 180 + 8 * (-1) ** k]
+        for k, a in enumerate(angle)
+    ]
+    own = {"name": "sides", "start": {"polyline_mm": base}, "end": {"polyline_mm": top}, "closed": True}
+    (sides,) = make({"ruled": [own]}, size=np.array([1.0, 0.6, 0.2])).ruled
+    assert sides.corner.sum() == 6
+    assert np.ptp(sides.start[:, 2]) < 1e-12
+    np.testing.assert_allclose(np.ptp(sides.start, axis=0)[:2], [0.96, 0.56 * np.sin(np.pi / 3)], atol=1e-9)
+    assert (np.sum((outward(sides)[0] * sides.start)[:, :2], axis=1) > 0).all()
