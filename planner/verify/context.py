@@ -335,7 +335,7 @@ class Context:
         return [
             i
             for i, (_, _, step) in enumerate(self.mounted_steps(phase))
-            if isinstance(step, MessageStep) and step.confirm
+            if isinstance(step, MessageStep) and step.certain
         ]
 
 

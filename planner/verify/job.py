@@ -69,7 +69,10 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
     found: dict[str, dict[str, str]] = {task: {} for task in problem.cell.controller.tasks}
     strays: list[str] = []
     for path, text in sorted(programs.items()):
+        if PurePosixPath(path).suffix.lower() == ".pgf":
+            continue
         if PurePosixPath(path).suffix.lower() not in (".mod", ".sys"):
+            strays.append(path)
             continue
         words = [
             task for task in found if re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)

@@ -24,7 +24,7 @@ from planner.verify.rapid_ast import (
 )
 from planner.verify.rapid_check import placed
 from planner.verify.rapid_lexer import Fault
-from planner.verify.rapid_values import OPAQUE, PREDEFINED, RapidValueError, SyncIdent, Value, build
+from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, RapidValueError, SyncIdent, Value, build
 from planner.verify.rapid_words import FORMS
 
 UNKNOWN = None  # the value of what only the controller knows
@@ -135,6 +135,8 @@ class Evaluator:
             return SyncIdent(data.name)
         if data.initial is None or data.kind in OPAQUE or data.name.lower() in self.written:
             return UNKNOWN
+        if "PERS" in data.storage and data.kind not in RECORDS:
+            return UNKNOWN  # a number, truth or text that the operator may change between runs
         here, self.module = self.module, module
         try:
             if data.size is None:

@@ -18,6 +18,7 @@ from planner.verify.rapid_steps import (
     SignalStep,
     Step,
     SyncStep,
+    WaitStep,
 )
 from planner.verify.rapid_values import JointTarget, RobTarget
 from planner.verify.rules_sync import straight_way
@@ -85,7 +86,7 @@ def zone_size(context: Context) -> Outcome:
                 continue
             near = [way for way in ways[max(i - 1, 0) : i + 1] if way is not None]
             half = 0.5 * min(near) if near else 0.0
-            size = max(move.zone.tcp, 0.0)
+            size = max(move.zone.tcp, move.zone.turn, 0.0)
             worst = max(worst, mm(size - half))
             if size > half + _ZONE_SLACK:
                 message = (
@@ -166,6 +167,8 @@ def motion_settings(context: Context) -> Outcome:
     issues = []
     for task in context.job.tasks:
         for step in task.steps:
+            if isinstance(step, WaitStep) and (step.seconds or 0.0) < 0.0:
+                issues.append(at_step("verify.motion_settings", "a wait of less than nothing", task, step))
             if not isinstance(step, SettingStep):
                 continue
             low = min((v for v in step.values if v is not None), default=0.0)

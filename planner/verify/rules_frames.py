@@ -71,8 +71,8 @@ def work_object(context: Context) -> Outcome:
     for index, task, move, wobj in context.work_objects:
         if move.wobj_name.lower() == "wobj0" or not wobj.fixed:
             continue  # a frame that moves is for verify.held_frame
-        if wobj.held or not move.wobj_name:
-            what = f"{move.wobj_name or 'a work object in place'} is held by its own robot or has no name"
+        if wobj.held or wobj.unit or not move.wobj_name:
+            what = f"{move.wobj_name or 'a work object in place'} is held, moved by a unit or has no name"
             issues.append(at_step("verify.work_object", what, task, move))
         place = context.places[index]
         shift, turn = _apart(wobj.user @ wobj.object, np.eye(4) if place is None else place)
@@ -108,7 +108,7 @@ def _where_it_stands(context: Context, index: int) -> list[Issue]:
             )
             measure = {"value": mm(shift), "limit": mm(FRAME_POSITION), "unit": "mm"}
             return [Issue("verify.work_object", message, **measure)]  # type: ignore[arg-type]
-    elif not stock.any_attitude:
+    elif not stock.leans_freely:
         tilt = float(np.linalg.norm((place[:3, :3] @ stock.attitude.T)[2, :] - [0.0, 0.0, 1.0]))
         if tilt > 2.0 * FRAME_ANGLE:
             message = f"the block leans {np.rad2deg(tilt):.4f} deg off the attitude that the problem gives it"

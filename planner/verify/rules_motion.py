@@ -13,6 +13,7 @@ from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample, at_step
 from planner.verify.rapid_steps import MoveStep
+from planner.verify.rules_setup import at_home
 
 FloatArray = NDArray[np.float64]
 
@@ -53,9 +54,15 @@ def corners(context: Context) -> Outcome:
 
 
 def continuity(context: Context) -> Outcome:
-    """The joints go on from where they were: no jump between samples or from one move to the next."""
+    """The joints go on from where they were, from home to home: no jump between samples or moves."""
     motion = context.motion
     issues, worst = [], 0.0
+    for task in context.job.tasks:
+        moves = [step for step in task.steps if isinstance(step, MoveStep)]
+        for move, word in zip((*moves[:1], *moves[-1:]), ("first", "last"), strict=False):
+            if not at_home(move, robot(task.arm.robot), task.arm.home):
+                what = f"the {word} move of {task.arm.name} does not go home by its joints"
+                issues.append(at_step("verify.continuity", what, task, move))
     for arm, q in motion.q.items():
         step = np.abs(np.diff(q, axis=0))
         if not len(step):

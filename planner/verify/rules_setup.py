@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planner.catalogue import robot
+from planner.catalogue import RobotData, robot
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.rapid_steps import ChoiceStep, MessageStep, MoveStep, Step
 from planner.verify.rapid_values import JointTarget
 from planner.verify.setups import Asked, all_asked, letters, one_line, told
+
+FloatArray = NDArray[np.float64]
 
 HOME = 1e-4
 """How far a joint may be off home [rad] to be there."""
@@ -39,24 +42,14 @@ def setup(context: Context) -> Outcome:
         last = max(last, place.stage)
         if not place.step.certain:
             issues.append(_at(place, f"setup {here.number} goes on without anybody pressing OK"))
-        missing = _missing(here.steps, told(context.job, place))
-        if missing:
-            issues.append(_at(place, f"setup {here.number} is confirmed without being told: {missing[0]}"))
+        shown, wanted = told(context.job, place), "".join(letters(step) for step in here.steps)
+        if shown != wanted:
+            missing = next((step for step in here.steps if letters(step) not in shown), None)
+            what = "with something else than what is to be done" if missing is None else f"without: {missing}"
+            issues.append(_at(place, f"setup {here.number} is confirmed {what}"))
         issues += _standing(context, place, here.number, first=index == 0)
     issues += _lookalikes(context)
     return Outcome(tuple(issues), where="" if any(s.steps for s in context.setups) else "one setup")
-
-
-def _missing(steps: tuple[str, ...], shown: str) -> list[str]:
-    """Sentences that are not among what is shown, in order."""
-    at, out = 0, []
-    for sentence in steps:
-        found = shown.find(letters(sentence), at)
-        if found < 0:
-            out.append(sentence)
-        else:
-            at = found + len(letters(sentence))
-    return out
 
 
 def _standing(context: Context, place: Asked, number: int, first: bool) -> list[Issue]:
@@ -68,17 +61,18 @@ def _standing(context: Context, place: Asked, number: int, first: bool) -> list[
     for task in context.job.tasks:
         machine = robot(task.arm.robot)
         moves = [m for earlier in context.job.stages[: place.stage] for m in earlier.moves(task.name)]
-        away = [m for m in (moves if first else moves[-1:]) if not _home(m, machine, task.arm.home)]
+        away = [m for m in (moves if first else moves[-1:]) if not at_home(m, machine, task.arm.home)]
         if away:
             what = f"{task.arm.name} is not at home when setup {number} is confirmed"
             issues.append(at_step("verify.setup", what, task, away[-1], "let it go home first"))
     return issues
 
 
-def _home(move: MoveStep, machine: object, home: np.ndarray) -> bool:
+def at_home(move: MoveStep, machine: RobotData, home: FloatArray) -> bool:
+    """Whether a move ends at home and stops there."""
     if not isinstance(move.target, JointTarget):
         return False
-    q = machine.from_controller(move.target.joints)  # type: ignore[attr-defined]
+    q = machine.from_controller(move.target.joints)
     return bool(np.abs(q - home).max() <= HOME and move.zone.fine)
 
 

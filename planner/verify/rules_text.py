@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable
+from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
@@ -31,6 +32,7 @@ _OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS
 POSITION_DECIMALS = 4
 QUATERNION_DECIMALS = 8
 UNIT_TOLERANCE = 1e-7
+_STRANGE = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
 _TARGET = re.compile(r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]")
 
 
@@ -46,7 +48,18 @@ def syntax(context: Context) -> Outcome:
     """The text is RAPID and has one straight way."""
     job = context.job
     faults = [*(f for f in job.faults if f.code not in _OTHERS), *job.flow]
+    faults += [f for task in job.tasks for file, text in task.files.items() for f in _strange(file, text)]
     return _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
+
+
+def _strange(file: str, text: str) -> list[Fault]:
+    """Characters that a controller may take for something else than this reader does, such as a lone carriage
+    return, which would end a comment."""
+    found = _STRANGE.search(text)
+    if found is None:
+        return []
+    line = text.count("\n", 0, found.start()) + 1
+    return [Fault(line, 1, "rapid.encoding", f"character {ord(found.group()[0])} in the text", file)]
 
 
 def declarations(context: Context) -> Outcome:
@@ -159,6 +172,14 @@ def files(context: Context) -> Outcome:
     issues += [
         Issue("verify.files", f"{path} belongs to none of the tasks", file=path) for path in job.strays
     ]
+    for task in job.tasks:
+        for module in task.modules:
+            if PurePosixPath(module.file).stem.lower() != module.name.lower():
+                what = f"{module.file} holds the module {module.name}; the list of modules goes by file names"
+                issues.append(Issue("verify.files", what, file=module.file))
+        lists = [path for path in job.lists if _folder(path) in {_folder(file) for file in task.files}]
+        if len(lists) > 1:
+            issues.append(Issue("verify.files", f"{task.name} has {len(lists)} program lists", file=lists[1]))
     for path, text in job.lists.items():
         issues += _list(context, path, text)
     return Outcome(tuple(issues))
@@ -169,15 +190,21 @@ def _list(context: Context, path: str, text: str) -> list[Issue]:
         root = ET.fromstring(text.encode("latin-1", "replace"))
     except ET.ParseError as wrong:
         return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
-    listed = sorted((item.text or "").lower().removesuffix(".mod") for item in root.iter("Module"))
-    folder = path.rpartition("/")[0]
+    if root.tag != "Program" or any(item.tag != "Module" or len(item) for item in root):
+        return [Issue("verify.files", "the program list holds more than modules", file=path)]
+    listed = sorted((item.text or "").strip().lower().removesuffix(".mod") for item in root)
     for task in context.job.tasks:
-        if any(file.rpartition("/")[0] == folder for file in task.files):
+        if any(_folder(file) == _folder(path) for file in task.files):
             there = sorted(module.name.lower() for module in task.modules)
             if listed != there:
                 message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
                 return [Issue("verify.files", message, file=path, hint="list every module once")]
-    return []
+            return []
+    return [Issue("verify.files", "the program list stands beside no task's modules", file=path)]
+
+
+def _folder(path: str) -> str:
+    return path.rpartition("/")[0]
 
 
 def digest(context: Context) -> Outcome:

@@ -1,4 +1,4 @@
-"""Speeds of a wire across itself, from its shapes at stations and the replay's clock; stations of segments."""
+"""Speeds of a wire across itself, from its shapes at stations and the replay's clock; a segment's stations."""
 
 from __future__ import annotations
 
