@@ -85,7 +85,7 @@ def _done(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> l
         arm = standing.cutter(setup, operation.targets.arms)
         if arm is None or operation.targets.edge is not None:
             continue
-        left = LEFT if setup.number < shown.number else 0.0
+        left = 0.0 if sweep.alike(setup.stock, shown.stock) else LEFT
         place = plan.places[setup.number - 1]
         for rows in _cuts(operation):
             rows = np.append(max(rows[0] - 1, 0), rows)
@@ -94,6 +94,6 @@ def _done(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> l
                 continue
             q = {name: joints[rows] for name, joints in operation.q.items()}
             points = standing.wire_in_block(setup, arm, place, plan.bases, q)
-            mesh = sweep.surface(points, shown.stock.lower - left, shown.stock.upper + left)
+            mesh = sweep.surface(points, shown.stock.lower + left, shown.stock.upper - left)
             out += [] if mesh is None else [mesh]
     return out

@@ -19,7 +19,7 @@ from planner.cell.plant import CellModel, rigid
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.problem import Mesh, Problem, Setup, Stock
+from planner.problem import Mesh, Problem, Setup
 from planner.report import scene as scenes
 from planner.report import sweep
 from planner.report.replay_bar import bar
@@ -31,8 +31,9 @@ KEYS: Final = 480
 KEYS_MORE: Final = 240
 """Keyframes of a job of one operation, and of each further one."""
 STRIPS: Final = 120
-LEFT: Final = 0.0015
-"""How far [m] outside a trimmed block the cuts that trimmed it are still drawn: half a kerf and some."""
+LEFT: Final = 0.001
+"""How far [m] inside a block that was trimmed earlier cuts are still drawn: those that trimmed it are now its
+sides."""
 LINKS: Final = 28
 BLOCK: Final = "/block"
 _CUT: Final = Rgba(1.0, 0.66, 0.36, 1.0)
@@ -108,18 +109,17 @@ def _look(meshcat: Any, model: CellModel, run: Track) -> None:
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Grid", "visible", True)
     places = np.array([model.bases[arm][:3, 3] for arm in model.arms])
-    back = 0.82 if len(places) > 1 else 1.0
-    if len(places) == 1:
-        places = np.concatenate([places, run.block[:, :3, 3].mean(axis=0, keepdims=True)])
-        places[1, 2] = places[0, 2]
-    middle = places.mean(axis=0)
-    line = places[-1] - places[0]
-    line = line / max(float(np.linalg.norm(line)), 1e-9)
     reach = max(robot.reach for robot in model.robots.values())
-    spread = float(np.linalg.norm(places - middle, axis=1).max()) + 0.8 * reach
+    block = run.block[:, :3, 3]
+    ends = places if len(places) > 1 else np.stack([places[0], block.mean(axis=0)])
+    line = (ends[-1] - ends[0]) * np.array([1.0, 1.0, 0.0])
+    line = line / max(float(np.linalg.norm(line)), 1e-9)
+    seen = np.concatenate([places, places + np.array([0.0, 0.0, 0.85 * reach]), block])
+    target = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    spread = float(np.linalg.norm(seen - target, axis=1).max()) + 0.6 * reach
     across = np.array([line[1], -line[0], 0.0])
-    target = middle + np.array([0.0, 0.0, 0.42 * reach])
-    eye = target + back * spread * across - 0.2 * spread * line + np.array([0.0, 0.0, 0.30 * spread])
+    target[2] -= 0.10 * spread  # the bar takes the foot of the picture
+    eye = target + 0.92 * spread * across - 0.2 * spread * line + np.array([0.0, 0.0, 0.35 * spread])
     meshcat.SetCameraPose(eye, target)
 
 
@@ -225,10 +225,10 @@ def _strips(film: _Film, problem: Problem, run: Track) -> None:
         points = cut.points[:, some]
         steps = np.arange(len(cut.keys) - 1)
         count = max(1, min(len(steps), round(STRIPS * len(steps) / max(total, 1))))
-        kept = [k for k, block in enumerate(blocks) if k >= cut.setup and _alike(block, own)]
+        kept = [k for k, block in enumerate(blocks) if k >= cut.setup and sweep.alike(block, own)]
         parts = [(part, own.lower, own.upper, kept) for part in np.array_split(steps, count)]
         smaller = (k for k in range(cut.setup + 1, len(blocks)) if k not in kept)
-        parts += [(steps, blocks[k].lower - LEFT, blocks[k].upper + LEFT, [k]) for k in smaller]
+        parts += [(steps, blocks[k].lower + LEFT, blocks[k].upper - LEFT, [k]) for k in smaller]
         for part, lower, upper, setups in parts:
             mesh = sweep.surface(points[part[0] : part[-1] + 2], lower, upper) if len(part) else None
             if mesh is None:
@@ -238,8 +238,3 @@ def _strips(film: _Film, problem: Problem, run: Track) -> None:
             done = np.arange(len(run.time)) >= cut.keys[part[-1] + 1]
             film.show(path, done & np.isin(run.setup, setups))
             number += 1
-
-
-def _alike(one: Stock, other: Stock) -> bool:
-    """Whether two blocks are of one size."""
-    return np.allclose(one.lower, other.lower) and np.allclose(one.upper, other.upper)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import Mesh, Part, Ruled
+from planner.problem import Mesh, Part, Ruled, Stock
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,6 +59,11 @@ def surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> Mesh | 
     quads = place.reshape(quads.shape)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return Mesh(vertices[used], faces.astype(np.int64))
+
+
+def alike(one: Stock, other: Stock) -> bool:
+    """Whether two blocks are of one size."""
+    return np.allclose(one.lower, other.lower) and np.allclose(one.upper, other.upper)
 
 
 def part_meshes(part: Part | None) -> tuple[tuple[str, Mesh], ...]:
