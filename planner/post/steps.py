@@ -291,5 +291,13 @@ def _track(
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
     stop = _stops(plan.targets, keep)
-    room = corners.room(position[stations], quaternion[stations], duration, stop, corners.lever(arm.tool))
+    labels = [plan.targets.segment[i] for i in keep]
+    room = corners.room(
+        position[stations],
+        quaternion[stations],
+        duration,
+        stop,
+        corners.lever(arm.tool),
+        corners.deviations(plan.targets, labels),
+    )
     return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

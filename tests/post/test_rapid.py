@@ -12,6 +12,7 @@ import pytest
 from planner.bow import bow
 from planner.catalogue import robot
 from planner.cell.robots import forward
+from planner.claims import CutsSurface, KerfCurve, StraightWire
 from planner.geometry.rigid import from_quaternion
 from planner.post import corners
 from planner.post.write import programs
@@ -411,3 +412,22 @@ def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
         synthetic.plan(synthetic.operation(job, {"left": q}, ["cut/a"] * 7, actions=(), coupled=False)), job
     )
     assert "fine" not in [row[6] for row in moves(files, "T_ROB1")[:-1]]
+
+
+def test_a_straight_wire_turns_wider_in_the_air_than_in_the_foam():
+    """0.5 mm in the air, 15 % of 0.3 mm at and beside cuts; whatever else keeps to 0.02 mm everywhere."""
+    surface = CutsSurface("cut/a", np.zeros((3, 3)), np.array([[0, 1, 2]]), KerfCurve.constant(1e-3), 3e-4)
+    wire = StraightWire("left", np.zeros(3), np.ones(3), 2e-4, 0.02)
+    job = synthetic.problem(("left",))
+    labels = ["approach", "approach", "approach", "cut/a", "cut/a", "link", "link"]
+    made = synthetic.operation(job, {"left": synthetic.sweep(7)}, labels, actions=(), coupled=False).targets
+    straight = dataclasses.replace(made, claims=(wire, surface))
+    expected = [0.5, 0.045, 0.045, 0.045, 0.5, 0.5]
+    np.testing.assert_allclose(corners.deviations(straight, labels[1:]), expected)
+    for other in (made, dataclasses.replace(straight, coupled=True)):
+        np.testing.assert_allclose(corners.deviations(other, labels[1:]), corners.DEVIATION)
+    position = np.stack([np.arange(7.0) * 3.0, np.abs(np.arange(7.0) - 3.0), np.zeros(7)], axis=1)
+    still, even = np.tile([1.0, 0, 0, 0], (7, 1)), np.full(6, 0.1)
+    reach, _ = corners.room(position, still, even, np.arange(6) == 5, 100.0, np.array(expected))
+    step, change = np.hypot(3.0, 1.0), 2.0 / 0.1
+    assert reach[2] == pytest.approx(step * 0.045 / (0.1 * change / 4.0))
