@@ -18,7 +18,7 @@ from planner.hotwire.straight_lines import Lines, grown, join
 
 FloatArray = NDArray[np.float64]
 
-AIR_STEP: Final = 0.02
+AIR_STEP: Final = 0.012
 """[m] largest move of any point of the wire between targets in the air."""
 SAME: Final = np.deg2rad(0.5)
 """Directions that differ by less need no place to turn."""
