@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import diagnose, entry, transit
+from planner.motion import corridor, diagnose, entry, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path, tcp_ways
 from planner.motion.paths import find
@@ -27,7 +27,11 @@ from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-CLEARANCE_WEIGHTS = (0.5, 10.0)
+CLEARANCE_WEIGHT = 0.5
+CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
+"""How far around a place that is too near the next path is kept to the ladder's [targets], and how close this
+one is kept where others were too near [rad]."""
+
 REPORTED_REACH = 0.2
 
 
@@ -122,24 +126,30 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
 
 
 def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:
-    """The optimised path if it keeps clearance at and between targets, or the ladder's own."""
+    """The optimised path if it keeps clearance at and between targets, or the ladder's own.
+
+    Where an optimised path comes too near to something, the next one is kept closer to the ladder's there,
+    over a longer and longer stretch, at last all along.
+    """
     plain = path_cost(scene, targets, found.values, found.q)
-    for weight in CLEARANCE_WEIGHTS:
+    start = corridor.unwrapped(targets, found.values)
+    rows = np.zeros(targets.count, dtype=np.bool_)
+    for reach, width in CORRIDORS if scene.model is not None else CORRIDORS[:1]:
         avoid = None
         if scene.model is not None:
             kinds = scene.by_kind(targets, np.arange(targets.count))
-            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, weight, kinds)
-        better = improve(scene, targets, found.path.branch, found.values, found.q, avoid)
+            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
+        within = corridor.narrowed(targets, start, rows, width) if rows.any() else targets
+        better = improve(scene, within, found.path.branch, start, found.q, avoid)
         cost = path_cost(scene, targets, better.values, better.q)
         better = dataclasses.replace(better, cost=cost, cost_before=plain)
         samples = dense(scene, targets, found.path.branch, better.q)
-        if not np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any() and diagnose.keeps_clear(
-            scene, targets, samples
-        ):
+        lost = np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any(axis=1)
+        bad = samples.move[lost | ~diagnose.clear(scene, targets, samples)]
+        if not len(bad):
             watch.lap("trajopt")
             return better, True
-        if scene.model is None:
-            break
+        rows |= corridor.around(targets.count, bad, reach)
     watch.lap("trajopt")
     return Improved(found.values, found.q, plain, plain, 0), False
 
