@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from planner.geometry.curves import ArcRail, CurveKind, Loft, tessellate
+from planner.geometry.curves import ArcRail, CurveKind, Loft, grid_counts, tessellate
 from planner.geometry.edges import edges
 from planner.geometry.mesh import (
     LARGEST,
@@ -29,6 +29,10 @@ from planner.schema import Angle, Far, FileName, Fraction, Positive, Scale, Stri
 from planner.units import DEG, LENGTH_UNITS, MM
 
 FloatArray = NDArray[np.float64]
+
+
+_MOST_CELLS = 1_000_000
+"""Most cells of a tessellated loft; a face of 1 m in cells of 1 mm has as many."""
 
 
 class RailFile(Strict):
@@ -185,7 +189,7 @@ def build(front: FrontFile, back: BackFile | None, folder: Path) -> Faces:
     ``part.faces``.
     """
     outer, normals = surface(front.loft, front.mesh, folder, "part.front")
-    _check_size(outer)
+    check_size(outer, "part.front")
     if back is None:
         return Faces(outer, None, None, ())
     if back.offset_mm is not None:
@@ -212,13 +216,21 @@ def surface(
     if loft is None:
         raise ValueError("a face needs a loft or a mesh")
     region = loft.region
+    nu, nv = grid_counts(loft.loft(), region.u, region.v, loft.chord_mm * MM)
+    if nu * nv > _MOST_CELLS:
+        what = (
+            f"the loft needs {nu} x {nv} cells to be within chord_mm {loft.chord_mm:g}, {_MOST_CELLS} in "
+            "all are "
+            "allowed; correct its measures, or allow a larger chord_mm"
+        )
+        raise TandemError(Issue("mesh.unit", what, field=field))
     vertices, normals, faces = tessellate(loft.loft(), region.u, region.v, loft.chord_mm * MM)
     if loft.flip:
         normals, faces = -normals, faces[:, ::-1]
     return TriangleMesh(vertices, faces), normals
 
 
-def _check_size(front: TriangleMesh) -> None:
+def check_size(front: TriangleMesh, field: str) -> None:
     """A face of no width, or longer than any cell, is a slip of units or of the region."""
     length = float(np.linalg.norm(np.ptp(front.vertices, axis=0)))
     width = float(face_areas(front).sum()) / length  # on average; a bent strip's extents do not tell it
@@ -228,7 +240,7 @@ def _check_size(front: TriangleMesh) -> None:
                 "mesh.unit",
                 f"the face is {length * 1e3:.4g} mm long and {width * 1e3:.3g} mm wide, allowed are "
                 f"{SMALLEST * 1e3:g} to {LARGEST * 1e3:g} mm; correct its measures, unit or region",
-                field="part.front",
+                field=field,
             )
         )
 

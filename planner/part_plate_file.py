@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from planner.geometry import outlines
 from planner.geometry.dxf import read_dxf
 from planner.geometry.guides import Guide, polyline, spline
-from planner.geometry.laying import outwards
+from planner.geometry.laying import LONGEST, outwards
 from planner.geometry.rigid import from_parts
 from planner.geometry.rulings import resample
 from planner.issues import Issue, Severity, TandemError
@@ -83,9 +83,14 @@ def build(spec: PlateFile, folder: Path, height: float) -> tuple[list[Ruled], li
     """
     guides, names, notes = _guides(spec, folder)
     issues = [
-        Issue("part.guide", "the outline has no size; give at least 3 points that differ", field=name)
+        Issue(
+            "part.guide",
+            f"the outline has {len(guide.points)} points and a length of {guide.length / MM:.4g} mm; "
+            f"at least 3 points that differ, 1 mm and at most {LONGEST / MM:g} mm across are wanted",
+            field=name,
+        )
         for guide, name in zip(guides, names, strict=True)
-        if len(guide.points) < 3 or guide.length < 1e-3
+        if len(guide.points) < 3 or guide.length < 1e-3 or np.ptp(guide.points, axis=0).max() > LONGEST
     ]
     if len(guides) > _MOST:
         issues.append(Issue("part.dxf", f"{len(guides)} outlines, {_MOST} are allowed", field="part.plate"))

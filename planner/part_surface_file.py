@@ -12,7 +12,7 @@ from planner.geometry.patch import Patch, of_loft, of_mesh
 from planner.geometry.ruled_mesh import find_rulings
 from planner.geometry.rulings import resample
 from planner.issues import Issue, Severity, TandemError
-from planner.part_faces_file import FaceMeshFile, LoftFile, surface
+from planner.part_faces_file import FaceMeshFile, LoftFile, check_size, surface
 from planner.problem import Ruled
 from planner.schema import Strict
 from planner.units import MM
@@ -106,6 +106,7 @@ def build_strips(spec: StripsFile, folder: Path) -> tuple[Ruled, list[Issue]]:
 
 def _patch(spec: StripsFile, folder: Path) -> Patch:
     mesh, _ = surface(spec.loft, spec.mesh, folder, "part.strips")
+    check_size(mesh, "part.strips")
     if spec.loft is None:
         return of_mesh(mesh, "part.strips.mesh")
     region = spec.loft.region

@@ -121,7 +121,7 @@ def check_ruled(part: Ruled, field: str) -> Iterator[Issue]:
     if part.closed and np.linalg.norm(direction) > 1e-9:
         flat = sight @ _across(direction)
         for place, name in ((0, "start"), (1, "middle"), (2, "end")):
-            if len(flat) < 3 or not LinearRing(flat[:, place]).is_simple:
+            if not _simple(flat[:, place]):
                 what = (
                     f"surface {part.name}: its ring at the {name} of the rulings crosses itself; correct it"
                 )
@@ -136,6 +136,13 @@ def check_ruled(part: Ruled, field: str) -> Iterator[Issue]:
             "guides run against each other; run one of them the other way, or match it otherwise"
         )
         yield Issue("part.ruled_shape", what, field=field)
+
+
+def _simple(ring: FloatArray) -> bool:
+    """Whether a ring (N, 2) does not cross itself; an end that stands still is one point."""
+    step = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1)
+    own = ring[step > 1e-6]
+    return len(own) < 3 or bool(LinearRing(own).is_simple)
 
 
 def _folds(part: Ruled) -> int | None:

@@ -63,7 +63,8 @@ def check(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Issue]:
             if not (sound[i] and sound[j]):
                 continue
             other = polygons[j]
-            if polygon.exterior.hausdorff_distance(other.exterior) < SAME:
+            alike = np.abs(np.subtract(polygon.bounds, other.bounds)).max() < SAME
+            if alike and polygon.exterior.hausdorff_distance(other.exterior) < SAME:
                 what = f"is the same outline as {names[i]}; leave one out"
                 issues.append(Issue("part.outline_duplicate", what, field=names[j]))
             elif polygon.exterior.dwithin(other.exterior, SAME):

@@ -212,6 +212,15 @@ def test_a_wing_lies_along_the_longest_axis_of_its_block(size: list[float]) -> N
     assert (np.sum(body.face_normals * across, axis=1) > 0).mean() > 0.97
 
 
+def test_a_wing_may_be_twisted_as_little_as_can_be() -> None:
+    (even,), (least,) = (make({"wing": WING | {"match": m}}).ruled for m in ("arc_length", "least_twist"))
+    angle = []
+    for skin in (even, least):
+        start, end = outward(skin)
+        angle.append(np.mean(np.arccos(np.clip(np.sum(start * end, axis=1), -1.0, 1.0))))
+    assert angle[1] < angle[0]
+
+
 def test_wings_from_files_and_their_faults_by_field(tmp_path: Path) -> None:
     rows = [f"{x:.6f} {y:.6f}" for x, y in np.array([[1, 0.001], [0, 0], [1, -0.001]])]
     (tmp_path / "bad.dat").write_text("bad\n" + "\n".join(rows))
