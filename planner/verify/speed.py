@@ -1,4 +1,4 @@
-"""Speeds of a wire across itself, from its shapes at stations and the replay's clock; a segment's stations."""
+"""Speeds of a wire across itself, from its shapes at stations and the replay's clock; segments' stations."""
 
 from __future__ import annotations
 

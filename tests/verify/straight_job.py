@@ -143,8 +143,8 @@ def way(k, count):
     return wire(k, u), rows
 
 
-def plan(count=24):
-    """The plan."""
+def plan(count=24, over=None):
+    """The plan; ``over``: height [m] in the block at which the first bow goes home above it."""
     parts = []
     for k, name in enumerate(("top", "back")):
         start, end = way(k, count)[0]
@@ -152,7 +152,12 @@ def plan(count=24):
         world = PLACES[k] @ pose
         up = np.eye(4)
         up[2, 3] = 0.13 if k == 0 else 0.17
-        over = {"left": up @ world[:1]}, {"left": up @ world[-1:]}
+        ways = {"left": up @ world[:1]}, {"left": up @ world[-1:]}
+        if over is not None and k == 0:
+            low = np.repeat(world[-1:], 2, axis=0)
+            low[:, 0, 3] = PLACES[0][0, 3] + np.array([0.14, -0.14])
+            low[:, 2, 3] = PLACES[0][2, 3] + over
+            ways = ways[0], {"left": low}
         here = dataclasses.replace(cell(k), arms=(dataclasses.replace(cell().arms[0], tool=BOWS[k]),))
         rows = way(k, count)[1]
         parts.append(
@@ -165,7 +170,7 @@ def plan(count=24):
                 rows,
                 way_of(start, end),
                 SIGNAL,
-                *over,
+                *ways,
                 ("left",),
             )
         )
