@@ -13,7 +13,7 @@ from planner.cell import clearance
 from planner.cell.edge import Against, edge
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
-from planner.issues import Issue
+from planner.issues import Issue, TandemError
 from planner.problem import Setup, Shape
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
@@ -28,7 +28,8 @@ BETWEEN = 1e-3
 STRIDE = 0.012
 """Way of any point of an arm between looks [m]."""
 REACH = 0.1
-MOST = 4000
+MOST = 20_000
+"""Most looks of a setup; one that needs more is refused."""
 _FK_SAMPLES = 60
 KINEMATICS = 1e-6
 NEAR_CLAMP = 0.02
@@ -47,7 +48,10 @@ def looks(context: Context, index: int) -> IntArray:
         reach = _lever(context, index, task.arm.name)
         way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
     along = np.cumsum(way)
-    count = int(np.clip(np.ceil(along[-1] / STRIDE), 1, MOST))
+    count = max(int(np.ceil(along[-1] / STRIDE)), 1)
+    if count > MOST:
+        what = f"setup {index + 1}: clearance needs {count} looks, at most {MOST} are made; split the job"
+        raise TandemError(Issue("verify.duration", what, value=count, limit=MOST))
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
     return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
 

@@ -172,7 +172,7 @@ def motion_settings(context: Context) -> Outcome:
             if not isinstance(step, SettingStep):
                 continue
             low = min((v for v in step.values if v is not None), default=0.0)
-            if (step.kind == "AccSet" and low < 100.0) or (step.kind == "VelSet" and step.values[0] < 100.0):
+            if (step.kind == "AccSet" and low < 100.0) or (step.kind == "VelSet" and _limits(step)):
                 issues.append(at_step("verify.motion_settings", slow, task, step))
             if step.kind == "SingArea" and step.switches != ("off",):
                 what = "SingArea lets the tool leave its path near singular postures"
@@ -181,6 +181,13 @@ def motion_settings(context: Context) -> Outcome:
                 what = f"{step.kind} on the way: the moves are no longer those of the text"
                 issues.append(at_step("verify.motion_settings", what, task, step))
     return Outcome(tuple(issues))
+
+
+def _limits(step: SettingStep) -> bool:
+    """Whether a VelSet (share in %, highest speed in mm/s) holds any move back."""
+    return (
+        step.values[0] is None or step.values[1] is None or step.values[0] < 100.0 or step.values[1] < 5000.0
+    )
 
 
 def hidden(context: Context) -> Outcome:

@@ -93,8 +93,7 @@ def _where_it_stands(context: Context, index: int) -> list[Issue]:
     stock, place = context.stock(index), context.places[index]
     if place is None:
         what = f"nothing in the programs says where the block stands in setup {index + 1}"
-        cut = any(setup.joined or setup.straight for setup in context.setup_claims)
-        return [Issue("verify.work_object", what)] if cut else []
+        return [Issue("verify.work_object", what, hint="state stock.place where no work is in its frame")]
     wanted = stock.place
     said = "the problem's"
     if wanted is None and index and stays(context.problem, context.setups[index]):
@@ -119,8 +118,12 @@ def _where_it_stands(context: Context, index: int) -> list[Issue]:
 def held_frame(context: Context) -> Outcome:
     """Work on a held block is in the frame that its holder's flange carries, in synchronised blocks, and the
     holder itself moves in the world; no other work is."""
-    issues, worst = [], 0.0
+    issues: list[Issue] = []
+    worst = 0.0
     units = {task.arm.name: task.unit for task in context.job.tasks}
+    holders = (context.holder(index) for index in range(len(context.setups)))
+    lost = sorted({held.arm for held in holders if held is not None} - set(units))
+    issues += [Issue("verify.held_frame", f"{arm} holds the block, but has no program") for arm in lost]
     for number, stage, task, moves in context.moves():
         index = int(context.spans.of_stage[number])
         held = context.holder(index)

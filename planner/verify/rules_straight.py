@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import FollowsRulings, KerfWithin, StraightWire
+from planner.geometry.rigid import inverse
 from planner.issues import Issue
-from planner.problem import Stock
+from planner.problem import Stock, Tool
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.result import CutFace
 from planner.verify.rules_wire import FEED_SLACK, wire_issue
@@ -20,18 +21,24 @@ ROUNDED = 1e-4
 """What rounded targets may take from a margin [m]."""
 PASSED = 1e-4
 """How much farther than half a kerf and the tolerance the wire may pass a guide line [m]."""
+EDGE = 1e-6
+"""How far a claimed wire may be off the tool's edge [m]."""
 GUIDE_STEP = 0.002
 """Distance of the places of a guide line that must be passed [m]."""
 _CHUNK = 400_000
 
 
 def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire."""
+    """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire; it
+    is the edge of the tool that is mounted."""
     issues, least, limit = [], np.inf, None
     for wire in wires:
         claim = wire.claim
         if not isinstance(claim, StraightWire) or wire.fault:
             continue
+        if not _is_edge(claim, context.setups[wire.setup].cell.arm(claim.arm).tool):
+            what = f"the tool of {claim.arm} in setup {wire.setup + 1} has another wire than the claimed one"
+            issues.append(Issue("verify.bow", what, arm=claim.arm))
         margin = max(c.margin for c in context.setup_claims[wire.setup].straight[claim.arm])
         free = free_lengths(wire.points[:, 0], wire.points[:, -1], context.stock(wire.setup))
         short = free.min(axis=1)
@@ -48,6 +55,19 @@ def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     if not np.isfinite(least):
         return Outcome(tuple(issues), where="no straight wire in the foam")
     return Outcome(tuple(issues), mm(least), limit, "mm")
+
+
+def _is_edge(claim: StraightWire, tool: Tool) -> bool:
+    """Whether a claimed wire is the edge of a tool, either way round."""
+    if tool.edge is None:
+        return False
+    half = 0.5 * tool.edge.size[1] * tool.edge.pose[:3, 2]
+    ends = np.stack([tool.edge.pose[:3, 3] - half, tool.edge.pose[:3, 3] + half])
+    back = inverse(tool.tcp)
+    ends = ends @ back[:3, :3].T + back[:3, 3]
+    said = np.stack([claim.start, claim.end])
+    off = min(float(np.abs(ends - said).max()), float(np.abs(ends[::-1] - said).max()))
+    return off <= EDGE and abs(tool.edge.size[0] - claim.radius) <= EDGE
 
 
 def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray:

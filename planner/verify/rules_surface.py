@@ -12,8 +12,8 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
 from planner.verify.speed import during, local
-from planner.verify.surface import Sweep, cut_face, part_obj
-from planner.verify.wire import Wire, end_error
+from planner.verify.surface import Sweep, cut_face, deepest, part_obj
+from planner.verify.wire import Wire, end_error, to_block
 
 FloatArray = NDArray[np.float64]
 
@@ -38,9 +38,10 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
 
 
 def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:
-    """The cut surface is within tolerance of the wanted one for the wanted share of it."""
+    """The cut surface is within tolerance of the wanted one for the wanted share of it, and in that segment
+    the wire nowhere runs much deeper into the part."""
     faces = tuple(cut_face(claim, row) for claim, row in zip(context.surfaces, rows, strict=True))
-    issues = []
+    issues = _gouges(context, rows)
     for face in faces:
         if face.share < face.wanted_share:
             message = (
@@ -81,7 +82,29 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
     return outcome, faces, part_obj(context.surfaces, rows)
 
 
+def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
+    """Faces into which the wire cuts besides: the nearest sheet of several hides those beneath it. Straight
+    wires keep to their rulings all along, which is more."""
+    ruled = {claim.segment.lower() for claim in context.rulings}
+    issues = []
+    for claim, sweep in zip(context.surfaces, rows, strict=True):
+        if len(sweep.points) < 2 or claim.segment.lower() in ruled:
+            continue
+        block = context.stock(context.of_segment[claim.segment.lower()])
+        deep, _ = deepest(claim, sweep, to_block(sweep.points, block) < 0.0)
+        limit = GOUGE * claim.tolerance + FLAT
+        if deep > limit:
+            what = f"the wire runs {mm(deep):.2f} mm deep below {claim.segment}; allowed: {mm(limit):g} mm"
+            measure = {"value": mm(deep), "limit": mm(limit), "unit": "mm"}
+            issues.append(Issue("verify.surface", what, field=claim.segment, **measure))  # type: ignore[arg-type]
+    return issues
+
+
 ERROR_STATIONS = 5
+GOUGE = 3.0
+"""A wire may run deeper than wanted by so many tolerances, in places."""
+FLAT = 3e-4
+"""What taking a bent face as flat around its samples may cost [m]."""
 
 
 def with_end_error(

@@ -151,6 +151,31 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
     return np.asarray(np.where(lost, np.nan, signed)), np.asarray(np.where(lost, np.nan, speed))
 
 
+def deepest(claim: CutsSurface, sweep: Sweep, inside: NDArray[np.bool_]) -> tuple[float, int]:
+    """How far [m] the wire runs deeper into the part than half its kerf off the wanted face, at most, and the
+    station; points ``inside`` (T, P) of the block count that are over the face, not beside it.
+
+    For faces that bend little: they are taken as flat around each of their samples.
+    """
+    points, normals, _ = sample_face(claim.vertices, claim.faces)
+    facing = _facings(sweep).reshape(-1, 3)
+    flat = sweep.points.reshape(-1, 3)
+    _, near = cKDTree(flat).query(points, k=1)
+    side = -1.0 if float(_dot(facing[near], normals).sum()) < 0.0 else 1.0
+    tree = cKDTree(np.concatenate([points, _TURN * normals], axis=1))
+    rows = np.flatnonzero(inside)
+    if not len(rows):
+        return 0.0, 0
+    _, found = tree.query(np.concatenate([flat[rows], _TURN * side * facing[rows]], axis=1), k=1)
+    off = flat[rows] - points[found]
+    height = _dot(off, normals[found])
+    beside = np.linalg.norm(off - height[:, None] * normals[found], axis=1) > SAMPLE
+    depth = 0.5 * claim.kerf.at(sweep.speed.reshape(-1)[rows]) - height
+    depth[beside] = -np.inf
+    k = int(np.argmax(depth))
+    return float(max(depth[k], 0.0)), int(rows[k] // sweep.points.shape[1])
+
+
 def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Closest places (M, 3) of triangles to points, with their barycentric weights (M, 3).
 

@@ -412,3 +412,34 @@ def test_raw_foam_beside_the_datum_block_is_in_the_way():
     assert broken("straight", texts) & {"verify.contact", "verify.clearance"}
     bare = dataclasses.replace(job, stock=dataclasses.replace(job.stock, oversize=np.zeros((2, 3))))
     assert Prover(bare, straight_job.claims()).prove(texts).ok
+
+
+def test_a_slot_beneath_the_face_is_seen():
+    """The bent wire goes through the part first, there and back, and then cuts the face as it should be."""
+    texts = small_job.programs(COUNT)
+    for task in (1, 2):
+        rows = rows_of(texts, task, "Cut1")
+        inside = moves(texts, task, "cut_front")
+        forth = [_lowered(rows[i], 6.0) for i in inside[:-1]]
+        passes = [*forth, *reversed(forth[:-1]), *(rows[i] for i in inside)]
+        rows[inside[0] : inside[-1] + 1] = [row.replace(",fine,", ",z1um,") for row in passes[:-1]] + passes[
+            -1:
+        ]
+        number = iter(range(1, 10_000))
+        rows = [re.sub(r"\\ID:=\d+", lambda _: f"\\ID:={next(number)}", row) for row in rows]
+        rows = [re.sub(r",v\d+\\T", r",v7000\\T", row) for row in rows]
+        zone = "  CONST zonedata z1um:=[FALSE,0.001,0.001,0.001,0.0001,0.001,0.0001];"
+        data = rows_of(texts, task, "Data")
+        data.insert(next(i for i, row in enumerate(data) if "zonedata" in row), zone)
+        texts = put(put(texts, task, "Cut1", rows), task, "Data", data)
+    proof = prover("small").prove(texts, last="verify.surface")
+    deep = [issue for issue in proof.issues if issue.code == "verify.surface"]
+    assert len(deep) == 1
+    assert deep[0].value == pytest.approx(6.0, abs=0.5)
+    front = next(face for face in proof.surfaces if face.segment == "cut/front")
+    assert front.share > 0.95  # the nearest sheet alone would not have told
+
+
+def _lowered(row, by):
+    x, y, z = re.search(r"MoveL \[\[([^,]*),([^,]*),([^\]]*)\]", row).groups()
+    return row.replace(f"[[{x},{y},{z}]", f"[[{x},{y},{float(z) - by:.4f}]", 1)
