@@ -11,12 +11,15 @@ import dataclasses
 import resource
 import time
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
+from bench import motion_bows
 from bench.motion_jobs import arc_wire, block, box, s_curve, two_arms
 from planner.catalogue import robot
 from planner.cell import plant
@@ -25,7 +28,8 @@ from planner.geometry.rigid import from_parts
 from planner.motion import opw
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
-from planner.problem import Obstacle, Settings
+from planner.motion.solve import solve
+from planner.problem import Obstacle, Problem, Settings
 
 REPEATS = 5
 CORE = ("ladder", "transit", "trajopt", "timing")
@@ -48,7 +52,7 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, An
 
 def run() -> list[dict[str, Any]]:
     """All measurements of motion."""
-    return [inverse(), *jobs(), one_arm(), placement()]
+    return [inverse(), *jobs(), one_arm(), *bows(), placement()]
 
 
 def inverse() -> dict[str, Any]:
@@ -129,6 +133,26 @@ def one_arm() -> dict[str, Any]:
         "Tesseract Descartes in a trial: 2.9-8.1 s with collisions"
     )
     return {"name": "one arm, 400 poses, 36 spins, whole", **row}
+
+
+def bows() -> list[dict[str, Any]]:
+    """A bow of 400 targets around a standing block, and around one that another arm holds, from its place to
+    the ways home."""
+    out = []
+    for name, make in (
+        ("one arm, bow", motion_bows.standing),
+        ("two arms, bow and held block", motion_bows.held),
+    ):
+        cell, stock, targets = make(400)
+        operation = SimpleNamespace(name="side", process="", arms=targets.arms, leaves=lambda block: block)
+        problem = Problem("bows", cell, stock, None, (operation,), Settings(), Path(), "")
+        row, plan = timed(lambda problem=problem, targets=targets: solve(problem, [targets]), 3)  # type: ignore[misc]
+        stages = {**plan.metrics["stages"], **plan.operations[0].metrics["stages"]}
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        each = ", ".join(f"{key} {value:.2f}" for key, value in stages.items() if value > 0.005)
+        row["note"] += f"; {targets.count} targets; wall of the last: {each} s; peak memory {peak:.0f} MB"
+        out.append({"name": f"{name}, whole with place", **row})
+    return out
 
 
 def placement() -> dict[str, Any]:

@@ -29,6 +29,9 @@ FAR: Final = 0.25
 """Bounds are worked out up to this far [m] beyond, so that it is known how far joints may move before they
 are again."""
 
+CLOSE: Final = 0.02
+"""The same while steps are so large that no bound would hold for the next."""
+
 STRIDE: Final = 16
 TOUCH: Final = 1e-4
 HAND: Final = 0.1
@@ -111,7 +114,9 @@ class Avoid:
         """Lower bounds (N,) of the least distance of all but local pairs, worked out anew only where they may
         matter."""
         limit = self._wanted + SOFT
-        bound = self._bound - np.abs(q - self._bound_at) @ self._levers
+        moved = np.abs(q - self._bound_at) @ self._levers
+        bound = self._bound - moved
+        far = FAR if float(np.median(moved)) < FAR else CLOSE
         for kind, bounds in enumerate(self._bounds):
             index = np.flatnonzero((bound < limit) & (self._kind == kind))
             if not len(index):
@@ -119,8 +124,8 @@ class Avoid:
             part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
             rows = self._model.stack(part)
             every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
-            lower, _ = bounds.least(self._model.poses(every), limit + FAR)
-            bound[index] = np.minimum(lower, limit + FAR) - TOUCH
+            lower, _ = bounds.least(self._model.poses(every), limit + far)
+            bound[index] = np.minimum(lower, limit + far) - TOUCH
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
 

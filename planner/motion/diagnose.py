@@ -228,11 +228,6 @@ def clear(scene: Scene, targets: Targets, samples: Dense) -> NDArray[np.bool_]:
     return scene.free(targets, samples.q, np.maximum(near, 0), samples.move)
 
 
-def keeps_clear(scene: Scene, targets: Targets, samples: Dense) -> bool:
-    """Whether all samples keep clearance."""
-    return bool(clear(scene, targets, samples).all())
-
-
 def shift_that_helps(scene: Scene, targets: Targets) -> str | None:
     """The shortest shift of the stock along the world's axes after which every arm has a branch for all of a
     sample of the targets, as a sentence; None if none does."""

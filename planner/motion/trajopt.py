@@ -30,6 +30,9 @@ CURVATURE: Final = 64.0
 
 ITERATIONS: Final = 30
 SMALL_GAIN: Final = 3e-3
+NOT_WORTH: Final = 0.02
+"""Once there is a gain, a step that fails and promised less than this share of the cost is the last."""
+
 BOUND_ROUNDS: Final = 4
 STEP: Final = 1e-4
 
@@ -85,7 +88,7 @@ def improve(
             scale *= 0.5
         if not done or moved is None:
             damping *= 30.0
-            if damping > 1e3:
+            if damping > 1e3 or (cost < start and expected < NOT_WORTH * cost):
                 break
             continue
         gain = cost - offered

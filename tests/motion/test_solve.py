@@ -11,7 +11,7 @@ import pytest
 
 from planner.geometry.rigid import exp_twist, from_parts
 from planner.issues import TandemError
-from planner.motion import diagnose, timing
+from planner.motion import diagnose, operation, timing
 from planner.motion.joints import dense
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
@@ -172,7 +172,7 @@ def test_a_piece_that_cannot_be_timed_is_named(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_smoothed_path_that_comes_too_near_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, targets = pair(30)
-    monkeypatch.setattr(diagnose, "keeps_clear", lambda *_: False)
+    monkeypatch.setattr(operation, "CORRIDORS", ())
     plan = plan_operation("job", two_arms(), targets, Settings(), HIGH, scene.model)
     assert [i.code for i in plan.issues] == ["motion.path_kept"]
     assert plan.metrics["trajopt_used"] is False
