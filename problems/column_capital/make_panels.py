@@ -64,6 +64,7 @@ BLOCK = """\
     feed_mm_s: 6
     feed_min_mm_s: 4
     step_mm: 8
+    shape_tol_mm: 0.5
     spacers: true
     cuts:                  # the block's sides, the panel's edges, the block's front and back
       - {trim: [left, back, right, front]}
