@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from planner.geometry.rigid import inverse
 from planner.motion.scene import Scene, holders
-from planner.targets import Targets
+from planner.targets import Targets, segment_kind
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -23,6 +23,9 @@ STRIDE: Final = np.deg2rad(2.0)
 joints."""
 
 MOST_SAMPLES: Final = 24
+LEAST_SHARE: Final = 0.3
+"""In cuts the path advances at least by this share of the way in joints and space, for tools that slide along
+a wire that hardly moves across itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,13 +97,16 @@ def dense(
 
 def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
     """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
-    in space."""
+    in space; in cuts by the way of the guarded point, so that an even speed of it is one of the spline too.
+    """
     q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
     poses = {arm: scene.chains[arm].pose(samples.q[arm]) for arm in targets.arms}
     places = [poses[arm][:, :3, 3] for arm in targets.arms]
     straight = _in_work_frames(targets, poses)
     way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
+    cut = _guarded(targets, samples)
+    way = np.where(cut > 0.0, np.maximum(cut, LEAST_SHARE * way), way)
     way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
     at_target = np.flatnonzero(samples.share == 1.0)
     stops = sorted({0, targets.count - 1, *np.flatnonzero(targets.stop).tolist()})
@@ -111,6 +117,13 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
         pieces.append(Piece(first, last, spline, way[at_target[first : last + 1]]))
         worst = max(worst, _deviation(scene, targets, spline, way[rows], [p[rows] for p in straight]))
     return JointPath(targets.count, tuple(pieces), worst)
+
+
+def _guarded(targets: Targets, samples: Dense) -> FloatArray:
+    """Way (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
+    before = np.where(samples.move[1:] == samples.move[:-1], samples.share[:-1], 0.0)
+    cuts = np.array([segment_kind(label) == "cut" for label in targets.segment])
+    return np.asarray((targets.travel * cuts)[samples.move[1:]] * (samples.share[1:] - before))
 
 
 def _deviation(

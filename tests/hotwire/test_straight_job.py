@@ -1,12 +1,16 @@
-"""A block larger than its datum is trimmed, from the problem file to proven programs."""
+"""A block with oversize is trimmed and an outline cut from it, from the problem file to proven programs."""
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
+import numpy as np
+import pytest
 import yaml
 
 import planner
+from tests.hotwire import foam_blocks as blocks
 
 PROBLEM = {
     "tandem": 1,
@@ -34,16 +38,26 @@ PROBLEM = {
             "arms": ["robot"],
             "kerf_mm": 1.5,
             "step_mm": 8,
-            "cuts": [{"trim": ["top", "left"]}],
+            "cuts": [{"trim": ["top"]}, {"surface": "house"}],
         }
     ],
 }
 
 
-def test_a_trimmed_block_is_planned_and_proven(tmp_path: Path) -> None:
+HOUSE = [(-0.05, 0.03), (-0.05, 0.06), (0.0, 0.085), (0.05, 0.06), (0.05, 0.03)]
+
+
+def test_a_trimmed_block_and_an_outline_are_planned_and_proven(tmp_path: Path) -> None:
     path = tmp_path / "problem.yaml"
     path.write_text(yaml.safe_dump(PROBLEM))
     problem = planner.load(path)
+    problem = dataclasses.replace(problem, part=blocks.part(blocks.prism("house", HOUSE, closed=True)))
     outcome = planner.plan(problem)
     assert outcome.verified, [str(issue) for issue in outcome.issues]
-    assert problem.operations[0].leaves(problem.stock).oversize.sum() == 0.005
+    assert problem.operations[0].leaves(problem.stock).oversize.sum() == pytest.approx(0.01)
+    # the wire keeps its feed around the corners, where its moves are short
+    (made,) = outcome.plan.operations
+    speed = made.targets.travel[1:] / np.diff(made.time)
+    on = np.flatnonzero(np.array(made.targets.segment[1:]) == "cut/house")
+    assert speed[on].max() <= 0.008 * 1.001
+    assert speed[on].min() >= 0.85 * 0.008
