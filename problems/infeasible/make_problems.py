@@ -1,6 +1,6 @@
 """Writes small problems that cannot be solved, and expect.yaml: the issue codes that each must give.
 
-All are one block with one simple panel; each has one fault.
+Each is one block with one simple part, and has one fault.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import copy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 ARC = [[-70, 0], [-25, 21], [25, 21], [70, 0]]  # a flat arch, [x, z]
@@ -59,6 +60,82 @@ def base() -> dict[str, Any]:
     }
 
 
+def straight(kind: str, held: bool = False) -> dict[str, Any]:
+    """A problem of the straight wire without fault: an outline through a block that stands or is held."""
+    square = [[-90, -70], [90, -70], [90, 70], [-90, 70]]
+    stock: dict[str, Any] = {"size_mm": [240, 200, 100], "foam": "eps_a120"}
+    if held:
+        stock["held_by"] = "right"
+    else:
+        stock |= {"roll_pitch_deg": [90, 0]}
+    return {
+        "tandem": 1,
+        "name": kind,
+        "cell": "../cells/two_irb140_bow_gripper.yaml",
+        "stock": stock,
+        "part": {"plate": {"outlines": [{"polyline_mm": square}]}},
+        "operations": [
+            {
+                "name": "outline",
+                "process": "straight_wire",
+                "arms": ["left", "right"] if held else ["left"],
+                "power_w": 46,
+                "feed_mm_s": 6,
+                "feed_min_mm_s": 4,
+            }
+        ],
+    }
+
+
+def straight_faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
+    """Problems of the straight wire by name with the codes that they must give."""
+    out: dict[str, tuple[dict[str, Any], list[str]]] = {}
+
+    def add(name: str, codes: list[str], held: bool = False) -> dict[str, Any]:
+        out[name] = (straight(name, held), codes)
+        return out[name][0]
+
+    three, four = [[0, 0, 0], [90, 0, 0], [0, 90, 0]], [[0, 0, 80], [90, 0, 80], [90, 90, 80], [0, 90, 80]]
+    guides = {"name": "side", "closed": True, "start": {"polyline_mm": three}, "end": {"polyline_mm": four}}
+    add("unequal_corners", ["part.corners"])["part"] = {"ruled": [guides]}
+    bow_tie = [[-90, -70], [90, 70], [90, -70], [-90, 70]]
+    add("crossing_outline", ["part.outline_crossing"])["part"]["plate"]["outlines"][0]["polyline_mm"] = (
+        bow_tie
+    )
+    for name, code in (("airfoil_order", "part.airfoil_order"), ("airfoil_open", "part.airfoil_open")):
+        section = {"file": f"{name}.dat", "chord_mm": 150}
+        problem = add(name, [code])
+        problem["part"] = {
+            "wing": {"root": section, "tip": {"naca": "2412", "chord_mm": 120}, "span_mm": 180}
+        }
+    add("wider_than_the_wire", ["bow.span"])["stock"]["size_mm"] = [240, 200, 390]
+    problem = add("deeper_than_the_throat", ["bow.throat"])
+    problem["stock"]["size_mm"] = [1000, 1000, 100]
+    wide = [[-430, -430], [430, -430], [430, 430], [-430, 430]]
+    hole = [[-40, -40], [40, -40], [40, 40], [-40, 40]]
+    problem["part"]["plate"]["outlines"] = [{"polyline_mm": wide}, {"polyline_mm": hole}]
+    problem = add("block_too_heavy", ["stock.too_heavy"], held=True)
+    problem["stock"]["size_mm"] = [1400, 1200, 300]
+    problem = add("gripper_in_the_way", ["stock.footprint"], held=True)
+    problem["part"]["plate"]["outlines"][0]["polyline_mm"] = [[-90, -70], [40, -70], [40, 70], [-90, 70]]
+    add("foam_without_data", ["kerf.no_data"])["stock"]["foam"] = "eps"
+    add("no_such_surface", ["part.missing_surface"])["operations"][0]["cuts"] = [{"surface": "lid"}]
+    return out
+
+
+def airfoils() -> dict[str, str]:
+    """Files of airfoil coordinates with a fault each: points shuffled; the upper side alone."""
+    x = 0.5 * (1.0 + np.cos(np.linspace(0.0, 2.0 * np.pi, 41)))
+    thick = 0.6 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
+    points = np.stack([x, np.where(np.arange(41) <= 20, thick, -thick)], axis=1)
+    shuffled = points[np.argsort(np.sin(7.0 * np.arange(41)))]
+    rows = {"airfoil_order": shuffled, "airfoil_open": points[:21]}
+    return {
+        f"{name}.dat": f"{name}\n" + "".join(f"{u:9.5f} {v:9.5f}\n" for u, v in each)
+        for name, each in rows.items()
+    }
+
+
 def faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     """Problems by name with the codes that they must give."""
     out: dict[str, tuple[dict[str, Any], list[str]]] = {}
@@ -96,12 +173,14 @@ def main() -> None:
     """Write all files beside this one."""
     folder = Path(__file__).parent
     expect = {}
-    for name, (problem, codes) in faults().items():
+    for name, (problem, codes) in {**faults(), **straight_faults()}.items():
         text = yaml.safe_dump(problem, sort_keys=False, default_flow_style=None, width=110)
         (folder / f"{name}.yaml").write_text(
             "# Written by make_problems.py. This problem cannot be solved.\n" + text
         )
         expect[f"{name}.yaml"] = codes
+    for name, text in airfoils().items():
+        (folder / name).write_text(text)
     (folder / "expect.yaml").write_text(yaml.safe_dump(expect, sort_keys=False))
 
 

@@ -3,49 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from pydantic import ValidationError
 
-from planner import part_file
-from planner.geometry.rigid import from_rpy
 from planner.hotwire import elastic, elastic_check, elastic_path, elastic_sweep, wire
 from planner.hotwire.elastic_check import Figures
-from planner.hotwire.operation import ElasticWire
 from planner.issues import Issue, Severity, TandemError
-from planner.part_file import PartFile
-from planner.problem import Stock
 from tests.hotwire import panels
-
-FOLDER = Path(__file__).parents[2] / "problems" / "infeasible"
-EXPECT: dict[str, list[str]] = yaml.safe_load((FOLDER / "expect.yaml").read_text())
-OWN = [name for name, codes in EXPECT.items() if codes[0].split(".")[0] in {"wire", "part"}]
-
-
-def issues_of(path: Path) -> list[Issue]:
-    """Issues of a problem's part and operations, without its cell."""
-    data = yaml.safe_load(path.read_text())
-    size = np.array(data["stock"]["size_mm"]) * 1e-3
-    roll, pitch = np.deg2rad(data["stock"].get("roll_pitch_deg", (0, 0)))
-    try:
-        part = part_file.build(PartFile.model_validate(data["part"]), path.parent, size)
-        block = Stock(size, None, from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3])
-        for raw in data["operations"]:
-            elastic.make_targets(ElasticWire.model_validate(raw), panels.setup(block), part)
-    except TandemError as error:
-        return list(error.issues)
-    return []
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_a_bundled_infeasible_problem_gives_its_codes(name: str) -> None:
-    issues = issues_of(FOLDER / name)
-    assert set(EXPECT[name]) <= {issue.code for issue in issues}
-    assert all(str(issue) for issue in issues)
 
 
 def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]:
