@@ -105,14 +105,13 @@ class _Attempt:
                 offers.append((float(np.min(cost, axis=1).sum()), len(offers), rungs))
         self.in_reach = bool(offers)
         offers.sort(key=lambda offer: offer[:2])
-        graphs: list[tuple[float, int, _Graph]] = []
+        known: list[tuple[float, int, dict[str, Rungs]]] = []
         for _, _, rungs in offers[:CHOICES]:
-            graph = _Graph(self, rungs)
-            found = graph.shortest()
+            found = _Graph(self, rungs).shortest()
             if found is not None:
-                graphs.append((found[1], len(graphs), graph))
-        for _, _, graph in sorted(graphs, key=lambda g: g[:2]):
-            path = graph.free_path()
+                known.append((found[1], len(known), rungs))
+        for _, _, rungs in sorted(known, key=lambda offer: offer[:2]):
+            path = _Graph(self, rungs).free_path()  # made again: all of them at once would fill the memory
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
         return None
@@ -132,35 +131,35 @@ class _Graph:
         self.blocked = [np.zeros(len(s), dtype=bool) for s in self.states]
         self.known = [np.zeros(len(s), dtype=bool) for s in self.states]
         self.tables = {arm: _Turns(r, self.states) for arm, r in rungs.items()}
-        self.time: list[FloatArray] = []
-        self.code: dict[str, list[IndexArray]] = {arm: [] for arm in rungs}
+        self.time: list[NDArray[np.float32]] = []
+        self.code: dict[str, list[NDArray[np.int32]]] = {arm: [] for arm in rungs}
         self.fine: dict[tuple[int, int, int], dict[str, FloatArray]] = {}
         for k in range(len(self.rows) - 1):
             self._steps(k)
 
     def _steps(self, k: int) -> None:
         """Time (A, B) from every state of rung k to every one of the next, inf where a joint goes too far."""
-        slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])))
+        slowest = np.zeros((len(self.states[k]), len(self.states[k + 1])), dtype=np.float32)
         total = np.zeros_like(slowest)
         most = LARGEST_STEP * max(1.0, 0.5 * float(self.rows[k + 1] - self.rows[k]))
         bad = np.zeros(slowest.shape, dtype=bool)
         for arm, q in self.q.items():
             many = self.scene.chains[arm].many_turns
             speed = speed_limits(self.scene, arm)
-            code = np.zeros(slowest.shape, dtype=np.intp)
+            code = np.zeros(slowest.shape, dtype=np.int32)
             for j in range(6):
-                change = q[k + 1][None, :, j] - q[k][:, None, j]
+                change = (q[k + 1][None, :, j] - q[k][:, None, j]).astype(np.float32)
                 if many[j]:
                     whole = np.round(change / TWO_PI)
                     change -= TWO_PI * whole
-                    code += (CODE**j * whole).astype(np.intp)
+                    code += (CODE**j * whole).astype(np.int32)
                 np.abs(change, out=change)
                 bad |= change > most
-                change /= speed[j]
+                change /= np.float32(speed[j])
                 np.maximum(slowest, change, out=slowest)
                 total += change
-            self.code[arm].append(code)
-        self.time.append(np.where(bad, np.inf, slowest + TIE_SHARE * total))
+            self.code[arm].append(code if code.any() else np.broadcast_to(np.int32(0), code.shape))
+        self.time.append(np.where(bad, np.float32(np.inf), slowest + np.float32(TIE_SHARE) * total))
 
     def shortest(self) -> tuple[IndexArray, float] | None:
         """States (K,) of the path of least cost and that cost, or None.
@@ -182,7 +181,7 @@ class _Graph:
             cost = cost + t.penalty(0, turn[arm])
         best: list[IndexArray] = []
         for k, time in enumerate(self.time):
-            offer = cost[:, None] + time
+            offer = cost[:, None] + time.astype(np.float64)
             new = {}
             for arm, t in self.tables.items():
                 new[arm] = turn[arm][:, None] - self.code[arm][k]
