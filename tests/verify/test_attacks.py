@@ -426,7 +426,7 @@ def test_a_slot_beneath_the_face_is_seen():
             -1:
         ]
         number = iter(range(1, 10_000))
-        rows = [re.sub(r"\\ID:=\d+", lambda _: f"\\ID:={next(number)}", row) for row in rows]
+        rows = [re.sub(r"\\ID:=\d+", lambda _, n=number: f"\\ID:={next(n)}", row) for row in rows]
         rows = [re.sub(r",v\d+\\T", r",v7000\\T", row) for row in rows]
         zone = "  CONST zonedata z1um:=[FALSE,0.001,0.001,0.001,0.0001,0.001,0.0001];"
         data = rows_of(texts, task, "Data")
