@@ -105,7 +105,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     straight = _in_work_frames(targets, poses)
     way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
-    cut = _guarded(targets, samples)
+    cut = guarded(targets, samples)
     way = np.where(cut > 0.0, np.maximum(cut, LEAST_SHARE * way), way)
     way = np.concatenate([[0.0], np.cumsum(np.maximum(way, 1e-6))])
     at_target = np.flatnonzero(samples.share == 1.0)
@@ -119,7 +119,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     return JointPath(targets.count, tuple(pieces), worst)
 
 
-def _guarded(targets: Targets, samples: Dense) -> FloatArray:
+def guarded(targets: Targets, samples: Dense) -> FloatArray:
     """Way (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
     before = np.where(samples.move[1:] == samples.move[:-1], samples.share[:-1], 0.0)
     cuts = np.array([segment_kind(label) == "cut" for label in targets.segment])
