@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import statistics
 import time
 from collections.abc import Callable
@@ -12,11 +13,13 @@ import numpy as np
 from planner.verify.context import Context
 from planner.verify.prove import RULES, Prover
 from planner.verify.wire import follow_wire
-from tests.verify import small_job
+from tests.verify import held_job, small_job, straight_job
 from tests.verify.mutants import MUTATORS
 
 TARGETS = 220
 """Targets of each face: with entry, link and exit about 460 in all."""
+BOW_TARGETS = 100
+"""Targets of each of two ruled faces; ways in and out make it about 400 in all."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -38,7 +41,15 @@ def run() -> list[dict[str, Any]]:
         follow_wire(context, context.phases[0])
 
     _ = context.motion
+    bows = []
+    for name, job in (("one arm, two setups", straight_job), ("held block, two setups", held_job)):
+        texts, other = job.programs(BOW_TARGETS), Prover(job.problem(), job.claims())
+        if not other.prove(texts).ok:
+            raise RuntimeError(f"the clean job with a bow, {name}, is not proven")
+        note = f"{BOW_TARGETS} targets a face"
+        bows.append(_row(f"verify: bow, {name}", functools.partial(other.prove, texts), note, 3))
     return [
+        *bows,
         _row("verify: whole proof", lambda: prover.prove(programs), f"{moves} moves, {len(RULES)} rules"),
         _row(
             "verify: cold, with the Drake model", lambda: Prover(problem, claims).prove(programs), "3 runs", 3
