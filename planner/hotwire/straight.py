@@ -105,7 +105,7 @@ def _targets(
         pose=poses,
         frame=frames,
         freedoms=straight_frames.freedoms(op, stock, bow.span, *stretch),
-        feed=np.where(cutting, op.feed_mm_s * MM, AIR_FEED),
+        feed=_feeds(op, todo, route),
         feed_min=np.where(burning, op.feed_min_mm_s * MM, 0.0),
         travel=np.where(np.isfinite(in_foam), in_foam, _in_air(pose, bow.span)),
         stop=route.stop,
@@ -115,6 +115,12 @@ def _targets(
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
     )
+
+
+def _feeds(op: Straight, todo: list[Wanted], route: Route) -> FloatArray:
+    """Upper limit (N,) [m/s] of the wire's speed on the way to each target."""
+    known = {one.segment + way: op.feed(one.cut) for one in todo for way in ("", "_in", "_out")}
+    return np.array([known.get(label, AIR_FEED) for label in route.segment])
 
 
 def _in_air(pose: FloatArray, span: float) -> FloatArray:

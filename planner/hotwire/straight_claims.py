@@ -35,7 +35,6 @@ def claims(op: Straight, setup: Setup, bow: Bow, cuts: list[Wanted], kerf: KerfC
         StraightWire(op.arms[0], ends[0], ends[1], bow.radius, op.margin_mm * MM),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
     ]
-    feed = op.feed_min_mm_s * MM, op.feed_mm_s * MM
     tolerance = op.shape_tol_mm * MM
     for cut in cuts:
         mesh = tessellate(cut.ruled, SURFACE_CHORD)
@@ -45,6 +44,7 @@ def claims(op: Straight, setup: Setup, bow: Bow, cuts: list[Wanted], kerf: KerfC
         if op.power_w is not None:
             low, high = op.kerf_range_mm
             out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
+        feed = op.feed_min_mm_s * MM, op.feed(cut.cut)
         out += [FeedWindow(cut.segment + way, *feed) for way in ("", "_in", "_out")]
     stock = setup.stock
     if stock.held_by is not None and stock.mass is not None:

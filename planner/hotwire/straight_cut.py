@@ -54,7 +54,7 @@ def make_cut(
 ) -> Cut:
     """The cut of one surface in the block ``box`` (2, 3); ``radius`` [m] is the wire's, ``contours`` are all
     closed surfaces of the part."""
-    step, feed = op.step_mm * MM, op.feed_mm_s * MM
+    step, feed = op.step_mm * MM, op.feed(wanted.cut)
     plain = step * PLAIN
     step = plain if isinstance(wanted.cut, TrimCut) else step
     ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step)

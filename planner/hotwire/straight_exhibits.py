@@ -101,7 +101,7 @@ def _along(op: Straight, cut: Cut) -> dict[str, Any]:
             "Speed at both ends",
             "mm/s",
             [("start", speed[:, 0]), ("end", speed[:, 1])],
-            [{"name": "fastest point", "value": op.feed_mm_s}],
+            [{"name": "fastest point", "value": op.feed(cut.wanted.cut) / MM}],
         ),
         f"twist_{name}": curve("Turn of the wire since the start", "deg", [("turn", turn)]),
     }

@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from planner.hotwire.heat import Heat
 from planner.problem import Stock
 from planner.schema import Angle, Far, Name, Strict
+from planner.units import MM
 
 Side = Literal["left", "right", "front", "back", "bottom", "top"]
 SIDES: Final[dict[str, tuple[int, int]]] = {
@@ -34,6 +35,9 @@ class _Cut(Strict):
         Literal["onwards", "back"],
         Field(description="how the wire leaves the foam: on the far side, or back through its own slot"),
     ] = "onwards"
+    feed_mm_s: (
+        Annotated[float, Field(ge=0.1, le=200, description="of this cut; none: that of the operation")] | None
+    ) = None
 
 
 class SurfaceCut(_Cut):
@@ -135,6 +139,8 @@ class Straight(Heat):
         if self.feed_min_mm_s > self.feed_mm_s:
             raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
         if self.cuts != "all":
+            if any(cut.feed_mm_s is not None and cut.feed_mm_s < self.feed_min_mm_s for cut in self.cuts):
+                raise ValueError("cuts: feed_mm_s of a cut must not be below feed_min_mm_s")
             names = self.segments
             if len(set(names)) != len(names):
                 raise ValueError("cuts: each surface and each side is cut once")
@@ -150,6 +156,10 @@ class Straight(Heat):
             for cut in self.cuts
             for name in ([cut.surface] if isinstance(cut, SurfaceCut) else [f"trim_{s}" for s in cut.trim])
         )
+
+    def feed(self, cut: SurfaceCut | TrimCut) -> float:
+        """Upper limit [m/s] of the wire's fastest point in the foam during a cut."""
+        return (self.feed_mm_s if cut.feed_mm_s is None else cut.feed_mm_s) * MM
 
     def leaves(self, stock: Stock) -> Stock:
         """The block without the oversize of the sides that were trimmed."""

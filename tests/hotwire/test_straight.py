@@ -351,3 +351,25 @@ def test_the_same_problem_gives_the_same_targets() -> None:
     one, two = make(WAVE), make(WAVE)
     np.testing.assert_array_equal(one.pose["left"], two.pose["left"])
     np.testing.assert_array_equal(one.travel, two.travel)
+
+
+def test_a_cut_may_have_a_feed_of_its_own() -> None:
+    """Two squares, the first at 2 mm/s: targets, claims and the kerf on the way follow; the air does not."""
+    squares = square("one", -0.07, 0.05, 0.06), square("two", 0.07, 0.05, 0.06)
+    cuts = [{"surface": "one", "feed_mm_s": 2.0}, {"surface": "two"}]
+    block = blocks.stock(foam=foams()["eps_a120"])
+    targets = make(
+        *squares, block=block, cuts=cuts, feed_mm_s=6, feed_min_mm_s=1, power_w=30, kerf_range_mm=(0.5, 6)
+    )
+    for name, feed in (("one", 0.002), ("two", 0.006)):
+        for way in ("_in", "", "_out"):
+            assert np.all(targets.feed[rows(targets, f"cut/{name}{way}")] == feed)
+        windows = [c for c in targets.claims if isinstance(c, FeedWindow) and c.segment == f"cut/{name}"]
+        assert [(w.lower, w.upper) for w in windows] == [(0.001, feed)]
+    assert np.all(targets.feed[rows(targets, "link")] > 0.02)
+    kerf = next(c.kerf for c in targets.claims if isinstance(c, CutsSurface))
+    first, second = (wires(targets)[0][rows(targets, f"cut/{n}")] for n in ("one", "two"))
+    wide = [np.ptp(side[:, 0]) - 0.06 for side in (first, second)]
+    np.testing.assert_allclose(wide, kerf.at(np.array([0.002, 0.006])), atol=2e-5)
+    with pytest.raises(ValueError, match="feed_min"):
+        blocks.operation(cuts=cuts, feed_min_mm_s=3)
