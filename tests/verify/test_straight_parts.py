@@ -1,0 +1,182 @@
+"""Parts of the proof of straight wires against closed forms and brute force."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner.claims import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
+from planner.problem import Stock
+from planner.verify.context import Context
+from planner.verify.job import label
+from planner.verify.prove import Prover
+from planner.verify.rules_straight import free_lengths
+from planner.verify.setups import letters
+from planner.verify.speed import local
+from planner.verify.surface import Sweep, cut_face
+from planner.verify.wire import depth_in
+from tests.verify import held_job, straight_job
+
+COUNT = 12
+
+
+@pytest.mark.parametrize(
+    ("procedure", "segment"),
+    [
+        ("cut_front", "cut/front"),
+        ("cut_front__2", "cut/front"),
+        ("cut_rib_12", "cut/rib_12"),
+        ("CUT_Top_in__3", "cut/top_in"),
+        ("link__4", "link"),
+        ("operation_1", "operation_1"),
+    ],
+)
+def test_segments_by_procedure(procedure, segment):
+    assert label(procedure) == segment
+
+
+def test_letters_survive_wrapping_and_a_plain_alphabet():
+    assert (
+        letters("Stegni blok (čvrsto), 2 mm!")
+        == letters("Stegni blok\n(cvrsto),  2 mm!")
+        == "stegniblokcvrsto2mm"
+    )
+
+
+def block(over=0.0):
+    return Stock(np.array([0.2, 0.1, 0.3]), None, np.eye(3), oversize=np.full((2, 3), over))
+
+
+def test_free_lengths_of_wires_agree_with_points_along_them():
+    rng = np.random.default_rng(4)
+    stock = block(0.01)
+    start, end = rng.uniform(-0.3, 0.3, (2, 400, 3)) + np.array([0.0, 0.0, 0.15])
+    found = free_lengths(start, end, stock)
+    t = np.linspace(0.0, 1.0, 20001)
+    for a, b, free in zip(start, end, found, strict=True):
+        points = a + t[:, None] * (b - a)
+        inside = np.flatnonzero(((points >= stock.lower) & (points <= stock.upper)).all(axis=1))
+        if not len(inside):
+            continue
+        length = np.linalg.norm(b - a)
+        assert free == pytest.approx([t[inside[0]] * length, (1.0 - t[inside[-1]]) * length], abs=1e-4)
+    assert np.isinf(found).any()
+    assert np.isfinite(found).any()
+
+
+def test_the_depth_in_raw_foam_counts_the_oversize():
+    line = np.linspace([-0.3, 0.0, 0.305], [0.3, 0.0, 0.305], 65)[None]
+    assert depth_in(line, block(), 0.0)[0][0] == pytest.approx(-0.005)
+    assert depth_in(line, block(0.01), 0.0)[0][0] == pytest.approx(0.005)
+
+
+def test_each_point_of_a_wire_has_its_own_speed():
+    """A wire that turns about one end: the speed grows along it; sliding along itself adds none."""
+    time = np.linspace(0.0, 2.0, 81)
+    angle = 0.1 * time
+    r = np.linspace(0.0, 0.4, 41) + 0.03 * time[:, None]
+    points = np.stack([r * np.cos(angle)[:, None], r * np.sin(angle)[:, None], 0.0 * r], axis=-1)
+    speed = local(points, time)
+    assert np.abs(speed - 0.1 * r)[1:-1].max() < 1e-6
+
+
+def thin(sides, gap=0.0004, kerf=0.001):
+    """A plate of thickness ``gap``, its upper face, and the sheets of a wire that runs around it: over it one
+    way, under it back."""
+    x, y = np.linspace(-0.05, 0.05, 21), np.linspace(-0.03, 0.03, 9)
+    wire = np.linspace(-0.1, 0.1, 33)
+    out = 0.5 * (gap + kerf)
+    rows = []
+    if "over" in sides:
+        rows.append(
+            np.stack([np.stack([np.full_like(wire, v), wire, np.full_like(wire, out)], -1) for v in x])
+        )
+    if "under" in sides:
+        rows.append(
+            np.stack([np.stack([np.full_like(wire, v), wire, np.full_like(wire, -out)], -1) for v in x[::-1]])
+        )
+    points = np.concatenate(rows)
+    grid = np.stack(np.meshgrid(x[2:-2], y, indexing="ij"), -1).reshape(-1, 2)
+    vertices = np.concatenate([grid, np.full((len(grid), 1), 0.5 * gap)], axis=1)
+    index = np.arange(len(grid)).reshape(-1, len(y))
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    claim = CutsSurface("cut/skin", vertices, faces, KerfCurve.constant(kerf), 0.0003)
+    return claim, Sweep.steady(points)
+
+
+def test_a_thin_edge_is_not_cut_by_the_sheet_on_its_other_side():
+    assert cut_face(*thin(("over", "under"))).share == 1.0
+    assert cut_face(*thin(("over", "under"))).largest < 1e-9
+    # pulled inwards by more than the tolerance, the upper sheet comes nearer to the other one's distance
+    claim, sweep = thin(("over", "under"))
+    low = sweep.points.copy()
+    low[: len(low) // 2, :, 2] -= 0.0007
+    moved = cut_face(claim, dataclasses.replace(sweep, points=low))
+    assert moved.share == 0.0
+    assert np.nanmedian(moved.deviation) == pytest.approx(-0.0007, abs=1e-6)
+
+
+def changed(job, kind, **fields):
+    """Claims of a job, those of one kind changed."""
+    return {
+        name: tuple(dataclasses.replace(c, **fields) if isinstance(c, kind) else c for c in group)
+        for name, group in job.claims().items()
+    }
+
+
+def refused(job, claims, code):
+    proof = Prover(job.problem(), claims).prove(job.programs(COUNT), last=code)
+    return not proof.rule(code).passed
+
+
+@pytest.mark.parametrize("job", [straight_job, held_job])
+def test_claims_that_the_programs_do_not_meet(job):
+    assert refused(job, changed(job, StraightWire, margin=0.17), "verify.bow")
+    assert refused(job, changed(job, StraightWire, end=np.array([0.19, 0.0, 0.0])), "verify.bow")
+    assert refused(job, changed(job, KerfWithin, upper=0.0012), "verify.kerf")
+    assert refused(job, changed(job, KerfWithin, lower=0.0013), "verify.kerf")
+    assert refused(job, changed(job, FollowsRulings, tolerance=1e-9), "verify.rulings")
+    assert refused(job, changed(job, CutsSurface, kerf=KerfCurve.constant(0.0025)), "verify.surface")
+
+
+def test_guide_lines_that_are_not_passed_whole():
+    claims = straight_job.claims()
+    u = np.linspace(-1.05, 1.0, 41)
+    start, end = straight_job.guides(0, u)
+    group = tuple(
+        dataclasses.replace(c, start=start, end=end) if isinstance(c, FollowsRulings) else c
+        for c in claims["top"]
+    )
+    proof = Prover(straight_job.problem(), {**claims, "top": group}).prove(
+        straight_job.programs(COUNT), last="verify.rulings"
+    )
+    (issue,) = proof.rule("verify.rulings").passed is False and {
+        i.message for i in proof.issues if "start" in i.message
+    }
+    assert "does not pass" in issue
+
+
+def test_the_held_block_moves_with_its_holder():
+    """The replay's relative motion is the planned one, while both arms move in the world."""
+    context = Context(held_job.problem(), held_job.claims(), held_job.programs(COUNT))
+    motion = context.motion
+    operation = held_job.plan(COUNT).operations[0]
+    nodes = np.flatnonzero(motion.node_ids > 0)
+    assert len(nodes) == operation.targets.count - 1
+    for arm in ("left", "right"):
+        off = motion.node_tcp[arm][nodes] - (
+            operation.targets.pose["right"][1:]
+            if arm == "right"
+            else operation.targets.pose["right"][1:] @ operation.targets.pose["left"][1:]
+        )
+        assert np.abs(off[:, :3, 3]).max() < 2e-7
+        moved = np.ptp(motion.tcp[arm][motion.node_sample[nodes], :3, 3], axis=0)
+        assert moved.max() > 0.02
+    rows = np.flatnonzero(context.sample_setup == 0)
+    seen = context.stock_poses(0, rows)
+    assert np.abs(seen - motion.tcp["right"][rows] @ held_job.GRIP).max() == 0.0
+    later = context.stock_poses(1, np.flatnonzero(context.sample_setup == 1))
+    assert np.abs(later - held_job.PLACE).max() < 1e-8
