@@ -33,6 +33,22 @@ class Ways:
     order: tuple[str, ...]
 
 
+def both_ways(
+    scene: Scene, targets: Targets, q: Mapping[str, FloatArray]
+) -> tuple[Ways, dict[str, FloatArray]]:
+    """The ways of :func:`entry` and :func:`leave` in the first order of arms that has both.
+
+    Raises :class:`TandemError` (``motion.entry``).
+    """
+    failed: TandemError | None = None
+    for order in itertools.permutations(targets.arms):
+        try:
+            return _ways(scene, targets, q, 0, order), leave(scene, targets, q, order)
+        except TandemError as error:
+            failed = failed or error
+    raise failed or ValueError("targets without arms have no way in")
+
+
 def entry(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> Ways:
     """Ways from home to the first target in the first order of arms that has them.
 
@@ -50,6 +66,23 @@ def leave(
     """
     found = _ways(scene, targets, q, targets.count - 1, order)
     return {arm: way[::-1].copy() for arm, way in found.way.items()}
+
+
+def ends_free(scene: Scene, q: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
+    """(B,) whether arms can stand at joints {arm: (B, 6)} one after the other in some order, the rest being
+    at home."""
+    count = len(next(iter(q.values())))
+    if scene.model is None or len(q) < 2:
+        return np.ones(count, dtype=bool)
+    out = np.zeros(count, dtype=bool)
+    for order in itertools.permutations(q):
+        ok = np.ones(count, dtype=bool)
+        for there in range(1, len(order)):
+            home = {arm: np.broadcast_to(scene.chains[arm].home, (count, 6)) for arm in order[there:]}
+            part = {arm: q[arm] for arm in order[:there]} | home
+            ok &= clearance.free(scene.model, part, scene.settings.clearance)
+        out |= ok
+    return out
 
 
 def require_home(scene: Scene, targets: Targets) -> None:

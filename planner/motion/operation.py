@@ -61,8 +61,7 @@ def plan_operation(
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
-    ways = entry.entry(scene, targets, better.q)
-    leaves = entry.leave(scene, targets, better.q, ways.order)
+    ways, leaves = entry.both_ways(scene, targets, better.q)
     watch.lap("entry")
     metrics = {
         "stages": watch.laps,

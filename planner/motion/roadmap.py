@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.motion.chain import TWO_PI
+from planner.motion.entry import ends_free
 from planner.motion.joints import dense
 from planner.motion.ladder import LARGEST_STEP, TIE_SHARE, Path
 from planner.motion.reach import Grid, Reach, Rungs, reach
@@ -50,10 +51,10 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
     hit: tuple[int, dict[str, FloatArray]] | None = None
     checks = 0
     in_reach = list(plan)
-    for rungs in RUNGS:
+    for rungs, ends in [*((count, True) for count in RUNGS), (RUNGS[0], False)]:
         rows = _rows(targets, rungs)
         for level in list(in_reach):
-            tried = _Attempt(scene, targets, coordinates, level, rows)
+            tried = _Attempt(scene, targets, coordinates, level, rows, ends)
             found = tried.run()
             checks += tried.checks
             if found is not None:
@@ -63,8 +64,6 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
             hit = tried.hit or hit
             if not tried.in_reach:
                 in_reach.remove(level)
-        if len(rows) == targets.count:
-            break
     return _blocked(scene, targets, coordinates, plan, hit)
 
 
@@ -80,8 +79,16 @@ class _Attempt:
     """One level over one set of rungs."""
 
     def __init__(
-        self, scene: Scene, targets: Targets, coordinates: Coordinates, level: Level, rows: IndexArray
+        self,
+        scene: Scene,
+        targets: Targets,
+        coordinates: Coordinates,
+        level: Level,
+        rows: IndexArray,
+        ends: bool,
     ) -> None:
+        """``ends``: the arms must be able to come to the first and the last target one after the other."""
+        self.ends = ends
         self.scene, self.targets, self.coordinates, self.rows = scene, targets, coordinates, rows
         self.samples, self.names = level.samples, level.names
         self.hit: tuple[int, dict[str, FloatArray]] | None = None
@@ -234,13 +241,17 @@ class _Graph:
         q = {arm: np.array([a[k][s] for k, s in zip(rung, state, strict=True)]) for arm, a in self.q.items()}
         free = self.scene.free(self.targets, q, self.rows[rung])
         self.attempt.checks += len(rung)
+        hits = np.flatnonzero(~free)
+        if self.attempt.ends:
+            last = np.flatnonzero(free & ((rung == 0) | (rung == len(self.rows) - 1)))
+            if len(last):
+                free[last] = ends_free(self.scene, {arm: v[last] for arm, v in q.items()})
         for k, s, ok in zip(rung, state, free, strict=True):
             self.known[k][s], self.blocked[k][s] = True, not ok
-        hits = np.flatnonzero(~free)
         if len(hits):
             first = int(hits[0])
             self.attempt.hit = int(self.rows[rung[first]]), {arm: v[first] for arm, v in q.items()}
-        return [int(k) for k in rung[hits]]
+        return [int(k) for k in rung[~free]]
 
     def _ends(self, k: int, states: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Coordinates at rung k and, by the shortest way, at the next."""

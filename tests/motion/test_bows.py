@@ -14,7 +14,7 @@ from bench.motion_bows import held, standing
 from planner.cell import clearance, plant
 from planner.geometry.rigid import from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
-from planner.motion import diagnose
+from planner.motion import diagnose, entry
 from planner.motion.avoid import Avoid
 from planner.motion.joints import dense, tcp_ways
 from planner.motion.operation import plan_operation
@@ -237,3 +237,29 @@ def test_a_table_in_the_way_of_everything_is_told_with_the_freedoms(
     (issue,) = diagnose.no_path(scene, few, grid, found)
     assert issue.code == "motion.collision"
     assert "spin, block_turn" in issue.message
+
+
+def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
+    facing: tuple[Cell, Stock, Targets, FloatArray],
+) -> None:
+    cell, stock, targets, place = facing
+    scene = scene_of(cell, stock, targets, place)
+    _, found = find(scene, targets)
+    assert isinstance(found, Found)
+    ends = {arm: q[[0, -1]] for arm, q in found.q.items()}
+    assert entry.ends_free(scene, ends).all()
+    first = {arm: q[0] for arm, q in ends.items()}
+    inward = [
+        dataclasses.replace(arm, home=first["right" if arm.name == "left" else "left"]) for arm in cell.arms
+    ]
+    crowded = dataclasses.replace(cell, arms=(inward[0], cell.arms[1]))
+    there = scene_of(crowded, stock, targets, place)
+    alone = clearance.free(there.model, {"right": ends["right"]}, 0.01)  # type: ignore[arg-type]
+    other = clearance.free(there.model, {"left": ends["left"]}, 0.01)  # type: ignore[arg-type]
+    assert np.array_equal(entry.ends_free(there, ends), alone | other)
+    ways, back = entry.both_ways(scene, targets, found.q)
+    for arm in targets.arms:
+        np.testing.assert_array_equal(ways.way[arm][0], scene.chains[arm].home)
+        np.testing.assert_array_equal(ways.way[arm][-1], found.q[arm][0])
+        np.testing.assert_array_equal(back[arm][0], found.q[arm][-1])
+        np.testing.assert_array_equal(back[arm][-1], scene.chains[arm].home)
