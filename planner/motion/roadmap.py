@@ -24,6 +24,7 @@ from planner.motion.scene import Scene
 from planner.motion.search import Blocked, Found, speed_limits
 from planner.motion.spread import Coordinates, Level, levels
 from planner.motion.subset import subset
+from planner.motion.turns import CODE, Turns
 from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]
@@ -39,8 +40,6 @@ CHOICES: Final = 6
 MOST_STATES: Final = 400
 DIAGNOSED: Final = 120_000
 """States that are looked at to say why there is no path."""
-
-CODE: Final = 16
 
 
 def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
@@ -137,7 +136,7 @@ class _Graph:
         self.q = {arm: [r.q[k, s] for k, s in enumerate(self.states)] for arm, r in rungs.items()}
         self.blocked = [np.zeros(len(s), dtype=bool) for s in self.states]
         self.known = [np.zeros(len(s), dtype=bool) for s in self.states]
-        self.tables = {arm: _Turns(r, self.states) for arm, r in rungs.items()}
+        self.tables = {arm: Turns(r, self.states) for arm, r in rungs.items()}
         self.time: list[NDArray[np.float32]] = []
         self.code: dict[str, list[NDArray[np.int32]]] = {arm: [] for arm in rungs}
         self.fine: dict[tuple[int, int, int], dict[str, FloatArray]] = {}
@@ -350,39 +349,6 @@ class _Graph:
         for k in bad:
             self.time[k][states[k], states[k + 1]] = np.inf
         return len(bad) > 0
-
-
-class _Turns:
-    """Penalties of the states of one arm by their whole turns, which are coded as one number."""
-
-    def __init__(self, rungs: Rungs, states: list[IndexArray]) -> None:
-        counts = np.round(rungs.turns / TWO_PI).astype(np.intp)
-        codes = counts @ (CODE ** np.arange(6))
-        self._least, span = int(codes.min()), int(codes.max() - codes.min()) + 1
-        self._turns: dict[int, FloatArray] = {int(c): t for c, t in zip(codes, rungs.turns, strict=True)}
-        self._place = np.full(span + 1, len(codes), dtype=np.intp)
-        self._place[codes - self._least] = np.arange(len(codes))
-        self._span = span
-        self._penalty = [
-            np.concatenate([rungs.penalty[k, s], np.full((len(s), 1), np.inf)], axis=1)
-            for k, s in enumerate(states)
-        ]
-        self._codes = codes
-
-    def starts(self) -> list[IndexArray]:
-        """Turns of the first states that are tried: each one's best, then each of the turns for all."""
-        best = self._codes[np.argmin(self._penalty[0][:, :-1], axis=1)]
-        return [best, *(np.full(len(best), code, dtype=np.intp) for code in self._codes[1:])]
-
-    def penalty(self, k: int, code: IndexArray) -> FloatArray:
-        """Penalty (..., S) [s] of the states of rung k at turns (..., S), inf where these are not allowed."""
-        at = code - self._least
-        place = self._place[np.where((at < 0) | (at >= self._span), self._span, at)]
-        return np.asarray(self._penalty[k][np.arange(code.shape[-1]), place])
-
-    def turn(self, code: int) -> FloatArray:
-        """Turns (6,) [rad] of a code."""
-        return self._turns[code]
 
 
 def _thinned(states: IndexArray) -> IndexArray:
