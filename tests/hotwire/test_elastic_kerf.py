@@ -10,7 +10,7 @@ from planner.hotwire import elastic
 from planner.hotwire.kerf import HotWire, curve
 from planner.issues import TandemError
 from planner.materials import foam
-from planner.verify.surface import distance_to_sweep, sample_face
+from planner.verify.surface import Sweep, distance_to_sweep, sample_face
 from tests.hotwire import panels
 
 FOAM = foam("eps_a120")
@@ -48,7 +48,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     np.testing.assert_allclose(claim.kerf.at(np.array([0.005])), known.at(np.array([0.005])), atol=2e-6)
     points, normals, _ = sample_face(claim.vertices, claim.faces)
     rows = targets.edge.points[[s == "cut/front" for s in targets.segment]]
-    away = distance_to_sweep(points, normals, rows)
+    away, _ = distance_to_sweep(points, normals, Sweep.steady(rows))
     lean = np.arctan2(-normals[:, 0], normals[:, 2])
     rate = np.sqrt(1.0 + (SLOPE * points[:, 0] / 0.070) ** 2 * np.cos(lean) ** 2)
     middle = np.abs(points[:, 1]) < 0.08
