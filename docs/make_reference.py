@@ -22,8 +22,9 @@ from planner import (
     part_wing_file,
     posed,
     problem_file,
+    stock_file,
 )
-from planner.hotwire import operation
+from planner.hotwire import operation, straight_operation
 from planner.verify import prove
 
 HERE = Path(__file__).parent
@@ -31,7 +32,8 @@ START, END = "<!-- written by make_reference.py -->", "<!-- end of what make_ref
 
 CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("The whole file", "", problem_file.ProblemFile),
-    ("`stock`", "", problem_file.StockFile),
+    ("`stock`", "", stock_file.StockFile),
+    ("`setup` of an operation", "setup", stock_file.SetupFile),
     ("`settings`", "", problem_file.SettingsFile),
     ("`part`", "", part_file.PartFile),
     ("`part.front`", "", part_faces_file.FrontFile),
@@ -55,11 +57,17 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`part.in_stock`", "", part_file.PlaceFile),
     ("Process `elastic_wire`", "elastic_wire", operation.ElasticWire),
     ("`wire` of `elastic_wire`", "", operation.WireFile),
+    ("Process `straight_wire`", "straight_wire", straight_operation.Straight),
+    ("`cuts` of `straight_wire`: a surface", "", straight_operation.SurfaceCut),
+    ("`cuts` of `straight_wire`: sides of the block", "", straight_operation.TrimCut),
     ("Process `targets`", "process-targets", posed.Posed),
     ("`free` of `targets`, each", "", posed.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell_file.CellFile),
     ("`cell.arms`, each", "", cell_file.ArmFile),
     ("Tool `wire_holder`", "", cell_file.WireHolderFile),
+    ("Tool `bow`", "", cell_file.BowFile),
+    ("Tool `gripper_plate`", "", cell_file.GripperPlateFile),
+    ("Tool `vacuum_cup`", "", cell_file.VacuumCupFile),
     ("Tool `plain`", "", cell_file.PlainToolFile),
     ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
     ("`cell.controller`", "", cell_file.ControllerFile),

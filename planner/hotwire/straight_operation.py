@@ -35,9 +35,9 @@ class _Cut(Strict):
         Literal["onwards", "back"],
         Field(description="how the wire leaves the foam: on the far side, or back through its own slot"),
     ] = "onwards"
-    feed_mm_s: (
-        Annotated[float, Field(ge=0.1, le=200, description="of this cut; none: that of the operation")] | None
-    ) = None
+    feed_mm_s: Annotated[
+        float | None, Field(ge=0.1, le=200, description="of this cut; none: that of the operation")
+    ] = None
 
 
 class SurfaceCut(_Cut):
