@@ -12,8 +12,8 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import spsolve
 
@@ -73,7 +73,7 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
     corner = np.append(corner - corner[0], len(ring))
     flat = _rim(mesh, ring, corner)
     uv = _inner(mesh, ring, flat)
-    inside = LinearNDInterpolator(uv, mesh.vertices)
+    inside = _facets(mesh, uv)
     sides = []
     for a, b in itertools.pairwise(corner):
         own = mesh.vertices[ring[np.arange(a, b + 1) % len(ring)]]
@@ -82,7 +82,7 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
 
     def points(u: FloatArray, v: FloatArray) -> FloatArray:
         u, v = (np.asarray(w, dtype=np.float64) for w in np.broadcast_arrays(u, v))
-        out = np.asarray(inside(np.clip(u, 1e-9, 1 - 1e-9), np.clip(v, 1e-9, 1 - 1e-9)), dtype=np.float64)
+        out = inside(np.stack([u, v], axis=-1))
         # the square is run round counterclockwise: v = 0, u = 1, v = 1, u = 0
         rims = ((v <= 1e-9, u), (u >= 1 - 1e-9, v), (v >= 1 - 1e-9, 1 - u), (u <= 1e-9, 1 - v))
         for (at, share), (own, place) in zip(rims, sides, strict=True):
@@ -91,6 +91,30 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
         return out
 
     return Patch(points, mesh, True)
+
+
+def _facets(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Points (..., 3) of the mesh's own facets at places (..., 2) of the flat layout ``uv`` (V, 2). Another
+    triangulation of the same vertices would be another surface.
+    """
+    flat = uv[mesh.faces]
+    tree = shapely.STRtree(shapely.polygons(flat))
+    side = flat[:, 1:] - flat[:, :1]
+    area = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
+
+    def at(places: FloatArray) -> FloatArray:
+        rows = places.reshape(-1, 2)
+        facet = tree.nearest(shapely.points(rows))
+        off = rows - flat[facet, 0]
+        one, two = side[facet, 0], side[facet, 1]
+        size = np.where(np.abs(area[facet]) > 1e-300, area[facet], 1e-300)
+        b = (off[:, 0] * two[:, 1] - off[:, 1] * two[:, 0]) / size
+        c = (one[:, 0] * off[:, 1] - one[:, 1] * off[:, 0]) / size
+        weight = np.stack([1.0 - b - c, b, c], axis=1)[..., None]
+        out = np.sum(weight * mesh.vertices[mesh.faces[facet]], axis=1)
+        return np.asarray(out.reshape(*places.shape[:-1], 3))
+
+    return at
 
 
 def _rim(mesh: TriangleMesh, ring: IntArray, corner: IntArray) -> FloatArray:

@@ -212,3 +212,24 @@ def test_strips_that_are_too_few_too_many_or_not_there_are_refused() -> None:
     with pytest.raises(TandemError) as caught:
         cut(round_patch(0.3, 1.2, 0.2, True), "u", 1e-8, None, "part.strips")
     assert caught.value.issues[0].code == "part.strips"
+
+
+def test_the_points_of_a_coarse_mesh_lie_on_its_own_facets() -> None:
+    mesh = grid_mesh(lambda x, y: 2.0 * x * y + 0.3 * x, 8)
+    patch = of_mesh(mesh, "part.mesh")
+    u, v = np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
+    where = patch.points(u, v).reshape(-1, 3)
+    # each square of the grid is two triangles with the diagonal of positive slope in (x, y)
+    cell = where[:, :2] / (0.2 / 8, 0.15 / 8)
+    a, b = np.minimum(np.floor(cell + 1e-9), 7).T
+    s, t = cell[:, 0] - a, cell[:, 1] - b
+
+    def height(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        x, y = i * 0.2 / 8, j * 0.15 / 8
+        return 2.0 * x * y + 0.3 * x
+
+    low, high = height(a, b), height(a + 1, b + 1)
+    right, left = height(a + 1, b), height(a, b + 1)
+    lower = low + s * (right - low) + t * (high - right)
+    upper = low + t * (left - low) + s * (high - left)
+    np.testing.assert_allclose(where[:, 2], np.where(s >= t, lower, upper), atol=1e-9)
