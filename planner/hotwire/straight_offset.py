@@ -28,9 +28,12 @@ FLAT: Final = np.deg2rad(2.0)
 """A turn below this needs no vertices of its own."""
 CUSP: Final = np.deg2rad(175.0)
 """A turn beyond this is a cusp of the part: the wire goes round it, whatever the sign says."""
-ROUNDS: Final = 6
-"""The kerf follows from the speed, the speed from the way, and the way from the kerf: so often in turn. Each
-round shrinks the error by the ratio of half a kerf to the length of a move."""
+ROUNDS: Final = 8
+"""The kerf follows from the speed, the speed from the way, and the way from the kerf: so often in turn."""
+MELTED: Final = 1e-3
+"""[m] a slot takes its width from the speed over so much of the way, to and from each place: what the wire
+does within less is melted together. Without it moves shorter than half a kerf would drive the rounds apart.
+"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,15 +131,18 @@ def _settle(row: Row, kerf: KerfCurve, feed: float, box: FloatArray) -> Beside:
 
 def end_speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
     """Speeds (N, 2) [m/s] of starts and ends across the wire, meant over the moves to and from each line,
-    when the fastest point in the box moves at ``feed``."""
+    or over more of them up to ``MELTED`` either way, when the fastest point in the box moves at ``feed``."""
     ends = np.stack([move_across(lines, lines.start[:-1]), move_across(lines, lines.end[:-1])], axis=1)
     quick = fastest(lines, box)[1:]
     quick = np.where(np.isfinite(quick), quick, ends.max(axis=1))
-    both = np.zeros((len(lines), 3))
-    moves = np.column_stack([ends, quick])
-    both[:-1] += moves
-    both[1:] += moves
-    return np.asarray(feed * both[:, :2] / np.maximum(both[:, 2:], 1e-12))
+    gone = np.concatenate([[0.0], np.cumsum(np.maximum(quick, 1e-12))])
+    low = np.minimum(np.concatenate([gone[:1], gone[:-1]]), gone - MELTED).clip(gone[0])
+    high = np.maximum(np.concatenate([gone[1:], gone[-1:]]), gone + MELTED).clip(None, gone[-1])
+    out = np.empty((len(lines), 2))
+    for k in range(2):
+        way = np.concatenate([[0.0], np.cumsum(ends[:, k])])
+        out[:, k] = feed * (np.interp(high, gone, way) - np.interp(low, gone, way)) / (high - low)
+    return out
 
 
 def _clear_of_inner_corners(made: Beside) -> BoolArray:

@@ -18,7 +18,7 @@ from planner.hotwire.straight_lines import (
     grown,
     move_across,
 )
-from planner.hotwire.straight_offset import Beside, beside, make_row
+from planner.hotwire.straight_offset import Beside, beside, end_speeds, make_row
 from planner.problem import Ruled
 from tests.hotwire import foam_blocks as blocks
 
@@ -168,3 +168,22 @@ def test_rulings_are_left_out_where_an_inner_corner_has_cut_them_off() -> None:
         made.lines.start, np.array([[-0.05, -0.1, 0], [0, -0.1, -0.03], [0.05, -0.1, 0]])
     )
     np.testing.assert_allclose(off, 0.00075, atol=1e-12)
+
+
+def test_speed_and_kerf_settle_also_around_a_blunt_edge_that_is_thinner_than_the_slot() -> None:
+    """A twisted wing with a trailing edge of 0.8 mm: its corners' moves are shorter than half a kerf."""
+    x = np.linspace(1.0, 0.0, 80)
+    lower, upper = (
+        np.column_stack([x, np.full(80, 0.0), side * (0.08 * x * (1 - x) + 0.0017 * x)]) for side in (-1, 1)
+    )
+    loop = np.concatenate([upper, lower[-2::-1]])
+    turn = np.deg2rad(4.0)
+    lean = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    start, end = 0.24 * loop + [0, -0.1, 0], 0.15 * loop @ lean.T + [0.02, 0.1, 0]
+    corner = np.zeros(len(loop), dtype=np.bool_)
+    corner[[0, -1]] = True
+    wing = Ruled("skin", start[::-1], end[::-1], corner[::-1], True)
+    made = beside(make_row(resample(wing, 3e-5, 1.4e-3)), BALANCE, FEED, BOX)
+    again = 0.5 * BALANCE.at(end_speeds(made.lines, FEED, BOX))
+    assert np.linalg.norm(np.diff(made.lines.start, axis=0), axis=1).min() < 0.5 * made.half.max()
+    np.testing.assert_allclose(again, made.half, atol=2e-5)
