@@ -95,6 +95,9 @@ class GripperPlateFile(Strict):
     width_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
     depth_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
     reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+    holding_n: Annotated[
+        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
+    ] = None
 
 
 class VacuumCupFile(Strict):
@@ -103,6 +106,9 @@ class VacuumCupFile(Strict):
     kind: Literal["vacuum_cup"]
     radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
     reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+    holding_n: Annotated[
+        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
+    ] = None
 
 
 class PlainToolFile(Strict):
@@ -212,9 +218,9 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
     if isinstance(spec, BowFile):
         return bow(spec.span_mm * MM, spec.throat_mm * MM, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
     if isinstance(spec, GripperPlateFile):
-        return gripper_plate(spec.width_mm * MM, spec.depth_mm * MM, spec.reach_mm * MM)
+        return gripper_plate(spec.width_mm * MM, spec.depth_mm * MM, spec.reach_mm * MM, spec.holding_n)
     if isinstance(spec, VacuumCupFile):
-        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM)
+        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
 

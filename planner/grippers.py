@@ -13,12 +13,19 @@ PLATE: Final = 0.012
 """[m] thickness of the plate that lies on the foam."""
 LINE_DENSITY: Final = 2700.0
 """[kg/m^3] of aluminium."""
+NEEDLE_PRESSURE: Final = 8e3
+"""[Pa] what slanted needles hold per area of their plate in foam, assumed."""
+SUCTION: Final = 25e3
+"""[Pa] below the air's pressure under a cup on foam, which leaks, assumed."""
 HEAD_MASS: Final = 0.25
 """[kg] flange plate and needle drive or suction unit, assumed."""
 
 
-def gripper_plate(width: float, depth: float, reach: float = 0.080, name: str | None = None) -> Tool:
-    """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face.
+def gripper_plate(
+    width: float, depth: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+) -> Tool:
+    """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face, with the
+    force ``holding`` [N] or what its area gives.
 
     The TCP is the middle of the plate's face, ``reach`` [m] from the flange; z points into the block, x along
     the width. Raises ``ValueError`` for sizes that make no gripper.
@@ -34,11 +41,15 @@ def gripper_plate(width: float, depth: float, reach: float = 0.080, name: str | 
         Shape("box", (width, depth, PLATE), from_rpy((0.0, 0.0, reach - 0.5 * PLATE), (0.0, 0.0, 0.0))),
     )
     plate = LINE_DENSITY * width * depth * PLATE
-    return _tool(name or "gripper_plate", reach, shapes, plate, (width, depth))
+    force = NEEDLE_PRESSURE * width * depth if holding is None else holding
+    return _tool(name or "gripper_plate", reach, shapes, plate, (width, depth), force)
 
 
-def vacuum_cup(radius: float, reach: float = 0.080, name: str | None = None) -> Tool:
-    """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange.
+def vacuum_cup(
+    radius: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+) -> Tool:
+    """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange,
+    that holds with the force ``holding`` [N] or what its area gives.
 
     z points into the block. Raises ``ValueError`` for sizes that make no cup.
     """
@@ -53,7 +64,8 @@ def vacuum_cup(radius: float, reach: float = 0.080, name: str | None = None) -> 
         Shape("cylinder", (radius, PLATE), from_rpy((0.0, 0.0, reach - 0.5 * PLATE), (0.0, 0.0, 0.0))),
     )
     plate = 0.5 * LINE_DENSITY * np.pi * radius**2 * PLATE
-    return _tool(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius))
+    force = SUCTION * np.pi * radius**2 if holding is None else holding
+    return _tool(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius), float(force))
 
 
 def _flange() -> Shape:
@@ -61,7 +73,12 @@ def _flange() -> Shape:
 
 
 def _tool(
-    name: str, reach: float, shapes: tuple[Shape, ...], plate: float, footprint: tuple[float, float]
+    name: str,
+    reach: float,
+    shapes: tuple[Shape, ...],
+    plate: float,
+    footprint: tuple[float, float],
+    holding: float,
 ) -> Tool:
     mass = HEAD_MASS + plate
     return Tool(
@@ -71,4 +88,5 @@ def _tool(
         cog=np.array([0.0, 0.0, round(float((HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass), 6)]),
         shapes=shapes,
         footprint=footprint,
+        holding=holding,
     )

@@ -22,6 +22,7 @@ CODES: Final[dict[str, str]] = {
     "stock.gripper": "the arm that is to hold the block carries no gripper",
     "stock.foam_missing": "something needs the block's foam, which the problem does not name",
     "stock.too_heavy": "the block and its gripper are beyond the payload of the arm that holds them",
+    "stock.grip_force": "a gripper does not hold the block firmly enough",
     "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
     "catalogue.missing_data": "a data file that is part of Tandem is missing",

@@ -44,7 +44,7 @@ class Tool:
 
     ``edge``: the rigid edge that cuts (the straight wire of a bow), a capsule in the flange frame; it alone
     may pass the stock, in cut segments. ``footprint``: width and depth [m] of the face that holds a block,
-    centred on the TCP in its x and y, for tools that hold one.
+    centred on the TCP in its x and y, and ``holding``: the force [N] it holds with, for tools that hold one.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Tool:
     shapes: tuple[Shape, ...]
     edge: Shape | None = None
     footprint: tuple[float, float] | None = None
+    holding: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,10 +158,10 @@ class Stock:
     ``oversize`` (2, 3) [m]: how far the block, as an operation finds it, stands out of the datum block on the
     lower and on the upper side along x, y and z. ``place`` (4, 4) is the stock frame's pose in the world, or
     None where the placement search is to find it, with ``attitude`` (3, 3), its rotation up to a yaw about
-    the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes in the stock
-    frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose tool holds
-    the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the pose about
-    which the holder moves the block.
+    the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes
+    in the stock frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose
+    tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the
+    pose about which the holder moves the block.
     """
 
     size: FloatArray

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, Discriminator, Field, Tag
@@ -18,7 +18,10 @@ from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
 from planner.problem import Arm, Change, Problem, Setup, Stock
 from planner.schema import Angle, FileName, Name, Positive, Strict
-from planner.units import DEG, MM
+from planner.units import DEG, GRAVITY, MM
+
+SHAKES: Final = 3.0
+"""Times its weight that a gripper must hold a block with: the arm's accelerations, and foam that gives."""
 
 
 def _word_or_mapping(value: object) -> str:
@@ -180,7 +183,7 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             field="stock.foam",
         )
         return
-    payload = robot(arm.robot).payload
+    payload, needed = robot(arm.robot).payload, SHAKES * block.mass * GRAVITY
     if arm.tool.mass + block.mass > payload:
         yield Issue(
             "stock.too_heavy",
@@ -192,6 +195,18 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             value=block.mass + arm.tool.mass,
             limit=payload,
             unit="kg",
+        )
+    elif arm.tool.holding is not None and needed > arm.tool.holding:
+        yield Issue(
+            "stock.grip_force",
+            f"{field}: {arm.tool.name} holds with {arm.tool.holding:.0f} N, the block of {block.mass:.2f} kg "
+            f"needs {needed:.0f} N ({SHAKES:g} times its weight, since the arm shakes it); take a larger "
+            "gripper, or state its holding_n where it is known",
+            field=f"{field}.held_by",
+            arm=arm.name,
+            value=needed,
+            limit=arm.tool.holding,
+            unit="N",
         )
     yield from _footprint(block, arm, field)
 

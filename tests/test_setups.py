@@ -107,6 +107,19 @@ def test_what_cannot_be_held_is_refused(tmp_path: Path, stock: dict, code: str, 
     assert word in found[0][1]
 
 
+def test_a_gripper_must_hold_three_times_the_blocks_weight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.006 m3 of 22 kg/m3 weigh 1.29 N; a stated force of 3.8 N is too little, 3.9 N are enough."""
+    for force, fits in ((3.8, False), (3.9, True)):
+        tool = {"kind": "vacuum_cup", "holding_n": force}
+        monkeypatch.setitem(CELL["arms"][1], "tool", tool)
+        if fits:
+            assert load(tmp_path, {"held_by": "right"}).stock.mass == pytest.approx(0.132)
+        else:
+            assert [c for c, _ in codes(tmp_path, {"held_by": "right"})] == ["stock.grip_force"]
+
+
 @pytest.mark.parametrize(
     ("setup", "code"),
     [
