@@ -152,9 +152,18 @@ class Checker:
                 for bound in (statement.first, statement.last, statement.step):
                     if bound is not None:
                         self.expect(bound, "num")
+                self._counter(statement)
                 self.counters.append(statement.name.lower())
                 self._block(statement.body, handler)
                 self.counters.pop()
+
+    def _counter(self, loop: For) -> None:
+        """A counter is seen in its loop alone; one that has the name of other data would hide them from the
+        reader in what the loop calls."""
+        key = loop.name.lower()
+        if key in PREDEFINED or key in self.counters or any(key in own for own in self.locals.values()):
+            message = f"{shown(loop.name)} is the name of other data; a loop counter needs one of its own"
+            self.fault(loop.start, "rapid.name_duplicate", message)
 
     def _move(self, move: Move) -> None:
         form = FORMS[move.kind.lower()]

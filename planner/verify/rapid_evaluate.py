@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from planner.verify.rapid_ast import (
     Aggregate,
     Assign,
@@ -154,10 +156,19 @@ class Evaluator:
             return True
         if left is None or right is None:
             return UNKNOWN
+        if isinstance(left, str):  # what counts as equal is the controller's alphabet
+            return left + right if expr.operator == "+" else UNKNOWN
         try:
-            return _BINARY[expr.operator](left, right)
+            found = _BINARY[expr.operator](left, right)
         except (ZeroDivisionError, OverflowError):
             raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
+        return found if all(map(_single, (left, right, found))) else UNKNOWN
+
+
+def _single(value: Any) -> bool:
+    """Whether a value is the same in the controller, which counts in single precision. What is computed from
+    others, or compared with them, may come out otherwise there."""
+    return not isinstance(value, float) or float(np.float32(value)) == value
 
 
 def _written(module: Module) -> Iterator[str]:

@@ -42,6 +42,10 @@ def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
         at = cursor.token.start
         if cursor.take_word("and") is None:
             return Unary(start, "not", left) if negated else left
+        if negated:
+            raise RapidSyntaxError(
+                at, "rapid.syntax", "NOT before AND: write brackets that say what it means"
+            )
         left = Binary(at, "and", left, _relation(cursor, longest, depth))
 
 
@@ -116,7 +120,11 @@ def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
 
 def _string(cursor: Cursor, longest: int) -> str:
     token = cursor.take()
-    value = token.text[1:-1].replace('""', '"').replace("\\\\", "\\")
+    value = token.text[1:-1].replace('""', '"')
+    if "\\" in value.replace("\\\\", ""):
+        message = f"the string {shown(value)} holds a character by its number; write the character"
+        raise RapidSyntaxError(token.start, "rapid.syntax", message)
+    value = value.replace("\\\\", "\\")
     if len(value) > longest:
         message = f"the string {shown(value)} has {len(value)} characters; allowed: {longest}"
         raise RapidSyntaxError(token.start, "rapid.string_length", message)

@@ -129,14 +129,16 @@ class _Runner(Evaluator):
     # ---- entry ----
 
     def run(self, entry: str) -> tuple[Step, ...]:
-        for module in self.modules.values():
-            for procedure in module.procedures:
-                if procedure.name.lower() == entry.lower():
-                    return self.run_block(module, procedure, procedure.body)
-        first = self.module
-        raise FlowError(
-            [Fault(1, 1, "rapid.flow", f"no procedure {entry} in the task's modules", first.file)]
-        )
+        found = [
+            (module, procedure)
+            for module in self.modules.values()
+            for procedure in module.procedures
+            if procedure.name.lower() == entry.lower()
+        ]
+        if len(found) == 1 and not found[0][1].local:
+            return self.run_block(*found[0], found[0][1].body)
+        what = f"several procedures {entry}, or a local one" if found else f"no procedure {entry}"
+        raise FlowError([Fault(1, 1, "rapid.flow", f"{what} in the task's modules", self.module.file)])
 
     def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
         self.module, self.procedure = module, procedure.name

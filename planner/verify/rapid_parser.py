@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ _CLOSERS = ("endproc", "endmodule", "error", "undo", "proc")
 _BLOCK_ENDS = ("endif", "else", "elseif", "endwhile", "endfor")
 _STORAGE = ("const", "var", "pers", "task", "local")
 _STARTS = frozenset({*FORMS, *_CLOSERS, *_BLOCK_ENDS, *_STORAGE, "if", "while", "for"})
-_HEADER = "%%%"
+_HEADER = re.compile(r"\s*%%%\s*VERSION:\s*1\s+LANGUAGE:\s*ENGLISH\s*%%%", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +91,9 @@ class Parser:
 
     def _skip_old_header(self) -> None:
         # IRC5 still accepts the header lines of older controllers: %%% VERSION:1 LANGUAGE:ENGLISH %%%
-        head = self.text.lstrip()
-        if head.startswith(_HEADER):
-            first = self.text.index(_HEADER)
-            last = self.text.find(_HEADER, first + 3, first + 200)
-            if last > 0:
-                self.cursor.jump(last + 3)
+        head = _HEADER.match(self.text)
+        if head is not None:
+            self.cursor.jump(head.end())
 
     def _attributes(self) -> tuple[str, ...]:
         found: list[str] = []

@@ -84,6 +84,10 @@ def zone_size(context: Context) -> Outcome:
         for i, move in enumerate(moves):
             if move.zone.fine:
                 continue
+            sizes = (move.zone.tcp, move.zone.turn, move.zone.turn_angle)
+            if min(sizes) < 0.0 or max(sizes) <= 0.0:
+                what = f"zone {move.zone_name} has a size of nothing or less, and is no stop"
+                issues.append(at_step("verify.zone_size", what, task, move))
             near = [way for way in ways[max(i - 1, 0) : i + 1] if way is not None]
             half = 0.5 * min(near) if near else 0.0
             size = max(move.zone.tcp, move.zone.turn, 0.0)

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from planner.claims import HoldsStock
 from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
+from planner.problem import Stock
 from planner.problem import Tool as WantedTool
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.rapid_steps import CarryStep, MoveStep
-from planner.verify.rapid_values import Tool
+from planner.verify.rapid_values import Tool, rotation
 from planner.verify.setups import stays
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +23,8 @@ FRAME_POSITION = 1e-6
 FRAME_ANGLE = 1e-6
 MASS = 1e-3
 CENTRE = 1e-5
+INERTIA = 5e-6
+"""How far moments of inertia may be off [kg m^2]: their last decimals; those of a block by 1 % too."""
 NO_LOAD = 0.001
 """Mass [kg] of load0."""
 
@@ -61,6 +64,8 @@ def _tool_faults(tool: Tool, wanted: WantedTool) -> tuple[float, list[str]]:
         faults.append(f"its mass is {tool.load.mass:g} kg, not {wanted.mass:g} kg")
     if np.abs(tool.load.centre - wanted.cog).max() > CENTRE:
         faults.append("its centre of gravity is not the tool's")
+    if np.abs(tool.load.inertia).max() > INERTIA:
+        faults.append("it has moments of inertia, of which the problem says nothing")
     return shift, faults
 
 
@@ -176,7 +181,7 @@ def load(context: Context) -> Outcome:
             for step in stage.steps[task.name]:
                 if isinstance(step, CarryStep):
                     early = bool(asked) and number <= asked[0].stage
-                    fault, known = _carried(step, wanted, index)
+                    fault, known = _carried(step, wanted, context.stock(index), index)
                     fault = f"setup {index + 1} is not confirmed yet" if early and wanted else fault
                     issues += [at_step("verify.load", fault, task, step)] if fault else []
                 if isinstance(step, MoveStep):
@@ -194,7 +199,7 @@ def load(context: Context) -> Outcome:
     )
 
 
-def _carried(step: CarryStep, wanted: HoldsStock | None, index: int) -> tuple[str, int | None]:
+def _carried(step: CarryStep, wanted: HoldsStock | None, stock: Stock, index: int) -> tuple[str, int | None]:
     """What is wrong with a load, and the setup whose block it is, None for no load."""
     if wanted is None:
         none = step.load.mass <= NO_LOAD + 1e-9
@@ -203,7 +208,17 @@ def _carried(step: CarryStep, wanted: HoldsStock | None, index: int) -> tuple[st
         return f"the load is {step.load.mass:g} kg; the block is {wanted.mass:.4f} kg", index
     if np.abs(step.load.centre - wanted.cog).max() > CENTRE:
         return "the load's centre of gravity is not the block's", index
+    turn, grip = rotation(step.load.axes), wanted.grip[:3, :3]
+    said, true = (turn * step.load.inertia) @ turn.T, (grip * _moments(stock, wanted.mass)) @ grip.T
+    if np.abs(said - true).max() > INERTIA + 0.01 * np.abs(true).max():
+        return "the load's moments of inertia are not the block's", index
     return "", index
+
+
+def _moments(stock: Stock, mass: float) -> FloatArray:
+    """Moments of inertia (3,) [kg m^2] of a solid block about its own axes through its centre."""
+    square = (stock.upper - stock.lower) ** 2
+    return np.asarray(mass / 12.0 * (square.sum() - square))
 
 
 def base_frames(context: Context) -> Outcome:

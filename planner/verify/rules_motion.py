@@ -22,6 +22,9 @@ JUMP = np.deg2rad(8.0)
 moved."""
 TCP_SLACK = 1.10
 """The replay's ramps may exceed the planned speed between targets by this factor."""
+TURN = np.deg2rad(90.0)
+"""Fastest turning that may be stated for moves that have no time: what a tool has far from its TCP moves
+with it."""
 KINEMATICS = 1e-6
 _DRAKE_SAMPLES = 200
 
@@ -266,6 +269,12 @@ def tcp_speed(context: Context) -> Outcome:
             stated = step_.velocity if step_.velocity is not None else step_.speed.tcp
             if stated > limit * (1.0 + 1e-6):
                 message = f"the move's speed is {mm(stated):g} mm/s; allowed: {mm(limit):g} mm/s"
+                issues.append(at_step("verify.tcp_speed", message, task, step_))
+            if step_.speed.turn > TURN:
+                message = (
+                    f"the tool may turn at {np.rad2deg(step_.speed.turn):g} deg/s in a move without a time; "
+                    f"allowed: {np.rad2deg(TURN):g} deg/s"
+                )
                 issues.append(at_step("verify.tcp_speed", message, task, step_))
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm/s", where)
 

@@ -121,6 +121,9 @@ def _power_at_hands(context: Context, phase: Phase, signal: str) -> list[Issue]:
         first, last = moving(context, phase)
         if state[confirms[0]] and confirms[0] < first:
             issues.append(Issue("verify.wire_power", f"{signal} is on when the operator mounts the wire"))
+        if any(state[i] and first < i < last for i in confirms):
+            what = f"{signal} is on while the operator is asked something on the way"
+            issues.append(Issue("verify.wire_power", what, hint="ask before the arms move, or switch it off"))
         if state[confirms[-1]] and confirms[-1] > last:
             issues.append(Issue("verify.wire_power", f"{signal} is on when the operator takes the wire off"))
     if value:

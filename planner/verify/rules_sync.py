@@ -22,6 +22,10 @@ from planner.verify.rapid_steps import (
 from planner.verify.rapid_values import RobTarget
 
 _TIME_TOLERANCE = 1e-9
+LARGEST_ID = 2**23
+"""Whole numbers beyond are not exact in single precision."""
+SHORTEST = 0.005
+"""Least time of a move [s]; a controller that cannot plan so fast stops instead, in the foam too."""
 SPEED_SLACK = 1.01
 """A time may be shorter than the stated speed makes it by this factor: both are rounded."""
 
@@ -125,6 +129,9 @@ def move_ids(context: Context) -> Outcome:
                 continue
             if move.id is None:
                 issues.append(at_step("verify.move_ids", "a move in a block has no \\ID", task, move))
+            elif move.id > LARGEST_ID:
+                message = f"\\ID:={move.id}; beyond {LARGEST_ID} the controller does not tell IDs apart"
+                issues.append(at_step("verify.move_ids", message, task, move))
             elif move.id <= last:
                 message = f"\\ID:={move.id} follows {last}; IDs must ascend"
                 issues.append(at_step("verify.move_ids", message, task, move))
@@ -156,6 +163,12 @@ def move_time(context: Context) -> Outcome:
         for move in moves[task.name]
         if move.time is None or move.time <= 0.0
     ]
+    issues += [
+        at_step("verify.move_time", f"\\T:={move.time:g}: no controller plans so short a move", task, move)
+        for _, _, task, moves in context.moves()
+        for move in moves
+        if move.time is not None and move.time < SHORTEST
+    ]
     for a_task, a, b_task, b in _pairs(context):
         if a.time is not None and b.time is not None:
             worst = max(worst, abs(a.time - b.time))
@@ -169,6 +182,11 @@ def speed_data(context: Context) -> Outcome:
     """The speed that stands beside a time is not below what way and time ask for."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
+        issues += [
+            at_step("verify.speed_data", "a speed of nothing or less", task, move)
+            for move in moves
+            if min(move.speed.tcp, move.speed.turn) <= 0.0
+        ]
         for before, move in itertools.pairwise(moves):
             way = straight_way(before, move)
             if way is None or not move.time:
