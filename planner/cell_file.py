@@ -88,27 +88,28 @@ class BowFile(Strict):
     tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the bow about its wire")] = 0.0
 
 
-class GripperPlateFile(Strict):
+class _GripperFile(Strict):
+    """What all tools have that hold a block."""
+
+    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+    holding_n: Annotated[
+        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
+    ] = None
+
+
+class GripperPlateFile(_GripperFile):
     """The built-in plate with needles that holds a block by its bottom face."""
 
     kind: Literal["gripper_plate"]
     width_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
     depth_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
-    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
-    holding_n: Annotated[
-        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
-    ] = None
 
 
-class VacuumCupFile(Strict):
+class VacuumCupFile(_GripperFile):
     """The built-in vacuum cup that holds a block by its bottom face."""
 
     kind: Literal["vacuum_cup"]
     radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
-    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
-    holding_n: Annotated[
-        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
-    ] = None
 
 
 class PlainToolFile(Strict):
