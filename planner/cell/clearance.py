@@ -20,7 +20,7 @@ from planner.cell.distance import LeastClearance
 from planner.cell.edge import edge
 from planner.cell.plant import CellModel
 
-__all__ = ["LeastClearance", "Pairs", "edge", "free", "gradients", "least", "overlaps"]
+__all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "least", "overlaps"]
 
 FloatArray = NDArray[np.float64]
 Pairs = frozenset[frozenset[str]]
@@ -54,6 +54,12 @@ def free(
         unsettled = good & (lower <= padding) & (upper > padding)
         return np.asarray(settled | _asked(model, rows, unsettled, padding, ignore))
     return _asked(model, rows, good, padding, ignore)
+
+
+def at_least(model: CellModel, q: Mapping[str, FloatArray], reach: float) -> FloatArray:
+    """Cheap lower bounds (B,) [m] of the least distance between bodies, ``reach`` where it is more."""
+    lower, _ = _bounds(model, model.stack(q), reach, frozenset())
+    return np.asarray(np.minimum(lower, reach))
 
 
 def _asked(

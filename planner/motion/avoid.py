@@ -60,7 +60,7 @@ class Avoid:
     ) -> None:
         self._model, self._arms, self._wanted, self._weight = model, arms, wanted, weight
         self._columns = np.concatenate([np.arange(6) + 6 * model.arms.index(arm) for arm in arms])
-        self._levers = np.concatenate([_levers(model, arm) for arm in arms])
+        self._levers = np.concatenate([levers(model, arm) for arm in arms])
         self._wrist = max(WRIST, *(_hand(model, arm) for arm in arms if _is_long(model, arm)), 0.0)
         self._meeting = [pairs for pairs, _ in kinds] or [frozenset()]
         self._kinds = list(kinds)
@@ -116,9 +116,11 @@ class Avoid:
         limit = self._wanted + SOFT
         moved = np.abs(q - self._bound_at) @ self._levers
         bound = self._bound - moved
+        # what was nearer by more than it moved is near still
+        doubt = (bound < limit) & (np.isneginf(self._bound) | (self._bound + moved >= limit))
         far = FAR if float(np.median(moved)) < FAR else CLOSE
         for kind, bounds in enumerate(self._bounds):
-            index = np.flatnonzero((bound < limit) & (self._kind == kind))
+            index = np.flatnonzero(doubt & (self._kind == kind))
             if not len(index):
                 continue
             part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
@@ -194,7 +196,7 @@ class Avoid:
         return out
 
 
-def _levers(model: CellModel, arm: str) -> FloatArray:
+def levers(model: CellModel, arm: str) -> FloatArray:
     """How far (6,) [m/rad] each joint can at most carry a point of its arm."""
     hand = _hand(model, arm)
     return np.array([model.robots[arm].reach + hand] * 3 + [hand] * 3)

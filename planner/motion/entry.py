@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.cell import clearance
 from planner.issues import Issue, TandemError
+from planner.motion.avoid import levers
 from planner.motion.rrt import connect, way_free
 from planner.motion.scene import Scene
 from planner.targets import Targets
@@ -20,6 +21,9 @@ FloatArray = NDArray[np.float64]
 
 STEPS = np.deg2rad([3.0, 1.0, 0.3])
 """Distances [rad] between the postures that a search looks at; finer where its way is not free in between."""
+
+FAR = 0.5
+"""Bodies [m] farther apart than this are not told from each other at the last look at a way."""
 
 FINE = 1e-3
 """How far [m] one joint may carry the tool between two postures of the last look at a way."""
@@ -149,12 +153,19 @@ def _way(scene: Scene, standing: Mapping[str, FloatArray], arm: str, goal: Float
         rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
         return ok & clearance.free(scene.model, rows, scene.settings.clearance)
 
+    def sure(points: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
+        if scene.model is None:  # joints within their limits at both ends of a line are so on all of it
+            return np.ones(len(points), dtype=bool)
+        rows = {a: np.broadcast_to(v, (len(points), 6)) for a, v in standing.items()} | {arm: points}
+        room = clearance.at_least(scene.model, rows, FAR) - scene.settings.clearance
+        return np.asarray(half @ levers(scene.model, arm) < room)
+
     robot = chain.robot
     for step in STEPS:
         way = connect(
             chain.home, goal, free, robot.lower + hard, robot.upper - hard, step, scene.settings.seed
         )
-        if way is None or way_free(way, free, FINE / robot.reach):
+        if way is None or way_free(way, free, FINE / robot.reach, sure):
             return way
     return None
 

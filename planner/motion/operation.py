@@ -32,6 +32,9 @@ CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06
 """How far around a place that is too near the next path is kept to the ladder's [targets], and how close this
 one is kept where others were too near [rad]."""
 
+RIM = 24
+"""Targets on either side of those over which a better path goes from the one that is kept to its own."""
+
 REPORTED_REACH = 0.2
 
 
@@ -127,30 +130,46 @@ def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found
 def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tuple[Improved, bool]:
     """The optimised path if it keeps clearance at and between targets, or the ladder's own.
 
-    Where an optimised path comes too near to something, the next one is kept closer to the ladder's there,
-    over a longer and longer stretch, at last all along.
+    Where an optimised path comes too near to something, it is optimised once more from the ladder's and kept
+    closer to that there, over a longer and longer stretch, at last all along; the rest stays as it is.
     """
     plain = path_cost(scene, targets, found.values, found.q)
     start = corridor.unwrapped(targets, found.values)
     rows = np.zeros(targets.count, dtype=np.bool_)
+    avoid = None
+    if scene.model is not None:
+        kinds = scene.by_kind(targets, np.arange(targets.count))
+        avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
+    within, values, q, iterations = targets, start, dict(found.q), 0
+    moved = np.ones(targets.count, dtype=np.bool_)
     for reach, width in CORRIDORS if scene.model is not None else CORRIDORS[:1]:
-        avoid = None
-        if scene.model is not None:
-            kinds = scene.by_kind(targets, np.arange(targets.count))
-            avoid = Avoid(scene.model, targets.arms, scene.settings.clearance, CLEARANCE_WEIGHT, kinds)
-        within = corridor.narrowed(targets, start, rows, width) if rows.any() else targets
-        better = improve(scene, within, found.path.branch, start, found.q, avoid)
-        cost = path_cost(scene, targets, better.values, better.q)
-        better = dataclasses.replace(better, cost=cost, cost_before=plain)
+        better = improve(scene, within, found.path.branch, values, q, avoid)
+        iterations += better.iterations
         samples = dense(scene, targets, found.path.branch, better.q)
-        lost = np.isnan(np.concatenate(list(samples.q.values()), axis=1)).any(axis=1)
-        bad = samples.move[lost | ~diagnose.clear(scene, targets, samples)]
+        bad = _bad_moves(scene, targets, samples, moved)
         if not len(bad):
             watch.lap("trajopt")
-            return better, True
+            cost = path_cost(scene, targets, better.values, better.q)
+            return dataclasses.replace(better, cost=cost, cost_before=plain, iterations=iterations), True
         rows |= corridor.around(targets.count, bad, reach)
+        moved = corridor.around(targets.count, bad, reach + RIM)
+        back = moved & rows
+        values = np.where(back[:, None], start, better.values)
+        q = {arm: np.where(back[:, None], found.q[arm], better.q[arm]) for arm in targets.arms}
+        within = corridor.narrowed(targets, start, rows, width)
+        within = corridor.narrowed(within, values, ~moved, 0.0)
     watch.lap("trajopt")
     return Improved(found.values, found.q, plain, plain, 0), False
+
+
+def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Targets to which moves leave reach or come too near to something, of those ``moved`` (N,) and next to
+    them."""
+    look = moved | np.append(False, moved[:-1])
+    rows = np.flatnonzero(look[samples.move])
+    some = Dense(samples.move[rows], samples.share[rows], {arm: v[rows] for arm, v in samples.q.items()})
+    lost = np.isnan(np.concatenate(list(some.q.values()), axis=1)).any(axis=1)
+    return np.asarray(some.move[lost | ~diagnose.clear(scene, targets, some)])
 
 
 def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Clock, float, list[Issue]]:

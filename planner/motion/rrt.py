@@ -1,4 +1,5 @@
-"""A free way between two points: the straight line, or a tree from either end, shortened.
+"""A free way between two points: the straight line, some coordinates after the others, or a tree from either
+end, shortened.
 
 Kuffner and LaValle, "RRT-Connect: an efficient approach to single-query path planning", ICRA 2000. Seeded, so
 the same question has the same answer.
@@ -14,11 +15,15 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 Free = Callable[[FloatArray], NDArray[np.bool_]]
+Sure = Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
 
 REACH = 8
 """A tree grows by at most this many steps at a time."""
 
 ROUNDS = 3000
+CORNERS = 6
+"""With more coordinates than this there are too many orders in which they may go."""
+
 SHORTCUTS = 40
 
 
@@ -43,6 +48,9 @@ def connect(
         return None
     if _line_free(start, goal, free, step):
         return np.stack([start, goal])
+    corner = _around_corner(start, goal, free, step)
+    if corner is not None:
+        return corner
     rng = np.random.default_rng(seed)
     trees = (_Tree(start), _Tree(goal))
     for count in range(rounds):
@@ -62,9 +70,43 @@ def connect(
     return None
 
 
-def way_free(way: FloatArray, free: Free, step: float) -> bool:
-    """Whether the straight lines between waypoints (M, D) are free, looked at every ``step``."""
-    return all(_line_free(a, b, free, step) for a, b in itertools.pairwise(way))
+def _around_corner(start: FloatArray, goal: FloatArray, free: Free, step: float) -> FloatArray | None:
+    """A free way on which some coordinates go after the others, a short one; None if there is none."""
+    far = np.abs(goal - start)
+    live = np.flatnonzero(far > step)
+    if len(live) < 2 or len(live) > CORNERS:
+        return None
+    later = np.array(list(itertools.product((False, True), repeat=len(live))))[1:-1]
+    corners = np.repeat(goal[None], len(later), axis=0)
+    corners[:, live] = np.where(later, start[live], goal[live])
+    lengths = np.abs(corners - start).max(axis=1) + np.abs(corners - goal).max(axis=1)
+    corners = corners[np.argsort(lengths, kind="stable")]
+    for corner in corners[free(corners)]:
+        if _line_free(start, corner, free, step) and _line_free(corner, goal, free, step):
+            return np.stack([start, corner, goal])
+    return None
+
+
+def way_free(way: FloatArray, free: Free, step: float, sure: Sure | None = None) -> bool:
+    """Whether the straight lines between waypoints (M, D) are free, looked at every ``step``.
+
+    ``sure`` tells of points (B, D) and how far (B, D) the coordinates go from there either way whether (B,)
+    all of that is free for sure; there nothing is looked at, elsewhere halves are asked about.
+    """
+    starts, ends = way[:-1], way[1:]
+    while len(starts):
+        middle, half = 0.5 * (starts + ends), 0.5 * np.abs(ends - starts)
+        open_ = np.ones(len(starts), dtype=bool) if sure is None else ~sure(middle, half)
+        fine = half.max(axis=1) <= step
+        look = open_ & fine
+        if look.any() and not free(np.concatenate([middle[look], ends[look]])).all():
+            return False
+        split = open_ & ~fine
+        starts, ends = (
+            np.concatenate([starts[split], middle[split]]),
+            np.concatenate([middle[split], ends[split]]),
+        )
+    return True
 
 
 class _Tree:

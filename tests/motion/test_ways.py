@@ -52,6 +52,41 @@ def test_a_thin_wall_between_two_looks_is_seen_by_the_last_look() -> None:
     assert way_free(way[:1], thin, 0.0005)
 
 
+def test_what_is_sure_is_not_looked_at_and_nothing_else_is_left_out() -> None:
+    centre, radius = np.array([0.5, 0.42]), 0.1
+    looked = []
+
+    def free(points: np.ndarray) -> np.ndarray:
+        looked.append(len(points))
+        return np.asarray(np.linalg.norm(points - centre, axis=1) > radius)
+
+    def sure(points: np.ndarray, half: np.ndarray) -> np.ndarray:
+        gap = np.linalg.norm(points - centre, axis=1) - radius
+        return np.asarray(np.linalg.norm(half, axis=1) < 0.5 * gap)
+
+    for height, ok in ((0.319, True), (0.321, False), (0.1, True)):
+        way = np.array([[0.0, height], [1.0, height], [1.0, 0.0]])
+        counts = []
+        for known in (None, sure):
+            looked.clear()
+            assert way_free(way, free, 0.002, known) == ok
+            counts.append(sum(looked))
+        assert counts[1] < 0.3 * counts[0] or not ok
+
+
+def test_one_coordinate_after_the_other_goes_around_a_corner_without_a_tree() -> None:
+    asked = []
+
+    def corner(points: np.ndarray) -> np.ndarray:
+        asked.append(len(points))
+        return np.asarray((points[:, 0] < 0.2) | (points[:, 1] > 0.8))
+
+    way = connect(np.array([0.1, 0.1]), np.array([0.9, 0.9]), corner, np.zeros(2), np.ones(2), 0.02, seed=0)
+    assert way is not None
+    assert np.allclose(way, [[0.1, 0.1], [0.1, 0.9], [0.9, 0.9]])
+    assert len(asked) < 8
+
+
 def test_a_straight_line_that_is_free_is_the_way() -> None:
     way = connect(np.zeros(2), np.array([0.3, 0.3]), wall, np.zeros(2), np.ones(2), 0.02, seed=0)
     assert way is not None
