@@ -40,10 +40,11 @@ def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Target
     stock, bow = setup.stock, bow_of(operation, setup)
     todo = wanted(operation, setup, part)
     kerf, thickness = _kerf(operation, setup, bow, todo)
-    contours = () if part is None else tuple(r for r in part.ruled if r.closed)
+    ruled = () if part is None else part.ruled
+    contours = tuple(r for r in ruled if r.closed)
     box = stock.box
     cuts = [make_cut(operation, w, contours, kerf, bow.radius, box, -stock.gravity) for w in todo]
-    issues = [issue for cut in cuts for issue in check_cut(operation, cut)]
+    issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
     issues += check_model(operation, setup, bow, cuts, thickness)
     if has_errors(issues):
         raise TandemError(aggregate(issues))

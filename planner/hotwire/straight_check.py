@@ -15,9 +15,11 @@ from planner.hotwire.kerf_flag import KerfFlag, explain
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines, chord, distance_to_polyline, exit_length, grown
 from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_section import pieces_across
+from planner.hotwire.straight_spared import check_spared
 from planner.hotwire.straight_tool import Bow, corners
 from planner.issues import Issue, Severity
-from planner.problem import Setup, Shape
+from planner.problem import Ruled, Setup, Shape
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -30,12 +32,13 @@ SIGHTS: Final = 65
 """Places along a wire at which its distance to the holder is looked at."""
 
 
-def check_cut(op: Straight, cut: Cut) -> Iterator[Issue]:
-    """Issues of one cut's shape and kerf: straight.corner, straight.crossing, straight.slit, kerf.too_hot and
-    kerf.too_cold."""
+def check_cut(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
+    """Issues of one cut's shape and kerf among all surfaces of the part: straight.corner, straight.crossing,
+    straight.slit, straight.lead, kerf.too_hot and kerf.too_cold."""
     yield from _tight(op, cut)
     yield from _crossing(op, cut)
-    yield from _slit(op, cut)
+    yield from _slit(op, cut, ruled, box)
+    yield from check_spared(op, cut, ruled, box)
     if op.power_w is not None:
         yield from _width(op, cut)
 
@@ -97,14 +100,14 @@ def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
             return
 
 
-def _slit(op: Straight, cut: Cut) -> Iterator[Issue]:
+def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
     start = cut.start
     if start is None or start.through < 1e-4:
         return
     what = f"{op.name}: the wire comes to {cut.wanted.segment} through the part"
     place = _place(cut.on.row.foot.start[0])
     how = f"a slit of {start.through / MM:.1f} mm, along {_way(start.way)} from {place}"
-    if cut.wanted.ruled.hole:
+    if cut.wanted.ruled.hole or pieces_across(cut.wanted.ruled, ruled, box, 0.5).enclosed:
         yield Issue(
             "straight.slit",
             f"{what}: {how}; glue it, or cut the part in two there",

@@ -162,14 +162,15 @@ def _through(
 
 
 def _solid(contours: tuple[Ruled, ...], plane: FloatArray, box: FloatArray) -> shapely.Geometry:
-    """The part as seen along a wire: outlines, or the whole block, less holes, in the coordinates of
-    ``plane`` (3, 2)."""
+    """The part as seen along a wire: outlines, or the whole block, less their holes, with the pieces in
+    those, in the coordinates of ``plane`` (3, 2)."""
     shapes = [(c.hole, shapely.make_valid(shapely.Polygon(_middle(c) @ plane))) for c in contours]
-    outlines = [s for hole, s in shapes if not hole]
     corners = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3) @ plane
-    whole = shapely.union_all(outlines) if outlines else shapely.MultiPoint(corners).convex_hull
-    holes = shapely.union_all([s for hole, s in shapes if hole])
-    return shapely.difference(whole, holes)
+    block = shapely.MultiPoint(corners).convex_hull
+    solid = block if all(hole for hole, _ in shapes) else shapely.Polygon()
+    for hole, shape in sorted(shapes, key=lambda own: -own[1].area):  # what lies in another is smaller
+        solid = shapely.difference(solid, shape) if hole else shapely.union(solid, shape)
+    return solid
 
 
 def _held(ruled: Ruled, first: IntArray, backward: bool, cut: SurfaceCut, up: FloatArray) -> FloatArray:

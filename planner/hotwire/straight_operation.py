@@ -49,6 +49,13 @@ class SurfaceCut(_Cut):
     last: Literal["top", "bottom", "any"] | tuple[Far, Far, Far] = "top"
     reverse: Annotated[bool, Field(description="an open strip from its last ruling to its first")] = False
 
+    @model_validator(mode="after")
+    def _directions(self) -> Self:
+        for name, way in (("lead", self.lead), ("last", self.last)):
+            if not isinstance(way, str) and not any(way):
+                raise ValueError(f"{name}: a direction has a length above 0")
+        return self
+
 
 class TrimCut(_Cut):
     """The block's oversize is cut off at the sides named, so that the datum block remains. ``along``: the

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.hotwire.straight_operation import SIDES, Straight, SurfaceCut, TrimCut
+from planner.hotwire.straight_section import depths
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
 from planner.units import MM
@@ -17,6 +18,10 @@ FloatArray = NDArray[np.float64]
 
 LEAST_OVERSIZE: Final = 1e-4
 """[m] a side that stands out by less has nothing that could be cut off."""
+
+
+LEAD_ALONG: Final = 0.94
+"""Largest cosine between a lead and the wire: one along the wire takes it nowhere."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +39,15 @@ class Wanted:
 
 
 def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
-    """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim."""
+    """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim,
+    straight.lead."""
     ruled = () if part is None else part.ruled
     if op.cuts == "all":
         if not ruled:
             raise TandemError(_missing(op, "cuts: all ruled surfaces", ruled))
-        up = -setup.stock.gravity
-        return [
-            Wanted(r.name, r, SurfaceCut(surface=r.name)) for r in sorted(ruled, key=lambda r: _rank(r, up))
-        ]
+        up, depth = -setup.stock.gravity, depths(ruled)
+        order = sorted(range(len(ruled)), key=lambda k: _rank(ruled[k], depth[k], up))
+        return [Wanted(ruled[k].name, ruled[k], SurfaceCut(surface=ruled[k].name)) for k in order]
     known = {r.name: r for r in ruled}
     out: list[Wanted] = []
     issues: list[Issue] = []
@@ -54,6 +59,7 @@ def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
                 if not fault:
                     out.append(Wanted(f"trim_{side}", _side(op, setup, side, cut), cut))
         elif cut.surface in known:
+            issues += _along_the_wire(op, known[cut.surface], cut)
             out.append(Wanted(cut.surface, known[cut.surface], cut))
         else:
             issues.append(_missing(op, f"surface '{cut.surface}'", ruled))
@@ -62,11 +68,12 @@ def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     return out
 
 
-def _rank(ruled: Ruled, up: FloatArray) -> tuple[int, float]:
-    """Holes first, then strips, then outlines, upper ones first, since what is cut free rests on the rest."""
+def _rank(ruled: Ruled, depth: int, up: FloatArray) -> tuple[int, int, float]:
+    """Holes and pieces in holes first, the inmost before what is around them; then strips, then outlines,
+    upper ones first, since what is cut free rests on the rest. ``depth``: in how many others it lies."""
     middle = 0.5 * (ruled.start + ruled.end).mean(axis=0)
-    kind = 0 if ruled.hole else 2 if ruled.closed else 1
-    return kind, float(-(middle @ up).round(6)) if kind == 2 else 0.0
+    kind = 0 if ruled.hole or depth else 2 if ruled.closed else 1
+    return kind, -depth, float(-(middle @ up).round(6)) if ruled.closed and not ruled.hole else 0.0
 
 
 def _missing(op: Straight, what: str, ruled: tuple[Ruled, ...]) -> Issue:
@@ -77,6 +84,27 @@ def _missing(op: Straight, what: str, ruled: tuple[Ruled, ...]) -> Issue:
         "the name",
         field="part",
     )
+
+
+def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> list[Issue]:
+    """A lead that is given must take the wire across itself, at every ruling."""
+    if isinstance(cut.lead, str):
+        return []
+    rulings = ruled.end - ruled.start
+    rulings = rulings / np.maximum(np.linalg.norm(rulings, axis=1, keepdims=True), 1e-12)
+    lead = np.array(cut.lead) / np.linalg.norm(cut.lead)
+    along = float(np.abs(rulings @ lead).max())
+    if along <= LEAD_ALONG:
+        return []
+    angle, least = (np.degrees(np.arccos(min(value, 1.0))) for value in (along, LEAD_ALONG))
+    return [
+        Issue(
+            "straight.lead",
+            f"{op.name}: lead {list(cut.lead)} of {cut.surface} is {angle:.0f} degrees off the wire; "
+            f"{least:.0f} at least are wanted: give a direction across the wire, or auto",
+            field=cut.surface,
+        )
+    ]
 
 
 def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:

@@ -34,9 +34,7 @@ def actions(
     ]
     for number, cut in enumerate(cuts):
         if op.spacers and drops(cut, setup):
-            out += _spacers(
-                op, route.ends[number], float(kerf.at(np.array(op.feed(cut.wanted.cut))))
-            )
+            out += _spacers(op, route.ends[number], float(kerf.at(np.array(op.feed(cut.wanted.cut)))))
     return (
         *out,
         Action(last, "off", signal=op.signal),
