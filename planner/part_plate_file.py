@@ -130,7 +130,9 @@ def letters(number: int) -> str:
 
 
 def _guides(spec: PlateFile, folder: Path) -> tuple[list[Guide], list[str], list[Issue]]:
-    guides, names, notes = [], [], []
+    guides: list[Guide] = []
+    names: list[str] = []
+    notes: list[Issue] = []
     for index, own in enumerate(spec.outlines):
         guides.append(_guide(own, spec.corner_deg * DEG))
         names.append(f"part.plate.outlines.{index}")
@@ -155,10 +157,16 @@ def _guides(spec: PlateFile, folder: Path) -> tuple[list[Guide], list[str], list
             notes.append(
                 Issue("part.dxf_left_out", what, Severity.NOTE, file=str(path), field="part.plate.dxf")
             )
-        for number, curve in enumerate(curves, start=1):
+        # a drawing has no order of its own: from left to right
+        for number, curve in sorted(enumerate(curves, start=1), key=lambda c: _corner(c[1].points)):
             guides.append(polyline(curve.points * [1.0, 1.0, 0.0], True, spec.corner_deg * DEG))
             names.append(f"part.plate.dxf (curve {number})")
     return guides, names, notes
+
+
+def _corner(points: FloatArray) -> tuple[float, ...]:
+    """Least x and y [mm] of points (N, 3), rounded."""
+    return tuple((points[:, :2].min(axis=0) / MM).round(3).tolist())
 
 
 def _guide(spec: OutlineFile, angle: float) -> Guide:

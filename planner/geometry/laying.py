@@ -61,7 +61,7 @@ def lay_along(parts: Sequence[Ruled], size: FloatArray, longest_first: bool) -> 
 
 def _turned(direction: FloatArray, axis: int) -> FloatArray:
     """A rotation (3, 3) that takes ``direction`` along a block axis and leaves z up as far as it can."""
-    own = direction / np.linalg.norm(direction)
+    own = direction / max(float(np.linalg.norm(direction)), 1e-12)
     up = np.eye(3)[2] if abs(own[2]) < 0.8 else np.eye(3)[0]
     up = up - (up @ own) * own
     up = up / np.linalg.norm(up)
@@ -161,9 +161,9 @@ def _folds(part: Ruled) -> int | None:
 
 def _across(direction: FloatArray) -> FloatArray:
     """Two unit vectors as (3, 2) at right angles to ``direction``, counterclockwise about it."""
-    own = direction / np.linalg.norm(direction)
+    own = direction / max(float(np.linalg.norm(direction)), 1e-12)
     x = np.cross(np.eye(3)[int(np.argmin(np.abs(own)))], own)
-    x = x / np.linalg.norm(x)
+    x = x / max(float(np.linalg.norm(x)), 1e-12)
     return np.stack([x, np.cross(own, x)], axis=1)
 
 

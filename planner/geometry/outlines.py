@@ -78,7 +78,7 @@ def check(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Issue]:
 
 def nested(rings: Sequence[FloatArray], corners: Sequence[NDArray[np.bool_]]) -> list[Outline]:
     """The rings, counterclockwise, with their depth, in the order in which they may be cut: the inmost first,
-    each hole before the outline around it, and from left to right.
+    each hole before the outline around it, and otherwise as they are given.
 
     They must be free of the faults that :func:`check` finds. ``inside`` is the index, in the list returned,
     of the outline next around.
@@ -88,7 +88,7 @@ def nested(rings: Sequence[FloatArray], corners: Sequence[NDArray[np.bool_]]) ->
     within = np.zeros((len(rings), len(rings)), dtype=np.bool_)
     within[inner, outer] = inner != outer
     depth = within.sum(axis=1)
-    order = sorted(range(len(rings)), key=lambda i: (-int(depth[i]), *np.round(rings[i].min(axis=0), 6)))
+    order = sorted(range(len(rings)), key=lambda i: -int(depth[i]))
     out = []
     for i in order:
         around = [j for j in np.flatnonzero(within[i]) if depth[j] == depth[i] - 1]

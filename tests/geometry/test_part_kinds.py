@@ -256,7 +256,7 @@ def test_outlines_go_through_the_plate_with_holes_first_and_pieces_in_holes_befo
         np.testing.assert_allclose(ruled.end[:, 2], 0.1)
         out = np.sum(outward(ruled)[0] * (ruled.start - ruled.start.mean(axis=0)), axis=1)
         assert ((out < 0) if ruled.hole else (out > 0)).all()
-    ring = part.ruled[2].start[:, :2]
+    ring = part.ruled[1].start[:, :2]
     centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
     np.testing.assert_allclose(centre, [0.02, 0.02], atol=1e-6)
     # the chord of a step a sags by r (1 - cos(a / 2))
@@ -397,3 +397,11 @@ def test_a_shell_piece_stands_on_its_base_though_its_sides_lean(tmp_path: Path) 
     assert np.ptp(sides.start[:, 2]) < 1e-12
     np.testing.assert_allclose(np.ptp(sides.start, axis=0)[:2], [0.96, 0.56 * np.sin(np.pi / 3)], atol=1e-9)
     assert (np.sum((outward(sides)[0] * sides.start)[:, :2], axis=1) > 0).all()
+
+
+def test_outlines_beside_one_another_keep_the_order_in_which_they_are_given() -> None:
+    upper, lower = circle(20, 70, 15), circle(20, 20, 15)
+    for given, first in (((upper, lower), 0.07), ((lower, upper), 0.02)):
+        part = make({"plate": {"outlines": list(given)}, "in_stock": {}})
+        assert [r.name for r in part.ruled] == ["outline_a", "outline_b"]
+        assert part.ruled[0].start[:, 1].mean() == pytest.approx(first, abs=1e-6)
