@@ -34,6 +34,9 @@ Choice = Discriminator(_word_or_mapping)
 PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice]
 Extra = Annotated[float, Field(ge=0, le=5000)]
 Sides = tuple[Extra, Extra]
+FLAT_ANGLE: Final = 1.0 * DEG
+FLAT_GAP: Final = 0.5 * MM
+"""How far a block's bottom face may be turned and moved off the gripper that holds it [rad, m]."""
 
 
 class FoamReference(Strict):
@@ -212,7 +215,20 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
 
 
 def _footprint(block: Stock, arm: Arm, field: str) -> Iterator[Issue]:
-    """The gripper must lie within the block's bottom face."""
+    """The gripper must lie flat on the block's bottom face, and within it."""
+    lean = float(np.arccos(np.clip(block.grip[2, 2], -1.0, 1.0)))
+    gap = float(block.grip[2, 3] + block.lower[2])
+    if lean > FLAT_ANGLE or abs(gap) > FLAT_GAP:
+        how = f"{lean / DEG:.1f} degrees off it" if lean > FLAT_ANGLE else f"{gap / MM:.1f} mm off it"
+        yield Issue(
+            "stock.footprint",
+            f"{field}.grip: the block's bottom face must lie on {arm.tool.name}, whose z points into the "
+            f"block, but is {how}; allowed are {FLAT_ANGLE / DEG:g} degrees and {FLAT_GAP / MM:g} mm: turn "
+            f"the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)",
+            field=f"{field}.grip",
+            arm=arm.name,
+        )
+        return
     half = 0.5 * np.array(arm.tool.footprint)
     corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     on_block = corners @ np.linalg.inv(block.grip).T

@@ -41,9 +41,8 @@ def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Target
     todo = wanted(operation, setup, part)
     kerf, thickness = _kerf(operation, setup, bow, todo)
     ruled = () if part is None else part.ruled
-    contours = tuple(r for r in ruled if r.closed)
     box = stock.box
-    cuts = [make_cut(operation, w, contours, kerf, bow.radius, box, -stock.gravity) for w in todo]
+    cuts = _cuts(operation, setup, part, bow, todo, kerf)
     issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
     issues += check_model(operation, setup, bow, cuts, thickness)
     if has_errors(issues):
@@ -54,7 +53,7 @@ def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Target
     first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM, bow.span)
     pose = straight_frames.poses(route.lines, box, first, last)
     issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
-    issues += check_holder(operation, setup, route.lines, route.segment)
+    issues += check_holder(operation, setup, cuts, route.lines, route.segment)
     if has_errors(issues):
         raise TandemError(aggregate(issues))
     return _targets(operation, setup, bow, todo, kerf, cuts, route, pose, (first, last), issues)
@@ -64,7 +63,19 @@ def claims(operation: Straight, setup: Setup, part: Part | None) -> tuple[Claim,
     """What must hold of the job, from the problem alone."""
     bow = bow_of(operation, setup)
     todo = wanted(operation, setup, part)
-    return straight_claims.claims(operation, setup, bow, todo, _kerf(operation, setup, bow, todo)[0])
+    kerf = _kerf(operation, setup, bow, todo)[0]
+    closed = [one for one in todo if one.ruled.closed]  # these alone have slits
+    slits = straight_claims.slits(_cuts(operation, setup, part, bow, closed, kerf))
+    return straight_claims.claims(operation, setup, bow, todo, kerf, slits)
+
+
+def _cuts(
+    op: Straight, setup: Setup, part: Part | None, bow: Bow, todo: list[Wanted], kerf: KerfCurve
+) -> list[Cut]:
+    """The cuts of some surfaces, each from air to air."""
+    contours = () if part is None else tuple(r for r in part.ruled if r.closed)
+    stock = setup.stock
+    return [make_cut(op, one, contours, kerf, bow.radius, stock.box, -stock.gravity) for one in todo]
 
 
 def _kerf(op: Straight, setup: Setup, bow: Bow, todo: list[Wanted]) -> tuple[KerfCurve, float]:
@@ -112,7 +123,7 @@ def _targets(
         stop=route.stop,
         segment=route.segment,
         actions=actions(op, bow, setup, cuts, route, kerf),
-        claims=straight_claims.claims(op, setup, bow, todo, kerf),
+        claims=straight_claims.claims(op, setup, bow, todo, kerf, straight_claims.slits(cuts)),
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
     )

@@ -15,7 +15,7 @@ from planner.hotwire.kerf_flag import KerfFlag, explain
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines, chord, distance_to_polyline, exit_length, grown
 from planner.hotwire.straight_operation import Straight
-from planner.hotwire.straight_section import pieces_across
+from planner.hotwire.straight_section import holds, pieces_across
 from planner.hotwire.straight_spared import check_spared
 from planner.hotwire.straight_tool import Bow, corners
 from planner.issues import Issue, Severity
@@ -220,12 +220,26 @@ def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> Fl
     return best
 
 
-def check_holder(op: Straight, setup: Setup, lines: Lines, segment: tuple[str, ...]) -> Iterator[Issue]:
-    """No wire that cuts comes within the margin of the plate that holds the block."""
+def check_holder(
+    op: Straight, setup: Setup, cuts: list[Cut], lines: Lines, segment: tuple[str, ...]
+) -> Iterator[Issue]:
+    """No wire that cuts comes within the margin of the plate that holds the block, and what is cut free is
+    what the plate holds."""
     holder = setup.stock.held_by
     if holder is None:
         return
     tool = setup.cell.arm(holder).tool
+    outlines = [c.wanted.ruled for c in cuts if c.wanted.ruled.closed and not c.wanted.ruled.hole]
+    foot = inverse(setup.stock.grip)[:3, 3]
+    if outlines and not any(holds(outline, foot) for outline in outlines):
+        yield Issue(
+            "stock.footprint",
+            f"{op.name}: {tool.name} holds the block at {_place(foot)}, beside {outlines[0].name}, so that "
+            "the part falls when it is cut free; move the grip below the part",
+            field="stock.grip",
+            arm=holder,
+        )
+        return
     to_stock = inverse(setup.stock.grip) @ inverse(tool.tcp)
     cutting = np.array([label.startswith("cut/") for label in segment])
     for shape in tool.shapes:

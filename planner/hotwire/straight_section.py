@@ -85,6 +85,15 @@ def pieces_across(own: Ruled, ruled: Sequence[Ruled], box: FloatArray, level: fl
     return Pieces(plane, others, enclosed)
 
 
+def holds(outline: Ruled, foot: FloatArray) -> bool:
+    """Whether a gripper below the block with the middle of its face at ``foot`` (3,) [m] holds what an
+    outline cuts free; true for outlines whose rulings lie rather than stand."""
+    if abs(_direction(outline)[2]) < ALONG:
+        return True
+    plane = _across(np.asarray(foot, dtype=np.float64), np.array([0.0, 0.0, 1.0]))
+    return bool(_polygon(outline, plane).intersects(shapely.Point(0.0, 0.0)))
+
+
 def depths(ruled: Sequence[Ruled]) -> list[int]:
     """In how many other closed surfaces of the same direction each closed one lies; 0 for strips."""
     out = [0] * len(ruled)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -153,6 +154,18 @@ def test_a_gripper_larger_than_the_parts_face_is_in_the_wires_way() -> None:
     assert issue.arm == "right"
     part, setup = held(0.03)
     assert "stock.footprint" not in issues(part, setup, arms=["left", "right"], margin_mm=15)
+
+
+def test_a_gripper_beside_the_part_would_let_it_fall() -> None:
+    part, setup = held(0.02)
+    grip = np.eye(4)
+    grip[0, 3] = -0.085
+    beside = dataclasses.replace(
+        setup, stock=dataclasses.replace(setup.stock, size=np.array([0.4, 0.2, 0.1]))
+    )
+    beside = dataclasses.replace(beside, stock=dataclasses.replace(beside.stock, grip=grip * 1.0))
+    issue = refusal("stock.footprint", part, beside, arms=["left", "right"], margin_mm=2)
+    assert "falls" in issue.message
 
 
 @pytest.mark.parametrize(
