@@ -118,6 +118,18 @@ class KerfWithin:
 
 
 @dataclasses.dataclass(frozen=True)
+class SlitAllowed:
+    """In ``segment``, a way in or out, a straight wire may pass through the part in one plane: it is moved
+    along ``way`` (3,), a unit vector, from where it lies through ``start`` and ``end`` (3,) [m, stock
+    frame]."""
+
+    segment: str
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    way: NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
 class HoldsStock:
     """The tool of ``arm`` holds the stock, ``grip`` (4, 4) being the stock frame in its TCP frame, and the
     controller knows the load: ``mass`` [kg], ``cog`` (3,) [m] in the TCP frame."""
@@ -170,6 +182,7 @@ Claim = (
     | CutsSurface
     | FollowsRulings
     | KerfWithin
+    | SlitAllowed
     | HoldsStock
     | ContactOnlyIn
     | FeedWindow

@@ -15,20 +15,31 @@ from planner.claims import (
     HoldsStock,
     KerfCurve,
     KerfWithin,
+    SlitAllowed,
     StraightWire,
 )
 from planner.geometry.rulings import tessellate
+from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted
 from planner.hotwire.straight_tool import Bow
 from planner.problem import Ruled, Setup
 from planner.units import MM
 
+THROUGH: Final = 1e-5
+"""[m] a way in that is in the part for less than this spares it."""
 SURFACE_CHORD: Final = 2e-5
 """[m] the triangles of a wanted surface are as near to it as this."""
 
 
-def claims(op: Straight, setup: Setup, bow: Bow, cuts: list[Wanted], kerf: KerfCurve) -> tuple[Claim, ...]:
+def claims(
+    op: Straight,
+    setup: Setup,
+    bow: Bow,
+    cuts: list[Wanted],
+    kerf: KerfCurve,
+    slits: tuple[SlitAllowed, ...] = (),
+) -> tuple[Claim, ...]:
     """Claims on the bow, on each cut, on the contact and on the block's holder."""
     ends = np.array([[-0.5 * bow.span, 0.0, 0.0], [0.5 * bow.span, 0.0, 0.0]])
     out: list[Claim] = [
@@ -50,6 +61,26 @@ def claims(op: Straight, setup: Setup, bow: Bow, cuts: list[Wanted], kerf: KerfC
     if stock.held_by is not None and stock.mass is not None:
         middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
         out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
+    return (*out, *slits)
+
+
+def slits(cuts: list[Cut]) -> tuple[SlitAllowed, ...]:
+    """The slits by which the wire comes through the part to what is closed, and leaves it again."""
+    out = []
+    for cut in cuts:
+        if cut.start is None or cut.start.through <= THROUGH:
+            continue
+        way = cut.start.way
+        for suffix, line, on in (
+            ("_in", cut.into[[-1]], cut.on.lines[[0]]),
+            ("_out", cut.out[[0]], cut.on.lines[[-1]]),
+        ):
+            # the slit ends where the wire meets the surface
+            start, end = (
+                at[0] + ((to[0] - at[0]) @ way) * way
+                for at, to in zip((line.start, line.end), (on.start, on.end), strict=True)
+            )
+            out.append(SlitAllowed(cut.wanted.segment + suffix, start, end, way))
     return tuple(out)
 
 

@@ -185,6 +185,11 @@ class Context:
         """The block as setup ``index`` finds it."""
         return self.setups[index].stock
 
+    @cached_property
+    def datum(self) -> Stock:
+        """The datum block, without oversize."""
+        return dataclasses.replace(self.problem.stock, oversize=np.zeros((2, 3)))
+
     def holder(self, index: int) -> HoldsStock | None:
         """Who holds the block in setup ``index``, from its claims, else from the problem."""
         stock, claims = self.stock(index), self.setup_claims[index].holds

@@ -24,6 +24,7 @@ from planner.verify import (
     rules_data,
     rules_frames,
     rules_motion,
+    rules_part,
     rules_power,
     rules_setup,
     rules_straight,
@@ -90,6 +91,7 @@ MOTION: _RuleTable = (
     ("verify.singularity", rules_motion.singularity),
     ("verify.tcp_speed", rules_motion.tcp_speed),
     ("verify.follows", rules_motion.follows),
+    ("verify.order", rules_part.order),
 )
 WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.wire_length", rules_wire.wire_length),
@@ -101,6 +103,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.feed", rules_wire.feed),
     ("verify.bow", rules_straight.bow),
     ("verify.rulings", rules_straight.rulings),
+    ("verify.part", rules_part.part),
 )
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kinematics", rules_cell.kinematics),

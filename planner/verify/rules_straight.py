@@ -16,6 +16,7 @@ from planner.verify.speed import during, local
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 ROUNDED = 1e-4
 """What rounded targets may take from a margin [m]."""
@@ -25,6 +26,8 @@ EDGE = 1e-6
 """How far a claimed wire may be off the tool's edge [m]."""
 GUIDE_STEP = 0.002
 """Distance of the places of a guide line that must be passed [m]."""
+FINE = 0.001
+"""Way of the wire's ends between looks at its rulings [m]."""
 _CHUNK = 400_000
 
 
@@ -128,7 +131,7 @@ def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
 
 def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """All along a ruled surface, at and between targets, the straight wire is half a kerf off both guide
-    lines, and passes all of both."""
+    lines, on their outer side, and passes all of both."""
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for claim in context.rulings:
@@ -139,10 +142,11 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             if wire.fault or wire.setup != context.of_segment[label] or len(rows) < 2:
                 continue
             seen = True
-            speed = local(wire.points, context.motion.time[wire.sample])[rows]
-            points = wire.points[rows]
-            for name, guide in (("start", claim.start), ("end", claim.end)):
-                off, half = _off_guide(points, speed, guide, claim)
+            speed = local(wire.points, context.motion.time[wire.sample])
+            points, speed, rows = between(wire.points, speed, rows)
+            normal = guide_normals(claim)
+            for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):
+                off, half = _off_guide(points, speed, guide, side, claim)
                 k = int(np.argmax(off))
                 if limit is None or off[k] > worst:
                     worst, limit, where = float(off[k]), mm(claim.tolerance), claim.segment
@@ -164,11 +168,53 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no such claim")
 
 
+def between(points: FloatArray, speed: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Wires (N, P, 3) and their speeds (N, P) at stations ``rows`` and every ``FINE`` on the way to each from
+    the station before, which is straight; the station (N,) that each leads to."""
+    before = np.maximum(rows - 1, 0)
+    way = np.linalg.norm(points[rows][:, [0, -1]] - points[before][:, [0, -1]], axis=2).max(axis=1)
+    # the way to the first station of a visit belongs to what was before
+    way[np.concatenate([[True], np.diff(rows) > 1])] = 0.0
+    count = np.maximum(np.ceil(way / FINE).astype(np.int64), 1)
+    at = np.repeat(np.arange(len(rows)), count)
+    step = np.arange(len(at)) - np.repeat(np.cumsum(count) - count, count)
+    share = ((step + 1) / count[at])[:, None]
+    a, b = before[at], rows[at]
+    wires = points[a] + share[..., None] * (points[b] - points[a])
+    return wires, speed[a] + share * (speed[b] - speed[a]), b
+
+
+def guide_normals(claim: FollowsRulings) -> tuple[FloatArray, FloatArray]:
+    """Unit normals (M - 1, 3) away from the part along both guide lines; 0 where a line stands still."""
+    along = claim.end - claim.start
+    along = along[:-1] + along[1:]
+    out = []
+    for guide in (claim.start, claim.end):
+        normal = np.cross(np.diff(guide, axis=0), along)
+        size = np.linalg.norm(normal, axis=1, keepdims=True)
+        out.append(np.where(size > 1e-14, normal / np.maximum(size, 1e-14), 0.0))
+    return out[0], out[1]
+
+
+def _outside(
+    out: FloatArray, k: IntArray, share: FloatArray, normal: FloatArray, closed: bool
+) -> NDArray[np.bool_]:
+    """Whether ways (T, 3) from places on a guide line, at ``share`` (T,) of pieces ``k`` (T,), lead away from
+    the part; at a corner the normals of both its pieces count."""
+    count = len(normal)
+    here = normal[k]
+    past = np.where(share <= 0.0, k - 1, np.where(share >= 1.0, k + 1, k))
+    past = past % count if closed else np.clip(past, 0, count - 1)
+    return np.asarray(np.einsum("ti,ti->t", out, here + normal[past]) >= -1e-12)
+
+
 def _off_guide(
-    points: FloatArray, speed: FloatArray, guide: FloatArray, claim: FollowsRulings
+    points: FloatArray, speed: FloatArray, guide: FloatArray, normal: FloatArray, claim: FollowsRulings
 ) -> tuple[FloatArray, FloatArray]:
-    """How far (T,) [m] the wire's line is off half its kerf from a guide line (M, 3), and that half kerf (T,)
-    at the place of the wire that is nearest to it."""
+    """How far (T,) [m] the wire's line is off half its kerf from a guide line (M, 3), on the side that
+    ``normal`` (M - 1, 3) points to, and that half kerf (T,) at the place of the wire that is nearest to
+    it."""
+    closed = bool(np.abs(guide[0] - guide[-1]).max() < 1e-9)
     start = points[:, 0]
     way = points[:, -1] - start
     length = np.linalg.norm(way, axis=1)
@@ -192,7 +238,9 @@ def _off_guide(
         fast = speed[part]
         here = fast[row, left] + (at - left) * (fast[row, left + 1] - fast[row, left])
         half[part] = 0.5 * claim.kerf.at(here)
-        off[part] = np.abs(distance[row, k] - half[part])
+        out = -(a[row, k] + share[row, k, None] * edge[row, k])
+        sign = np.where(_outside(out, k, share[row, k], normal, closed), 1.0, -1.0)
+        off[part] = np.abs(sign * distance[row, k] - half[part])
     return off, half
 
 

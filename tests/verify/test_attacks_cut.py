@@ -1,0 +1,170 @@
+"""Cuts in another order, ways in and out through the part, wires on the wrong side of a surface: each is
+refused, and by which rule; and the distances to walls by which the proof sees it, against closed forms."""
+
+from __future__ import annotations
+
+import functools
+import re
+
+import numpy as np
+import pytest
+
+from planner.claims import CutsSurface, FollowsRulings, KerfCurve, SlitAllowed
+from planner.verify.prove import Prover
+from planner.verify.rules_straight import _off_guide, between, guide_normals
+from planner.verify.walls import walls
+from tests.verify import small_job, straight_job
+from tests.verify.bow_mutants import moves, put, rows_of
+from tests.verify.mutants import edit, name
+
+COUNT = 12
+KERF = KerfCurve.constant(0.001)
+
+
+@functools.cache
+def prover(job, slit=False):
+    claims = dict(job.claims())
+    if slit:
+        start, end = (points[-2] - [0.0, 0.0, 0.018] for points in straight_job.way(0, COUNT)[0])
+        ways = [SlitAllowed("cut/top_out", start, end, np.array([x, 0.0, 0.0])) for x in (1.0, -1.0)]
+        claims["top"] = (*claims["top"], *ways)
+    return Prover(job.problem(), claims)
+
+
+def codes(job, texts, last, slit=False):
+    proof = prover(job, slit).prove(texts, last=last)
+    return {issue.code for issue in proof.issues}
+
+
+# ---- order ----------------------------------------
+
+
+def test_cuts_in_another_order():
+    """What is cut free first may fall before the rest is cut."""
+    texts = small_job.programs(COUNT)
+    for task in (1, 2):
+        main = rows_of(texts, task, "Main")
+        a, b = (
+            next(i for i, row in enumerate(main) if row.strip() == f"cut_{side};")
+            for side in ("front", "back")
+        )
+        main[a], main[b] = main[b], main[a]
+        texts = put(texts, task, "Main", main)
+    assert "verify.order" in codes(small_job, texts, "verify.order")
+
+
+def test_a_cut_once_more_behind_another():
+    texts = small_job.programs(COUNT)
+    for task in (1, 2):
+        texts = edit(texts, name("Main", task), "    cut_back;", "    cut_back;\n    cut_front;")
+    assert "verify.order" in codes(small_job, texts, "verify.order")
+
+
+def test_the_way_out_before_the_way_in():
+    clean = straight_job.programs(COUNT)
+    main = clean[name("Main", 1)].replace("cut_top_in;", "X;").replace("cut_top_out;", "cut_top_in;")
+    texts = {**clean, name("Main", 1): main.replace("X;", "cut_top_out;")}
+    assert "verify.order" in codes(straight_job, texts, "verify.order")
+
+
+# ---- ways in and out ----------------------------------------
+
+
+def lowered(row, by, back):
+    x, y, z = re.search(r"MoveL \[\[([^,]*),([^,]*),([^\]]*)\]", row).groups()
+    place = f"[[{float(x) - back:.4f},{y},{float(z) - by:.4f}]"
+    return row.replace(f"[[{x},{y},{z}]", place, 1).replace(",fine,", ",z1,")
+
+
+def through_the_part(by):
+    """On its way out the wire goes back through the block beneath the face, and out again."""
+    texts = straight_job.programs(COUNT)
+    rows = rows_of(texts, 1, "Cut1")
+    last = moves(texts, 1, "cut_top_out")[-1]
+    low = [lowered(rows[last], by, 10.0 * k) for k in range(19)]
+    rows[last:last] = [*low, *reversed(low[:-1])]
+    return put(texts, 1, "Cut1", rows)
+
+
+def test_ways_out_do_not_pass_the_part():
+    assert "verify.part" in codes(straight_job, through_the_part(18.0), "verify.part")
+
+
+def test_stated_slits_may_pass_the_part():
+    """A plane, the one that the wire is moved in; another one is none."""
+    assert "verify.part" not in codes(straight_job, through_the_part(18.0), "verify.part", slit=True)
+    assert "verify.part" in codes(straight_job, through_the_part(12.0), "verify.part", slit=True)
+
+
+# ---- sides of a ruled surface ----------------------------------------
+
+
+def corner(inner=False):
+    """Rulings along y around a corner of 90 degrees: the part is below and left of it."""
+    line = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -0.1]])
+    if inner:
+        line = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    return FollowsRulings("cut/x", line, line + np.array([0.0, 0.2, 0.0]), KERF, 0.0003)
+
+
+def wire_at(*places):
+    start = np.array([[x, -0.1, z] for x, z in places])
+    return np.stack([start, start + np.array([0.0, 0.4, 0.0])], axis=1)
+
+
+def off(claim, points):
+    speed = np.full(points.shape[:2], 0.005)
+    points, speed, _ = between(points, speed, np.arange(len(points)))
+    normals = guide_normals(claim)
+    return _off_guide(points, speed, claim.start, normals[0], claim)[0]
+
+
+@pytest.mark.parametrize("inner", [False, True])
+def test_half_a_kerf_into_the_part_is_not_half_a_kerf_off_it(inner):
+    claim = corner(inner)
+    assert off(claim, wire_at((-0.05, 0.0005)))[0] == pytest.approx(0.0, abs=1e-9)
+    assert off(claim, wire_at((-0.05, -0.0005)))[0] == pytest.approx(0.001, abs=1e-9)
+    side = 0.0005 if inner else -0.0005
+    assert off(claim, wire_at((side, 0.05 if inner else -0.05)))[0] == pytest.approx(0.001, abs=1e-9)
+
+
+def test_a_corner_is_not_cut_off_between_two_looks():
+    """Both looks are half a kerf off the surface; the way between them passes the corner inside."""
+    ways = wire_at((-0.0016, 0.0005), (0.0005, -0.0016))
+    assert off(corner(), ways[:1]).max() < 1e-9
+    assert off(corner(), ways[1:]).max() < 1e-9
+    assert off(corner(), ways).max() > 2.0 * corner().tolerance
+    around = wire_at((-0.0016, 0.0005), (0.0, 0.0005), (0.00035, 0.00035), (0.0005, 0.0), (0.0005, -0.0016))
+    assert off(corner(), around).max() < 1e-4
+
+
+# ---- walls ----------------------------------------
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * [0.1, 0.05, 0.02]
+BOTTOM, TOP = [[0, 2, 6], [0, 6, 4]], [[1, 5, 7], [1, 7, 3]]
+ENDS = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]]
+SIDES = np.array([*ENDS, *BOTTOM, *TOP])
+
+
+def box_off(points):
+    low, high = CUBE.min(axis=0), CUBE.max(axis=0)
+    over = np.maximum(low - points, points - high)
+    outside = np.linalg.norm(np.maximum(over, 0.0), axis=1)
+    return np.where(outside > 0.0, outside, over.max(axis=1))
+
+
+def test_distances_to_a_closed_wall():
+    points = np.random.default_rng(3).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (4000, 3))
+    found, owner = walls((CutsSurface("cut/box", CUBE, SIDES, KERF, 0.0003),)).off(points)
+    assert np.abs(found - box_off(points)).max() < 1e-9
+    assert (owner == 0).all()
+
+
+def test_distances_to_an_open_wall():
+    """The top of the box alone: what is beside it is not known, what is beneath it is inside."""
+    top = CutsSurface("cut/top", CUBE, np.array(TOP), KERF, 0.0003)
+    points = np.random.default_rng(4).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (2000, 3))
+    found, _ = walls((top,)).off(points)
+    over = ((points > CUBE.min(axis=0)) & (points < CUBE.max(axis=0)))[:, :2].all(axis=1)
+    assert np.isnan(found[~over]).all()
+    assert np.abs(found[over] - (points[over, 2] - 0.02)).max() < 1e-9
