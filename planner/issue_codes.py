@@ -114,6 +114,7 @@ CODES: Final[dict[str, str]] = {
     "straight.crossing": "beside one piece of a surface the wire cuts into another",
     "straight.slit": "the wire comes to a hole through a slit in the part",
     "straight.lead": "the wire would come to an outline through the part",
+    "straight.drop": "what is above a level cut drops by a kerf before it is cut itself",
     "part.missing_surface": "a ruled surface is to be cut that the part does not have",
     # writing programs
     "post.tasks": "the controller has no task or unit for an arm, or has too few",

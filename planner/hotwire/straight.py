@@ -20,7 +20,7 @@ from planner.hotwire.straight_lines import Lines, chord, fastest
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted, wanted
 from planner.hotwire.straight_route import Route, lay_out
-from planner.hotwire.straight_steps import actions
+from planner.hotwire.straight_steps import actions, check_drops
 from planner.hotwire.straight_tool import Bow, bow_of
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup
@@ -44,6 +44,7 @@ def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Target
     box = stock.box
     cuts = _cuts(operation, setup, part, bow, todo, kerf)
     issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
+    issues += check_drops(operation, cuts, setup)
     issues += check_model(operation, setup, bow, cuts, thickness)
     if has_errors(issues):
         raise TandemError(aggregate(issues))
@@ -122,7 +123,7 @@ def _targets(
         travel=np.where(np.isfinite(in_foam), in_foam, _in_air(pose, bow.span)),
         stop=route.stop,
         segment=route.segment,
-        actions=actions(op, bow, setup, cuts, route, kerf),
+        actions=actions(op, bow, setup, cuts, route),
         claims=straight_claims.claims(op, setup, bow, todo, kerf, straight_claims.slits(cuts)),
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
-from planner.claims import KerfCurve
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_route import Route
 from planner.hotwire.straight_tool import Bow
+from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.targets import Action
 from planner.units import MM
@@ -19,9 +20,7 @@ LEVEL: Final = 0.7
 """Least cosine between a cut's normal and the vertical from which what is above it rests on the slot."""
 
 
-def actions(
-    op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route, kerf: KerfCurve
-) -> tuple[Action, ...]:
+def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route) -> tuple[Action, ...]:
     """The operator's steps and the wire's power, by target."""
     wire = f"{2.0 * bow.radius / MM:g} mm {op.wire_material}".strip()
     heat = f"{op.power_w:g} W" if op.power_w is not None else f"heat for a slot of {op.kerf_mm:g} mm"
@@ -34,7 +33,7 @@ def actions(
     ]
     for number, cut in enumerate(cuts):
         if op.spacers and drops(cut, setup):
-            out += _spacers(op, route.ends[number], float(kerf.at(np.array(op.feed(cut.wanted.cut)))))
+            out += _spacers(op, route.ends[number], 2.0 * float(cut.on.half.mean()))
     return (
         *out,
         Action(last, "off", signal=op.signal),
@@ -50,6 +49,26 @@ def drops(cut: Cut, setup: Setup) -> bool:
         return False
     normal = cut.on.row.normal.mean(axis=(0, 1))
     return bool(abs(normal @ setup.stock.gravity) > LEVEL * np.linalg.norm(normal))
+
+
+def check_drops(op: Straight, cuts: list[Cut], setup: Setup) -> Iterator[Issue]:
+    """straight.drop where no spacers are asked for and what drops by a kerf is cut later."""
+    up = -setup.stock.gravity
+    height = [float((cut.on.row.foot.start + cut.on.row.foot.end).mean(axis=0) @ up) for cut in cuts]
+    for number, cut in enumerate(cuts):
+        later = [k for k in range(number + 1, len(cuts)) if height[k] > height[number]]
+        if op.spacers or not later or not drops(cut, setup):
+            continue
+        slot = 2.0 * float(cut.on.half.mean()) / MM
+        yield Issue(
+            "straight.drop",
+            f"{op.name}: what is above {cut.wanted.segment} drops by the slot of {slot:.1f} mm before "
+            f"{cuts[later[0]].wanted.segment} is cut in it; set spacers: true, or cut it later",
+            Severity.WARNING,
+            field=cut.wanted.segment,
+            value=slot,
+            unit="mm",
+        )
 
 
 def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:

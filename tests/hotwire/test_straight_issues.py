@@ -185,3 +185,23 @@ def test_contradictions_in_the_file_are_refused(change: dict[str, object], words
     base = {"name": "shape", "process": "straight_wire", "arms": ["left"], "kerf_mm": 1.5}
     with pytest.raises(ValidationError, match=words):
         Straight.model_validate_json(json.dumps(base | change), strict=True)
+
+
+@pytest.mark.parametrize(
+    ("order", "spacers", "told"),
+    [
+        (["bottom", "left"], False, True),
+        (["bottom", "left"], True, False),
+        (["left", "bottom"], False, False),
+    ],
+)
+def test_a_block_that_drops_by_a_slot_before_it_is_cut_on_is_told(
+    order: list[str], spacers: bool, told: bool
+) -> None:
+    block = blocks.stock((0.2, 0.2, 0.1), oversize=np.array([[0.01, 0.0, 0.01], [0.0, 0.0, 0.0]]))
+    found = issues(None, blocks.setup(block), cuts=[{"trim": order}], spacers=spacers)
+    assert ("straight.drop" in found) == told
+    if told:
+        assert found["straight.drop"].severity is Severity.WARNING
+        assert found["straight.drop"].value == pytest.approx(1.5)
+        assert "trim_left" in found["straight.drop"].message
