@@ -176,7 +176,18 @@ def _validate(
         text = json.dumps(data)
         return model.model_validate_json(text, strict=True, context={"folder": document.path.parent}), []
     except ValidationError as error:
-        return None, [_field_issue(dict(e), document, prefix, data) for e in error.errors()]
+        told = [dict(e) for e in error.errors() if not _emptied(dict(e))]
+        return None, [_field_issue(e, document, prefix, data) for e in told]
+
+
+def _emptied(error: dict[str, Any]) -> bool:
+    """Whether a list is called too short only because its entries have faults, which are told themselves."""
+    got = error.get("input")
+    return (
+        error["type"] == "too_short"
+        and isinstance(got, list)
+        and len(got) >= error.get("ctx", {}).get("min_length", 0)
+    )
 
 
 def _field_issue(

@@ -327,3 +327,14 @@ def test_programs_that_run_for_days_are_not_replayed(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
         pipeline.verify(problem, slow)
     assert codes(caught.value.issues) == {"verify.duration"}
+
+
+def test_a_list_whose_entries_have_faults_is_not_called_too_short(tmp_path: Path) -> None:
+    cut = {"trim": ["left"], "along": "x"}
+    straight = {"name": "a", "process": "straight_wire", "arms": ["left"], "kerf_mm": 1, "cuts": [cut]}
+    path = small_problem.write(tmp_path, small_problem.PROBLEM)
+    data = yaml.safe_load(path.read_text())
+    data["operations"] = [straight]
+    path.write_text(yaml.safe_dump(data))
+    (issue,) = refused(path)
+    assert "across the side" in issue.message
