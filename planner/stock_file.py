@@ -186,6 +186,13 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             field="stock.foam",
         )
         return
+    if block.support:
+        yield Issue(
+            "problem.field",
+            f"{field}.support: a block that arm {name} holds stands on nothing; give support: [], and "
+            "put what else stands in the cell among its obstacles",
+            field=f"{field}.support",
+        )
     payload, needed = robot(arm.robot).payload, SHAKES * block.mass * GRAVITY
     if arm.tool.mass + block.mass > payload:
         yield Issue(

@@ -99,6 +99,11 @@ def test_a_held_block_weighs_what_its_foam_weighs(tmp_path: Path) -> None:
         ({"held_by": "right", "size_mm": [2000, 2000, 1000]}, "stock.too_heavy", "carries 6 kg"),
         ({"held_by": "right", "size_mm": [150, 200, 100]}, "stock.footprint", "5.0 mm"),
         ({"held_by": "right", "grip": {"xyz_mm": [90, 0, 0]}}, "stock.footprint", "20.0 mm"),
+        (
+            {"held_by": "right", "support": [{"kind": "sphere", "radius_mm": 9}]},
+            "problem.field",
+            "support: []",
+        ),
         ({"held_by": "right", "grip": {"xyz_mm": [0, 0, 3]}}, "stock.footprint", "3.0 mm off"),
         ({"held_by": "right", "grip": {"rpy_deg": [180, 0, 0]}}, "stock.footprint", "180.0 degrees"),
         ({"held_by": "right", "oversize_mm": [[0, 0], [0, 0], [8, 0]]}, "stock.footprint", "with 8 as its z"),
