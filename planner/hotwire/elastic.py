@@ -47,6 +47,16 @@ def make_targets(operation: ElasticWire, setup: Setup, part: Part | None) -> Tar
     wire cannot do it.
     """
     stock, wire = setup.stock, _wire(operation)
+    if stock.held_by is not None:
+        raise TandemError(
+            Issue(
+                "wire.held",
+                f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
+                "both its arms; let the block stand: setup: {held_by: nobody, place: auto}",
+                field="stock.held_by",
+                arm=stock.held_by,
+            )
+        )
     wanted = _wanted(operation, part)
     curve, feed = _kerf(operation, setup), operation.feed_mm_s * MM
     moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}

@@ -120,3 +120,13 @@ def test_best_sweep_prefers_short_sections_when_several_will_do() -> None:
 def test_a_contradictory_operation_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         panels.operation(**change)
+
+
+def test_a_block_that_an_arm_holds_is_not_for_an_elastic_wire() -> None:
+    own = panels.setup()
+    held = dataclasses.replace(own, stock=dataclasses.replace(own.stock, held_by="right"))
+    with pytest.raises(TandemError) as caught:
+        elastic.make_targets(panels.operation(), held, panels.part())
+    (issue,) = caught.value.issues
+    assert issue.code == "wire.held"
+    assert "nobody" in issue.message
