@@ -259,7 +259,8 @@ class _Run:
 def prove(problem: Problem, claims: Mapping[str, tuple[Claim, ...]], programs: Mapping[str, str]) -> Proof:
     """Prove programs from their text.
 
-    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. Never raises for
-    what is wrong with the programs: that is in the proof.
+    ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. What is wrong
+    with the programs is in the proof; raises ``TandemError`` (verify.duration) for programs so long that they
+    are not looked at.
     """
     return Prover(problem, claims).prove(programs)

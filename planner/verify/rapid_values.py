@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 UNUSED_AXIS = 9e9
-QUATERNION_TOLERANCE = 1e-3
+QUATERNION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

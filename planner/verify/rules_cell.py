@@ -24,9 +24,11 @@ IntArray = NDArray[np.int64]
 Models = Callable[[int], CellModel]
 
 BETWEEN = 1e-3
-"""How much less than the wanted clearance is accepted between targets [m]."""
+"""How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
 STRIDE = 0.012
-"""Way of any point of an arm between looks [m]."""
+"""Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
+looks do not touch between them, as long as it is more than ``LEAST``."""
+LEAST = 0.003
 REACH = 0.1
 MOST = 20_000
 """Most looks of a setup; one that needs more is refused."""
@@ -34,6 +36,11 @@ _FK_SAMPLES = 60
 KINEMATICS = 1e-6
 NEAR_CLAMP = 0.02
 """Length of wire next to a clamp that is not held against that clamp [m]."""
+
+
+def accepted(wanted: float) -> float:
+    """Least clearance [m] that passes where one is wanted."""
+    return wanted - min(BETWEEN, 0.1 * wanted)
 
 
 def looks(context: Context, index: int) -> IntArray:
@@ -48,7 +55,7 @@ def looks(context: Context, index: int) -> IntArray:
         reach = _lever(context, index, task.arm.name)
         way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
     along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / STRIDE)), 1)
+    count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
     if count > MOST:
         what = f"setup {index + 1}: clearance needs {count} looks, at most {MOST} are made; split the job"
         raise TandemError(Issue("verify.duration", what, value=count, limit=MOST))
@@ -133,7 +140,7 @@ def _placed(context: Context, model: CellModel, index: int, k: int) -> tuple[lis
 def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
     """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts."""
     wanted = context.problem.settings.clearance
-    limit = wanted - BETWEEN
+    limit = accepted(wanted)
     issues: list[Issue] = []
     looked: list[IntArray] = []
     distance: list[FloatArray] = []
@@ -216,7 +223,7 @@ def wire_bodies(
                 against,
             )
             distance[chosen] = found.distance
-            for i in np.flatnonzero(~(found.distance >= limit - BETWEEN)):
+            for i in np.flatnonzero(~(found.distance >= accepted(limit))):
                 pair = found.pair[int(i)]
                 message = (
                     f"the wire comes within {mm(found.distance[i]):.2f} mm of {' and '.join(pair)}; "

@@ -167,7 +167,7 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
 def motion_settings(context: Context) -> Outcome:
     """Nothing makes the moves slower than their times say (AccSet or VelSet below 100 %), lets them leave
     their path (SingArea other than Off) or drops them (ClearPath and others)."""
-    slow = "AccSet and VelSet below 100 % make the moves slower than their times say"
+    slow = "AccSet and VelSet other than 100 % make the moves other than their times say"
     issues = []
     for task in context.job.tasks:
         for step in task.steps:
@@ -175,8 +175,8 @@ def motion_settings(context: Context) -> Outcome:
                 issues.append(at_step("verify.motion_settings", "a wait of less than nothing", task, step))
             if not isinstance(step, SettingStep):
                 continue
-            low = min((v for v in step.values if v is not None), default=0.0)
-            if (step.kind == "AccSet" and low < 100.0) or (step.kind == "VelSet" and _limits(step)):
+            full = all(value == 100.0 for value in step.values)
+            if (step.kind == "AccSet" and not full) or (step.kind == "VelSet" and _limits(step)):
                 issues.append(at_step("verify.motion_settings", slow, task, step))
             if step.kind == "SingArea" and step.switches != ("off",):
                 what = "SingArea lets the tool leave its path near singular postures"
@@ -189,9 +189,7 @@ def motion_settings(context: Context) -> Outcome:
 
 def _limits(step: SettingStep) -> bool:
     """Whether a VelSet (share in %, highest speed in mm/s) holds any move back."""
-    return (
-        step.values[0] is None or step.values[1] is None or step.values[0] < 100.0 or step.values[1] < 5000.0
-    )
+    return step.values[0] != 100.0 or step.values[1] is None or step.values[1] < 5000.0
 
 
 def hidden(context: Context) -> Outcome:

@@ -20,6 +20,8 @@ RESIDUAL = 1e-6
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass the feed window by this factor."""
 TAUT = 0.9999
+MELTS = 1e-3
+"""A wire that stands nearer to foam than this melts it [m]."""
 
 
 def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
@@ -161,13 +163,14 @@ def contact(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 def stop_in_foam(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """The wire never stands still inside the block."""
+    """The wire never stands still inside the block, or so near to it that it melts foam."""
     issues = []
     motion = context.motion
     for wire in wires:
         stops = np.isin(wire.sample, motion.node_sample[motion.node_stop])
-        for k in np.flatnonzero(stops & (wire.depth > 0.0)):
-            message = f"the wire stops {mm(wire.depth[k]):.2f} mm inside the block"
+        for k in np.flatnonzero(stops & (wire.depth > -MELTS)):
+            side = "inside" if wire.depth[k] > 0.0 else "off"
+            message = f"the wire stops {mm(abs(wire.depth[k])):.2f} mm {side} the block"
             issues.append(wire_issue(context, wire, "verify.stop_in_foam", message, int(k)))
     return Outcome(tuple(issues))
 

@@ -3,12 +3,17 @@ numbers which nobody looks at: each is refused, and by which rule."""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 
+import numpy as np
 import pytest
 
+from planner.verify.context import Context
 from planner.verify.prove import Prover
+from planner.verify.rules_wire import stop_in_foam
+from planner.verify.wire import wires
 from tests.verify import held_job, small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of
 from tests.verify.mutants import edit, name
@@ -161,3 +166,60 @@ def test_one_task_does_not_change_the_task_list_of_another():
     main = main.replace("    operation_1;", '    all_tasks:=[["T_ROB2"],["T_ROB1"]];\n    operation_1;', 1)
     texts = {**clean, name("Data", 2): data, name("Main", 2): main}
     assert broken("held", texts, "verify.task_list") & {"verify.syntax", "verify.task_list"}
+
+
+@pytest.mark.parametrize(
+    "setting", ["VelSet 150,5000;", "AccSet 150,150;", "AccSet 100,20;", "VelSet 100,4000;"]
+)
+def test_settings_that_change_times(setting):
+    texts = attacked("straight", "Main", "    approach;", f"    {setting}\n    approach;")
+    assert "verify.motion_settings" in broken("straight", texts, "verify.motion_settings")
+
+
+def test_frames_turn_by_unit_quaternions():
+    """A reader may scale what a controller does not."""
+    clean = straight_job.programs(COUNT)
+    data = re.sub(r"(wobjdata w_stock:=.*?\],\[)1\.00000000", r"\g<1>1.00090000", clean[name("Data", 1)])
+    texts = {**clean, name("Data", 1): data}
+    assert broken("straight", texts, "verify.decimals") & {"verify.decimals", "verify.syntax"}
+
+
+UNKNOWN = (
+    "EOffsSet [0,0,0,0,0,0];",
+    "PDispSet [[0,0,9],[1,0,0,0]];",
+    "CornerPathWarning FALSE;",
+    "SoftAct 1,50;",
+    "WorldAccLim\\On:=0.1;",
+    "SyncMoveResume;",
+    "MoveExtJ j_home,v100,fine;",
+    "TriggL p,v10,t,fine,t_bow_400;",
+    "MoveLDO p,v10,fine,t_bow_400,doWirePower,1;",
+    "MoveL Offs(p,0,0,1),v10,fine,t_bow_400;",
+    "PulseDO doWirePower;",
+    "InvertDO doWirePower;",
+    "MotionSup\\Off;",
+    "SpeedRefresh 10;",
+    'StartLoad "HOME:/x.mod",l;',
+    "CONNECT i WITH t;",
+    "GOTO x;",
+    "TEST 1 CASE 1: ENDTEST",
+    "StopMoveReset;",
+)
+
+
+@pytest.mark.parametrize("code", UNKNOWN)
+def test_what_is_not_modelled_is_refused(code):
+    texts = attacked("straight", "Main", "    approach;", f"    {code}\n    approach;")
+    assert broken("straight", texts, "verify.declarations") & {"verify.syntax", "verify.declarations"}
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.0005, 1), (0.002, 0)])
+def test_a_hot_wire_does_not_stand_beside_the_foam(gap, count):
+    """Half a millimetre off the block it melts it as well as inside."""
+    context = Context(straight_job.problem(), straight_job.claims(), straight_job.programs(COUNT))
+    wire = wires(context)[0]
+    stop = np.isin(wire.sample, context.motion.node_sample[context.motion.node_stop])
+    depth = np.full(len(stop), -0.1)
+    depth[np.flatnonzero(stop)[2]] = -gap
+    near = dataclasses.replace(wire, depth=depth)
+    assert len(stop_in_foam(context, (near,)).issues) == count
