@@ -29,6 +29,8 @@ _TURN = 0.003
 _LEAN = 0.2
 """A sheet may lean by so much (sine) over the wanted face's normal and still face its way."""
 _EDGE = 1e-9
+_SIDE_SAMPLES = 1000
+"""So many samples of a face tell on which side of a sheet it lies."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,8 +111,9 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
     facing = _facings(sheet)
     side = 1.0
     flat, turned = grid.reshape(-1, 3), facing.reshape(-1, 3)
-    _, near = cKDTree(flat).query(points, k=1)
-    if float(_dot(turned[near], normals).sum()) < 0.0:
+    some = slice(None, None, max(1, len(points) // _SIDE_SAMPLES))
+    _, near = cKDTree(flat).query(points[some], k=1)
+    if float(_dot(turned[near], normals[some]).sum()) < 0.0:
         side = -1.0
     tree = cKDTree(np.concatenate([flat, _TURN * side * turned], axis=1))
     _, nearest = tree.query(np.concatenate([points, _TURN * normals], axis=1), k=1)
@@ -119,7 +122,7 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
     border = np.zeros(len(points), dtype=bool)
     row, column = np.divmod(nearest, width)
     open_before = np.concatenate([[True], ~sheet.joined, [True]])
-    for down in (-2, -1, 0, 1):
+    for down in (0, -1, 1, -2):  # the nearest ones first
         for right in (-1, 0):
             a = np.clip(row + down, 0, count - 2)
             b = np.clip(column + right, 0, width - 2)
@@ -128,21 +131,34 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
                 ((0, 1, 2), (open_before[a], b == width - 2)),
                 ((0, 2, 3), (open_before[a + 2], b == 0)),
             ):
-                ends = [grid[corner[i]] for i in triangle]
-                place, weights = closest(points, *ends)
-                distance = np.linalg.norm(points - place, axis=1)
+                # a triangle all of which is farther off than what is found needs no closer look
+                corners = [(corner[i][0], corner[i][1]) for i in triangle]
+                one, two, three = (grid[at] for at in corners)
+                low = np.minimum(np.minimum(one, two), three)
+                high = np.maximum(np.maximum(one, two), three)
+                gap = np.maximum(low - points, points - high)
+                least = np.maximum(np.maximum(gap[:, 0], gap[:, 1]), gap[:, 2])
+                maybe = np.flatnonzero(sheet.joined[a] & (least < best))
+                if not len(maybe):
+                    continue
+                ends = [end[maybe] for end in (one, two, three)]
+                place, weights = closest(points[maybe], *ends)
+                distance = np.linalg.norm(points[maybe] - place, axis=1)
                 outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # way x wire, as the facings
-                right_way = side * _dot(outward, normals) >= -_LEAN * np.linalg.norm(outward, axis=1)
-                better = (distance < best - 1e-12) & sheet.joined[a] & right_way
-                best = np.where(better, distance, best)
-                foot[better] = place[better]
-                here = sum(weights[:, k] * sheet.speed[corner[i]] for k, i in enumerate(triangle))
-                speed = np.where(better, here, speed)
-                first, second = edges
+                right_way = side * _dot(outward, normals[maybe]) >= -_LEAN * np.linalg.norm(outward, axis=1)
+                good = (distance < best[maybe] - 1e-12) & right_way
+                better = maybe[good]
+                best[better] = distance[good]
+                foot[better] = place[good]
+                share = weights[good]
+                speed[better] = sum(
+                    share[:, k] * sheet.speed[at[0][better], at[1][better]] for k, at in enumerate(corners)
+                )
+                first, second = (np.broadcast_to(edge, len(points))[better] for edge in edges)
                 # edges on the sweep's border: 0-1 and 1-2 of the one triangle, 2-3 and 3-0 of the other
-                on_first = weights[:, 2] < _EDGE if triangle == (0, 1, 2) else weights[:, 0] < _EDGE
-                on_second = weights[:, 0] < _EDGE if triangle == (0, 1, 2) else weights[:, 1] < _EDGE
-                border = np.where(better, (first & on_first) | (second & on_second), border)
+                on_first = share[:, 2] < _EDGE if triangle == (0, 1, 2) else share[:, 0] < _EDGE
+                on_second = share[:, 0] < _EDGE if triangle == (0, 1, 2) else share[:, 1] < _EDGE
+                border[better] = (first & on_first) | (second & on_second)
     along = np.einsum("ij,ij->i", foot - points, normals)
     signed = np.where(along < 0.0, -best, best)
     # a foot on the border may still be straight under the point; a slanted one means that the wire passed by
