@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 STEPS = np.deg2rad([3.0, 1.0, 0.3])
 """Distances [rad] between the postures that a search looks at; finer where its way is not free in between."""
 
-FAR = 0.5
+FAR = 0.2
 """Bodies [m] farther apart than this are not told from each other at the last look at a way."""
 
 FINE = 1e-3

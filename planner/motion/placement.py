@@ -9,7 +9,6 @@ the best ones.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -21,9 +20,8 @@ from planner.cell import clearance
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import exp_rotation, from_parts
 from planner.motion.chain import Chain
-from planner.motion.reach import full_turn, sample
-from planner.motion.scene import Scene, holders
-from planner.motion.subset import subset
+from planner.motion.few import Few, few_of, shifts
+from planner.motion.scene import Scene
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
 from planner.units import DEG
@@ -40,10 +38,6 @@ LAST: Final = 60
 WANTED: Final = 6
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
-SPIN_STEP: Final = np.deg2rad(30.0)
-RING: Final = 6
-"""Samples of each full turn where there are two."""
-
 HALF: Final = 0.5 * np.pi
 UPRIGHT: Final = np.array(
     [[0, 0, 0], [HALF, 0, 0], [-HALF, 0, 0], [0, HALF, 0], [0, -HALF, 0], [np.pi, 0, 0]], dtype=np.float64
@@ -109,12 +103,26 @@ class Search:
         self._leans = stock.leans_freely
         self._own = 7 if self._leans else 4
         self._start = start
-        each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
-        self._coarse = [_few(c, t, COARSE_TARGETS) for c, t in each]
-        self._fine = [_few(c, t, FINE_TARGETS) for c, t in each]
+        self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
+        self._look(shifted=False)
 
-    def run(self, model: CellModel | None = None) -> tuple[list[Place], Trace]:
-        """Places in the order in which to try them, and the trace; the list is empty if none is reachable."""
+    def _look(self, shifted: bool) -> None:
+        self._coarse = [few_of(c, t, COARSE_TARGETS, shifted) for c, t in self._each]
+        self._fine = [few_of(c, t, FINE_TARGETS, shifted) for c, t in self._each]
+
+    def run(self, models: Sequence[CellModel] = ()) -> tuple[list[Place], Trace]:
+        """Places in the order in which to try them, and the trace; the list is empty if none is reachable.
+
+        ``models`` are the collision models of the jobs; without them nothing is checked for collisions. Where
+        no place is reachable with what is shifted in its middle, shifts are sampled as well, which is slower.
+        """
+        places, trace = self._places(models)
+        if not places and not trace.score.max() > 0.0 and any(shifts(t).any() for _, t in self._each):
+            self._look(shifted=True)
+            places, trace = self._places(models)
+        return places, trace
+
+    def _places(self, models: Sequence[CellModel]) -> tuple[list[Place], Trace]:
         points = self._first()
         scores = self._score(points, self._coarse)
         seen, known = [points], [scores]
@@ -138,8 +146,8 @@ class Search:
             if s > 0.0
         ]
         places.sort(key=lambda p: -p.score)
-        if model is not None:
-            places = list(itertools.islice((p for p in places if self._stands_free(model, p)), WANTED))
+        if models:
+            places = list(itertools.islice((p for p in places if self._stands_free(models, p)), WANTED))
         positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
         return places, Trace(positions, all_scores)
 
@@ -196,7 +204,7 @@ class Search:
             out[arm.name] = pose
         return out
 
-    def _score(self, points: FloatArray, few: Sequence[_Few]) -> FloatArray:
+    def _score(self, points: FloatArray, few: Sequence[Few]) -> FloatArray:
         """Score (K,) [rad] of candidates: the least margin over all targets with the best branches; below 0:
         not reachable."""
         out = np.empty(len(points))
@@ -221,14 +229,15 @@ class Search:
                 out.append(int(k))
         return out
 
-    def _stands_free(self, model: CellModel, place: Place) -> bool:
+    def _stands_free(self, models: Sequence[CellModel], place: Place) -> bool:
         """Whether nothing that stands overlaps, and every target of a few has a free posture."""
-        placed = model.with_stock(place.stock).with_bases(place.bases)
-        if clearance.overlaps(placed):
+        jobs = list(zip(models, self._coarse, strict=True))
+        placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
+        if any(clearance.overlaps(m) for m in placed.values()):
             return False
-        return all(self._few_free(placed, place, few) for few in self._coarse if few.cell is self._cell)
+        return all(self._few_free(placed[id(model)], place, few) for model, few in jobs)
 
-    def _few_free(self, model: CellModel, place: Place, few: _Few) -> bool:
+    def _few_free(self, model: CellModel, place: Place, few: Few) -> bool:
         scene = Scene.of(few.cell, few.targets.arms, place.stock, self._settings, model, place.bases)
         margins, q = margins_at(scene, few, place.stock[None, None], self._settings)
         pair = best_branches(margins, few.index)[0]
@@ -240,51 +249,8 @@ class Search:
         return set(few.index[good][free].tolist()) == set(range(few.targets.count))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Few:
-    """Some targets with samples of their freedoms, one after the other, and the cell with their tools."""
-
-    cell: Cell
-    targets: Targets
-    index: NDArray[np.intp]
-    poses: dict[str, FloatArray]
-
-    @functools.cached_property
-    def same(self) -> dict[str, tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """{arm: (rows with different poses, which of them each row has)} of arms whose frames stand: a holder
-        has few poses."""
-        out = {}
-        for arm, holder in holders(self.targets):
-            if holder is None:
-                flat = self.poses[arm].reshape(len(self.index), 16).round(9)
-                _, first, back = np.unique(flat, axis=0, return_index=True, return_inverse=True)
-                out[arm] = first, back.reshape(-1)
-        return out
-
-
-def _few(cell: Cell, targets: Targets, count: int) -> _Few:
-    rows = np.unique(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(np.intp))
-    few = subset(targets, rows)
-    values = _samples(few)
-    index = np.repeat(np.arange(few.count), values.shape[1])
-    return _Few(cell, few, index, few.poses(values.reshape(len(index), -1), index))
-
-
-def _samples(targets: Targets) -> FloatArray:
-    """Values (N, S, F): what turns at every 30 degrees, slides in their middle; of many freedoms those
-    that turn without end, at every 60 degrees."""
-    rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
-    if rings.sum() < 2:
-        return sample(targets, SPIN_STEP, slides=1).values
-    ring = -np.pi + 2.0 * np.pi * np.arange(RING) / RING
-    grid = np.array(list(itertools.product(ring, repeat=int(rings.sum()))))
-    values = np.repeat(targets.neutral()[:, None], len(grid), axis=1)
-    values[..., rings] = grid
-    return values
-
-
 def margin(
-    few: _Few,
+    few: Few,
     stock: FloatArray,
     bases: Mapping[str, FloatArray],
     settings: Settings,
@@ -298,7 +264,7 @@ def margin(
 
 def margins_at(
     scene: Scene,
-    few: _Few,
+    few: Few,
     stock: FloatArray,
     settings: Settings,
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:

@@ -115,6 +115,10 @@ class Stand:
         """The collision model of each setup."""
         return [plant.build(setup.cell, setup.stock, self.place) for setup in self.setups]
 
+    def each(self, models: Sequence[CellModel]) -> list[CellModel]:
+        """The model of each job, given those of the setups."""
+        return [model for model, jobs in zip(models, self.jobs, strict=True) for _ in jobs]
+
     def search(self, settings: Settings) -> Search:
         """The search of a place for all operations."""
         first = self.setups[0]
@@ -162,7 +166,7 @@ def _settle(
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
-    places, trace = stand.search(problem.settings).run(models[0])
+    places, trace = stand.search(problem.settings).run(stand.each(models))
     stages["placement"] = stages.get("placement", 0.0) + time.perf_counter() - lap
     place, operations = _first_that_works(problem, stand, models, places, trace, tell)
     name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
@@ -217,7 +221,7 @@ def _look(problem: Problem, stand: Stand) -> tuple[Place | None, list[Issue]]:
         place = Place(stand.place, {}, 0.0, 0)
         reasons = _no_path(problem, stand, models, place)
         return (None if reasons else place), reasons
-    places, trace = stand.search(problem.settings).run(models[0])
+    places, trace = stand.search(problem.settings).run(stand.each(models))
     reasons = []
     for place in places[:PLACES_TRIED]:
         reasons = _no_path(problem, stand, models, place)

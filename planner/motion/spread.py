@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.rigid import inverse, to_quaternion
 from planner.motion.chain import TWO_PI
+from planner.motion.few import shifts
 from planner.motion.reach import full_turn, slides_only
 from planner.targets import ScrewFreedom, Targets
 
@@ -24,8 +25,8 @@ IndexArray = NDArray[np.intp]
 RING = 18
 """Samples of a full turn where only full turns are sampled, on a grid."""
 
-SPREAD = (500, 900)
-"""Samples over full and bounded turns, and over all freedoms."""
+SPREAD = (500, 1500, 900)
+"""Samples over full and bounded turns, over full turns and long shifts, and over all freedoms."""
 
 KEPT = 0.25
 """Share of the samples of a wider spread that leave the freedoms that are new in it in their middle."""
@@ -79,8 +80,8 @@ def own_turn(targets: Targets, j: int) -> FloatArray:
 
 
 def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
-    """Full turns alone, then bounded turns as well, then everything: few freedoms are run and found more
-    easily."""
+    """Full turns alone, then with bounded turns, then with long shifts instead, then everything: few freedoms
+    are run and found more easily."""
     freedoms = targets.freedoms
     wide = np.array([float(np.max(f.upper - f.lower)) > 0.0 for f in freedoms], dtype=bool)
     turns = wide & ~np.array([slides_only(f) for f in freedoms], dtype=bool)
@@ -93,7 +94,8 @@ def levels(targets: Targets, coordinates: Coordinates) -> list[Level]:
         samples = np.repeat(coordinates.middle[None], len(grid), axis=0)
         samples[:, active] = grid
         out.append(Level(_names(targets, active), samples))
-    for more, count in ((turns, SPREAD[0]), (wide, SPREAD[1])):
+    shifted = (coordinates.rings & wide) | shifts(targets)
+    for more, count in ((turns, SPREAD[0]), (shifted, SPREAD[1]), (wide, SPREAD[2])):
         if (more & ~active).any():
             samples = np.repeat(coordinates.middle[None], count, axis=0)
             spread = _spread(count, int(more.sum()))

@@ -198,7 +198,7 @@ def test_samples_of_many_freedoms_keep_within_bounds_and_begin_with_full_turns()
     _, _, targets = held(30)
     coordinates = Coordinates(targets)
     found = levels(targets, coordinates)
-    assert [len(level.names) for level in found] == [2, 4, 8]
+    assert [len(level.names) for level in found] == [2, 4, 5, 8]
     assert set(found[0].names) == {"spin", "block_turn"}
     rows = np.arange(targets.count)
     for level in found:
