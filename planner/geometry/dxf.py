@@ -43,12 +43,12 @@ def read_dxf(path: Path, unit: float, layer: str | None, field: str) -> tuple[li
     if path.stat().st_size > _MOST_BYTES:
         raise _refuse("problem.too_large", path, field, "more than 50 MB; export only the curves")
     try:
-        import ezdxf
         from ezdxf import path as ezpath
+        from ezdxf.filemanagement import readfile
     except ImportError as error:
         raise _refuse("part.extra_missing", path, field, f"DXF files need ezdxf; {INSTALL}") from error
     try:
-        drawing = ezdxf.readfile(path)
+        drawing = readfile(path)
         space = list(drawing.modelspace())
     except Exception as error:  # damaged files raise anything
         reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
