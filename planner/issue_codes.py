@@ -38,6 +38,7 @@ CODES: Final[dict[str, str]] = {
     "report.replay_failed": "the 3D replay could not be written",
     # the general door, process: targets
     "targets.file": "a file of targets cannot be read, or a value in it is missing or out of range",
+    "targets.held": "poses of one's own are given for a block that an arm holds",
     "targets.freedom": "a free axis gives both a turn and a slide, or neither",
     # wire shapes
     "wire.too_short": "a wire is shorter than the distance between its clamps",

@@ -93,7 +93,8 @@ def build(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[Issue]
 
     Raises ``TandemError``: issues of DXF files, ``part.guide``, ``part.corners``.
     """
-    guides, issues = [], []
+    guides: list[Guide] = []
+    issues: list[Issue] = []
     for side, own in (("start", spec.start), ("end", spec.end)):
         try:
             guides.append(guide(own, spec.closed, folder, f"{field}.{side}"))

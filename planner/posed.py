@@ -100,6 +100,12 @@ def make_targets(operation: Posed, setup: Setup, part: Part | None) -> Targets:
     """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
     column.
     """
+    if setup.stock.held_by is not None:
+        what = (
+            f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are planned "
+            "for a block that stands; let it stand (held_by: nobody)"
+        )
+        raise TandemError(Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by))
     rows = _rows(operation)
     poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
     count = len(rows)

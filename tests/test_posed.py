@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -103,3 +104,11 @@ def test_a_free_axis_is_a_turn_or_a_slide(tmp_path: Path) -> None:
 def test_unknown_keys_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValidationError, match="extra"):
         operation(tmp_path, colour="red")
+
+
+def test_a_block_that_an_arm_holds_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, [ROW, {**ROW, "left.x_mm": 4}])
+    block = dataclasses.replace(SETUP.stock, held_by="right")
+    with pytest.raises(TandemError) as caught:
+        make_targets(operation(tmp_path), dataclasses.replace(SETUP, stock=block), None)
+    assert [issue.code for issue in caught.value.issues] == ["targets.held"]

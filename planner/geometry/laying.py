@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,13 @@ def _excess(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> float:
 
 def _tilted(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatArray:
     """The rotation with a tilt of up to 45 degrees or so that makes the part stand out least."""
+    simplex = np.vstack([np.zeros(3), 0.1 * np.eye(3)])
+    options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-6}
     best = minimize(
         lambda w: 1e3 * _excess(np.asarray(exp_rotation(w) @ rotation), hull, size),
         np.zeros(3),
         method="Nelder-Mead",
-        options={"initial_simplex": np.vstack([np.zeros(3), 0.1 * np.eye(3)]), "xatol": 1e-6, "fatol": 1e-6},
+        options=options,
     )
     return np.asarray(exp_rotation(best.x) @ rotation)
 
