@@ -102,8 +102,8 @@ def make_targets(operation: Posed, setup: Setup, part: Part | None) -> Targets:
     """
     if setup.stock.held_by is not None:
         what = (
-            f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are planned "
-            "for a block that stands; let it stand (held_by: nobody)"
+            f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are "
+            "planned for a block that stands; let it stand (held_by: nobody)"
         )
         raise TandemError(Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by))
     rows = _rows(operation)

@@ -79,12 +79,11 @@ def _tilted(rotation: FloatArray, hull: FloatArray, size: FloatArray) -> FloatAr
     """The rotation with a tilt of up to 45 degrees or so that makes the part stand out least."""
     simplex = np.vstack([np.zeros(3), 0.1 * np.eye(3)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-6}
-    best = minimize(
-        lambda w: 1e3 * _excess(np.asarray(exp_rotation(w) @ rotation), hull, size),
-        np.zeros(3),
-        method="Nelder-Mead",
-        options=options,
-    )
+
+    def out(turn: FloatArray) -> float:
+        return 1e3 * _excess(np.asarray(exp_rotation(turn) @ rotation), hull, size)
+
+    best = minimize(out, np.zeros(3), method="Nelder-Mead", options=options)
     return np.asarray(exp_rotation(best.x) @ rotation)
 
 
