@@ -21,6 +21,7 @@ def test_the_cells_are_there() -> None:
         "irb140_bow",
         "irb4600_bow",
         "two_irb1200",
+        "two_irb140_apart",
         "two_irb140_bow_gripper",
         "two_irb140_facing",
         "two_irb4600_bow_gripper",
