@@ -13,13 +13,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from planner.claims import Claim, FollowsPoses
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
+from planner.schema import Name, Strict
 from planner.targets import ScrewFreedom, Targets
 from planner.units import DEG, MM
 
@@ -34,12 +35,11 @@ FLAGS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": 
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-class FreeAxis(BaseModel):
+class FreeAxis(Strict):
     """A free turn about or slide along an axis of the tool frame; with two arms in ``arms`` both share its
     value.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     name: str
     arms: Annotated[list[str], Field(min_length=1, max_length=2)]
     axis: Literal["x", "y", "z"]
@@ -54,20 +54,19 @@ class FreeAxis(BaseModel):
         return self
 
 
-class Posed(BaseModel):
+class Posed(Strict):
     """Poses from a file.
 
     CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if
     wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
+    name: Name
     process: Literal["targets"]
     arms: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
     file: Path
     frame: Literal["stock", "world"] = "stock"
-    free: list[FreeAxis] = []
+    free: tuple[FreeAxis, ...] = ()
     feed_mm_s: Annotated[float, Field(ge=SLOWEST_MM_S, le=FASTEST_MM_S)] | None = None
     coupled: bool = False
     position_tol_mm: Annotated[float, Field(gt=0)] = 0.01

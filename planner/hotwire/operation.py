@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from planner.hotwire.heat import Heat
+from planner.hotwire.hot_wire import HotWireOperation
 from planner.problem import Stock
+from planner.schema import Name, Strict
 
 Face = Literal["front", "back"]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")]
 
 
-class WireFile(BaseModel):
+class WireFile(Strict):
     """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it
     bends.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     material: Annotated[str, Field(description="name in the table of materials")]
     diameter_mm: Annotated[float, Field(ge=0.05, le=10)] | None = None
@@ -46,10 +44,9 @@ class WireFile(BaseModel):
         return self.diameter_mm is not None
 
 
-class ElasticWire(Heat):
+class ElasticWire(HotWireOperation):
     """Two arms bend one hot wire and sweep it through the block along the faces of the part."""
 
-    name: Name
     process: Literal["elastic_wire"]
     arms: Annotated[tuple[Name, Name], Field(description="the arm at the wire's start, the arm at its end")]
     wire: WireFile
@@ -67,14 +64,7 @@ class ElasticWire(Heat):
             description="planes upright and parallel, or normal to the face's spine; auto: normal for a strip"
         ),
     ] = "auto"
-    feed_mm_s: Annotated[
-        float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
-    ] = 8.0
-    feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
     shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.5
-    share: Annotated[
-        float, Field(gt=0.5, le=1, description="part of each face that must be within tolerance")
-    ] = 0.95
     end_error_mm: Annotated[
         float, Field(ge=0, le=5, description="how far each wire end may be off in reality")
     ] = 0.05
@@ -89,9 +79,6 @@ class ElasticWire(Heat):
     ] = 20.0
     heat_up_s: Annotated[float, Field(ge=0, le=600)] = 10.0
     cool_down_s: Annotated[float, Field(ge=0, le=600)] = 30.0
-    signal: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
-    ] = "doWirePower"
 
     def leaves(self, stock: Stock) -> Stock:
         """The block as it was: what is cut stays in its place."""
@@ -105,8 +92,6 @@ class ElasticWire(Heat):
             raise ValueError("faces: each face is cut once")
         if self.power_w is not None and not self.wire.is_round:
             raise ValueError("power_w: the kerf of strips is not known; give kerf_mm")
-        if self.feed_min_mm_s > self.feed_mm_s:
-            raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
         return self
 
     @property

@@ -8,7 +8,7 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner.hotwire.heat import Heat
+from planner.hotwire.hot_wire import HotWireOperation
 from planner.problem import Stock
 from planner.schema import Angle, Far, Name, Strict
 from planner.units import MM
@@ -94,11 +94,10 @@ Cuts = Annotated[
 ]
 
 
-class Straight(Heat):
+class Straight(HotWireOperation):
     """One arm takes a bow with a straight hot wire along the ruled surfaces of the part. A second arm, where
     it holds the block, moves it."""
 
-    name: Name
     process: Literal["straight_wire"]
     arms: Annotated[
         tuple[Name, ...],
@@ -110,14 +109,7 @@ class Straight(Heat):
         Cuts, Field(description="in this order; all: every ruled surface, holes first and outlines last")
     ] = "all"
     wire_material: Annotated[str, Field(max_length=60, description="for the setup sheet")] = ""
-    feed_mm_s: Annotated[
-        float, Field(ge=0.1, le=200, description="upper limit of the wire's fastest point in foam")
-    ] = 8.0
-    feed_min_mm_s: Annotated[float, Field(ge=0, le=200, description="a slower wire burns the foam")] = 3.0
     shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.3
-    share: Annotated[
-        float, Field(gt=0.5, le=1, description="part of each surface that must be within tolerance")
-    ] = 0.95
     step_mm: Annotated[
         float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
     ] = 4.0
@@ -135,16 +127,11 @@ class Straight(Heat):
     ] = False
     heat_up_s: Annotated[float, Field(ge=0, le=600)] = 5.0
     cool_down_s: Annotated[float, Field(ge=0, le=600)] = 10.0
-    signal: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
-    ] = "doWirePower"
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if len(set(self.arms)) != len(self.arms):
             raise ValueError("arms: the bow and the block are held by two different arms")
-        if self.feed_min_mm_s > self.feed_mm_s:
-            raise ValueError("feed_min_mm_s must not exceed feed_mm_s")
         if self.cuts != "all":
             if any(cut.feed_mm_s is not None and cut.feed_mm_s < self.feed_min_mm_s for cut in self.cuts):
                 raise ValueError("cuts: feed_mm_s of a cut must not be below feed_min_mm_s")
