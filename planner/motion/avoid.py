@@ -164,10 +164,11 @@ class Avoid:
         self._distance[index] = np.inf
         self._gradient[index] = 0.0
         self._mask[index] = 0.0
+        width = self._model.home.size
         for i, one in zip(index, found, strict=True):
             count = len(one.distance)
             self._distance[i, :count] = one.distance
-            self._gradient[i, :count] = one.gradient.reshape(count, -1)[:, self._columns]
+            self._gradient[i, :count] = one.gradient.reshape(count, width)[:, self._columns]
             self._mask[i, :count] = self._table[one.bodies[:, 0], one.bodies[:, 1]]
 
     def _widen(self, rows: int, count: int) -> None:

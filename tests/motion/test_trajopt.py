@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 
@@ -98,3 +99,15 @@ def test_clearance_hinges_agree_with_drakes_distances() -> None:
             near = [d for d, _, _ in clearance.gradients(scene.model, row, 0.08)]
             total += sum(max(wanted + 0.008 - d, 0.0) ** 2 / 0.008**2 for d in near)
         assert abs(avoid.cost(moved) - total) <= 1e-9 + 1e-6 * total
+
+
+def test_arms_that_are_near_nothing_have_no_hinges() -> None:
+    scene, targets = pair(40)
+    assert scene.model is not None
+    bodies = {solid.body for solid in scene.model.solids}
+    ignored = frozenset(frozenset(two) for two in itertools.combinations(bodies, 2))
+    rows = np.arange(targets.count)
+    avoid = Avoid(scene.model, targets.arms, 0.005, 0.5, [(ignored, rows)])
+    q = np.tile(np.concatenate([scene.chains[arm].home for arm in targets.arms]), (targets.count, 1))
+    assert avoid.cost(q) == 0.0
+    assert sum(len(rows.index) for rows in avoid.rows(q)) == 0
