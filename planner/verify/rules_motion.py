@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from planner.catalogue import robot
 from planner.claims import FollowsPoses
-from planner.geometry.rigid import inverse, log_rotation
+from planner.geometry.rigid import inverse
 from planner.issues import Issue
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample, at_step
+from planner.verify.follow_poses import passing
 from planner.verify.rapid_steps import MoveStep
 from planner.verify.rules_setup import at_home
 
@@ -306,7 +307,8 @@ def follows(context: Context) -> Outcome:
 
 def _followed(context: Context, index: int, claim: FollowsPoses) -> tuple[list[Issue], float]:
     """Issues of one claim in setup ``index``, and the largest distance [mm] of a pose to its target."""
-    issues, worst = [], 0.0
+    issues: list[Issue] = []
+    worst = 0.0
     written = context.motion.node_tcp.get(claim.arm)
     here = context.spans.of_stage[context.motion.node_stage] == index
     if written is None or not (here & np.isfinite(written[:, 0, 0])).any():
@@ -315,35 +317,19 @@ def _followed(context: Context, index: int, claim: FollowsPoses) -> tuple[list[I
     path = written[rows]
     if claim.frame == "stock":
         path = inverse(context.stock_poses(index, context.motion.node_sample[rows])) @ path
-    start = 0
-    for i, pose in enumerate(claim.poses):
-        off = _off(path[start:], pose, claim.free)
-        score = np.maximum(off[:, 0] / claim.position_tol, off[:, 1] / claim.angle_tol)
-        met = np.flatnonzero(score <= 1.0)
-        best = int(met[0]) if len(met) else int(np.argmin(score))
-        worst = max(worst, mm(float(off[best, 0])))
-        if len(met):
-            start += best
-            continue
+    found = passing(path, np.asarray(claim.poses), claim.free, (claim.position_tol, claim.angle_tol))
+    worst = mm(float(found.off[: found.looked, 0].max(initial=0.0)))
+    for i in np.flatnonzero(~found.met[: found.looked]).tolist():
+        way, angle = found.off[i].tolist()
+        message = f"pose {i + 1} of {claim.arm} is missed by {mm(way):.4f} mm and {np.rad2deg(angle):.4f} deg"
+        measure = {"value": mm(way), "limit": mm(claim.position_tol), "unit": "mm"}
+        issues.append(Issue("verify.follows", message, arm=claim.arm, index=i, **measure))  # type: ignore[arg-type]
+    if found.looked < len(found.met):
         message = (
-            f"pose {i + 1} of {claim.arm} is missed by {mm(off[best, 0]):.4f} mm "
-            f"and {np.rad2deg(off[best, 1]):.4f} deg"
+            f"so many poses of {claim.arm} are missed that those from {found.looked + 1} on are not looked at"
         )
-        value, limit = mm(float(off[best, 0])), mm(claim.position_tol)
-        issues.append(
-            Issue("verify.follows", message, arm=claim.arm, index=i, value=value, limit=limit, unit="mm")
-        )
+        issues.append(Issue("verify.follows", message, arm=claim.arm, index=found.looked))
     return issues, worst
-
-
-def _off(path: FloatArray, pose: FloatArray, free: tuple[FloatArray, ...]) -> FloatArray:
-    """Distance and angle (S, 2) of poses (S, 4, 4) to one pose, without what lies along the free twists."""
-    relative = np.linalg.inv(pose) @ path
-    twist = np.concatenate([log_rotation(relative[:, :3, :3]), relative[:, :3, 3]], axis=1)
-    if free:
-        basis = np.linalg.qr(np.stack(free, axis=1))[0]
-        twist = twist - (twist @ basis) @ basis.T
-    return np.stack([np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1)
 
 
 def _straight(context: Context, arm: str) -> NDArray[np.bool_]:
