@@ -12,11 +12,13 @@ from pydantic import Field
 
 from planner.bow import bow
 from planner.catalogue import RobotData, robot
+from planner.controller_file import ControllerFile, controllers
+from planner.forming_tools import ball_tool, disk_tool, heat_tool
 from planner.geometry.mesh import read_mesh
 from planner.geometry.rigid import from_rpy
 from planner.grippers import gripper_plate, vacuum_cup
 from planner.issues import Issue, TandemError
-from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Tool
+from planner.problem import Arm, Cell, Obstacle, Shape, Tool
 from planner.schema import Angle, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tools import wire_holder
 from planner.units import DEG, LENGTH_UNITS, MM
@@ -112,6 +114,46 @@ class VacuumCupFile(_GripperFile):
     radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
 
 
+class BallToolFile(Strict):
+    """The built-in ball tool for sheets, on a shaft as thick as the ball or of its own; its TCP is the ball's
+    centre."""
+
+    kind: Literal["ball_tool"]
+    radius_mm: Annotated[float, Field(ge=0.5, le=100)] = 9.525
+    length_mm: Annotated[
+        float, Field(ge=110, le=1500, description="from the flange to the ball's centre")
+    ] = 300.0
+    shaft_radius_mm: Annotated[float | None, Field(ge=0.5, le=100, description="none: that of the ball")] = (
+        None
+    )
+    neck_mm: Annotated[
+        float, Field(ge=0, le=500, description="from the ball's centre to a shaft of another radius")
+    ] = 0.0
+    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the tool against the flange's axis")] = (
+        0.0
+    )
+
+
+class DiskToolFile(Strict):
+    """The built-in flat disk that supports the border of what is formed; TCP: the middle of its face."""
+
+    kind: Literal["disk_tool"]
+    radius_mm: Annotated[float, Field(ge=2, le=200)] = 25.4
+    thickness_mm: Annotated[float, Field(ge=1, le=100)] = 12.0
+    rim_mm: Annotated[float, Field(ge=0, le=50, description="rounding of its edge")] = 2.0
+    shaft_radius_mm: Annotated[float, Field(ge=0.5, le=200)] = 9.525
+    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the face")] = 300.0
+
+
+class HeatToolFile(Strict):
+    """The built-in heat gun or laser head; its TCP is the place that it heats."""
+
+    kind: Literal["heat_tool"]
+    radius_mm: Annotated[float, Field(ge=1, le=200)] = 25.0
+    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the nozzle")] = 250.0
+    standoff_mm: Annotated[float, Field(ge=1, le=1000, description="from the nozzle to the TCP")] = 40.0
+
+
 class PlainToolFile(Strict):
     """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
 
@@ -123,7 +165,15 @@ class PlainToolFile(Strict):
 
 
 ToolFile = Annotated[
-    WireHolderFile | BowFile | GripperPlateFile | VacuumCupFile | PlainToolFile, Field(discriminator="kind")
+    WireHolderFile
+    | BowFile
+    | GripperPlateFile
+    | VacuumCupFile
+    | BallToolFile
+    | DiskToolFile
+    | HeatToolFile
+    | PlainToolFile,
+    Field(discriminator="kind"),
 ]
 
 
@@ -143,16 +193,6 @@ class ObstacleFile(Strict):
 
     name: Name
     shapes: Annotated[list[ShapeFile], Field(min_length=1)]
-
-
-class ControllerFile(Strict):
-    """Names that the programs use."""
-
-    tasks: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)] = ("T_ROB1", "T_ROB2")
-    units: Annotated[tuple[Name, ...], Field(min_length=1, max_length=2)] = ("ROB_1", "ROB_2")
-    wire_signal: Name = "doWirePower"
-    max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
-    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
 
 
 class CellFile(Strict):
@@ -185,17 +225,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
     obstacles = tuple(
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
-    c = spec.controller
-    for field, names in (("tasks", c.tasks), ("units", c.units)):
-        if len(names) < len(spec.arms):
-            what = f"{len(names)} {field} for {len(spec.arms)} arms; name one for each arm of the cell"
-            raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
-        if len({name.lower() for name in names}) != len(names):
-            what = f"the {field} {', '.join(names)} are not different; give each arm its own"
-            raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
-    controller = Controller(
-        tuple(c.tasks), tuple(c.units), c.wire_signal, c.max_moves, c.max_kilobytes * 1000
-    )
+    controller = controllers(spec.controller, [arm.name for arm in spec.arms])
     return Cell(spec.name, tuple(arms), obstacles, controller)
 
 
@@ -222,8 +252,25 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
         return gripper_plate(spec.width_mm * MM, spec.depth_mm * MM, spec.reach_mm * MM, spec.holding_n)
     if isinstance(spec, VacuumCupFile):
         return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n)
+    if isinstance(spec, BallToolFile | DiskToolFile | HeatToolFile):
+        return _forming_tool(spec)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
+
+
+def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> Tool:
+    radius, length = spec.radius_mm * MM, spec.length_mm * MM
+    try:
+        if isinstance(spec, HeatToolFile):
+            return heat_tool(radius, length, spec.standoff_mm * MM)
+        if isinstance(spec, DiskToolFile):
+            return disk_tool(
+                radius, length, spec.thickness_mm * MM, spec.shaft_radius_mm * MM, spec.rim_mm * MM
+            )
+        shaft = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
+        return ball_tool(radius, length, shaft, spec.neck_mm * MM, spec.tilt_deg * DEG)
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
 
 
 def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:

@@ -14,8 +14,10 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.handshake import Handshake
 from planner.issues import Issue
 from planner.materials import Foam
+from planner.sheet_metals import SheetMetal
 
 FloatArray = NDArray[np.float64]
 ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
@@ -38,6 +40,26 @@ class Shape:
 
 
 @dataclasses.dataclass(frozen=True)
+class FormingHead:
+    """The working end of a forming tool, a body of revolution about the TCP's z axis, which points out of it.
+
+    ``kind`` "ball": a ball of ``radius`` [m] about the TCP, its centre, on a shaft of ``shaft_radius`` [m]
+    that begins ``neck`` [m] behind the centre; between them the neck is as thick as the thinner of both.
+    "disk": a flat disk of ``radius`` about the TCP, the middle of its face, with a rim rounded by ``rim``
+    [m], as thick as ``neck``, on the shaft. "heat": a nozzle of that radius whose TCP is ``standoff`` [m]
+    before it, at the place to be heated. ``length`` [m] of head and shaft behind the TCP.
+    """
+
+    kind: Literal["ball", "disk", "heat"]
+    radius: float
+    shaft_radius: float
+    neck: float
+    length: float
+    rim: float = 0.0
+    standoff: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
 class Tool:
     """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity
     (3,) [m].
@@ -45,6 +67,7 @@ class Tool:
     ``edge``: the rigid edge that cuts (the straight wire of a bow), a capsule in the flange frame; it alone
     may pass the stock, in cut segments. ``footprint``: width and depth [m] of the face that holds a block,
     centred on the TCP in its x and y, and ``holding``: the force [N] it holds with, for tools that hold one.
+    ``head``: the working end of a tool that forms sheets; its solid is then the ``edge``.
     """
 
     name: str
@@ -55,6 +78,7 @@ class Tool:
     edge: Shape | None = None
     footprint: tuple[float, float] | None = None
     holding: float | None = None
+    head: FormingHead | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +125,9 @@ class Cell:
 class Controller:
     """How the programs address the controller: task and mechanical unit per arm, signals, limits of a
     module.
+
+    ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
+    units of two controllers may have the same names.
     """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
@@ -108,6 +135,8 @@ class Controller:
     wire_signal: str = "doWirePower"
     max_moves: int = 5000
     max_bytes: int = 1_000_000
+    sync: Literal["multimove", "handshake"] = "multimove"
+    handshake: Handshake = dataclasses.field(default_factory=Handshake)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,9 +166,21 @@ class Ruled:
 
 
 @dataclasses.dataclass(frozen=True)
+class Formed:
+    """A part to be formed out of the sheet: ``mesh`` is its lower face in the stock frame, with normals up.
+
+    By the sine law, t = t0 cos(a), a sheet that is formed in one pass is as thick along z everywhere as at
+    first, so that one face is the other one moved along z.
+    """
+
+    mesh: Mesh
+
+
+@dataclasses.dataclass(frozen=True)
 class Part:
     """The wanted part in the stock frame: ``front`` and ``back`` face as open meshes with normals away from
-    the part, and its ruled surfaces by name, among them the ``edges`` that join front and back.
+    the part, and its ruled surfaces by name, among them the ``edges`` that join front and back; or a sheet
+    that is ``formed``.
 
     ``notes``: what was found on the way from the file to these surfaces (deviations, kinks), for the user.
     """
@@ -148,6 +189,21 @@ class Part:
     back: Mesh | None = None
     ruled: tuple[Ruled, ...] = ()
     notes: tuple[Issue, ...] = ()
+    formed: Formed | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """What a stock that is a clamped sheet has besides its size: ``metal``, and the ``opening`` (K, 2) [m] of
+    its clamp, a closed convex outline in the sheet's plane about the stock frame's origin.
+
+    ``formed`` are the convex solids, in the stock frame, that hold what stands out of the flat sheet once the
+    part is formed; bodies of the cell keep clear of them from the beginning.
+    """
+
+    metal: SheetMetal
+    opening: FloatArray
+    formed: tuple[Shape, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,7 +217,8 @@ class Stock:
     the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes
     in the stock frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose
     tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the
-    pose about which the holder moves the block.
+    pose about which the holder moves the block. ``sheet``: the block is a sheet, clamped along its rim; z
+    runs through its thickness, and ``support`` is its clamp.
     """
 
     size: FloatArray
@@ -173,6 +230,7 @@ class Stock:
     foam: Foam | None = None
     held_by: str | None = None
     grip: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
+    sheet: Sheet | None = None
 
     @property
     def lower(self) -> FloatArray:

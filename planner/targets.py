@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from planner.issues import Issue
 
 FloatArray = NDArray[np.float64]
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
+WORKING: Final = frozenset({"cut", "form"})
+"""Kinds of segments in which a tool's own edge works the stock, and may touch it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,6 +179,11 @@ class Targets:
 def segment_kind(label: str) -> str:
     """The kind of a segment label: ``cut`` of ``cut/front``."""
     return label.split("/", 1)[0]
+
+
+def works(label: str) -> bool:
+    """Whether an edge may touch the stock in a segment."""
+    return segment_kind(label) in WORKING
 
 
 def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:

@@ -25,7 +25,8 @@ def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
     out.update({f"{arm.name}/edge": (arm.tool.edge,) for arm in cell.arms if arm.tool.edge is not None})
     lower, upper = stock.lower, stock.upper
     x, y, z = (upper - lower).tolist()
-    out["stock"] = (Shape("box", (x, y, z), from_parts(np.eye(3), 0.5 * (lower + upper))),)
+    block = Shape("box", (x, y, z), from_parts(np.eye(3), 0.5 * (lower + upper)))
+    out["stock"] = (block, *(stock.sheet.formed if stock.sheet is not None else ()))
     if stock.support:
         out["support"] = stock.support
     out.update({obstacle.name: obstacle.shapes for obstacle in cell.obstacles})

@@ -17,7 +17,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.rigid import interpolate, inverse, transform
 from planner.motion.chain import Chain
 from planner.problem import Cell, Settings
-from planner.targets import Targets, segment_kind
+from planner.targets import Targets, works
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -25,7 +25,6 @@ IndexArray = NDArray[np.intp]
 SKIP_ENDS = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
 
-CUTTING = "cut"
 """The kind of segment in which an edge may touch the stock."""
 
 HELD = "held:"
@@ -85,12 +84,14 @@ class Scene:
 
     @functools.cached_property
     def passing(self) -> Pairs:
-        """Pairs of bodies that may meet in cut segments: the stock and the rigid edges of the tools that take
-        part."""
+        """Pairs of bodies that may meet in working segments: the stock and the rigid edges of the tools that
+        take part, and the heads of two tools that form one sheet."""
         if self.model is None:
             return frozenset()
-        arms = (arm for arm in self.chains if self.model.cell.arm(arm).tool.edge is not None)
-        return frozenset(frozenset((f"{arm}/edge", "stock")) for arm in arms)
+        tools = {arm: self.model.cell.arm(arm).tool for arm in self.chains}
+        pairs = {frozenset((f"{arm}/edge", "stock")) for arm, tool in tools.items() if tool.edge is not None}
+        heads = [f"{arm}/edge" for arm, tool in tools.items() if tool.head is not None]
+        return frozenset(pairs | ({frozenset(heads)} if len(heads) > 1 else set()))
 
     def by_kind(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:
         """Rows of ``move`` (B,), targets that moves lead to, with the pairs of bodies that may meet there."""
@@ -196,5 +197,5 @@ def holders(targets: Targets) -> list[tuple[str, str | None]]:
 
 
 def cutting(targets: Targets) -> NDArray[np.bool_]:
-    """(N,) whether the move to each target cuts."""
-    return np.array([segment_kind(label) == CUTTING for label in targets.segment], dtype=bool)
+    """(N,) whether an edge works the stock on the move to each target."""
+    return np.array([works(label) for label in targets.segment], dtype=bool)

@@ -182,14 +182,20 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
 
 
 def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
-    """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts."""
+    """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts, the
+    heads of forming tools and the sheet between them where they form it."""
     claims = context.setup_claims[index]
     labels = context.motion.labels()[rows]
-    cuts = {arm: np.isin(labels, list(claims.cuts((arm,)))) for arm in claims.straight}
+    arms = [task.arm.name for task in context.job.tasks]
+    own = {arm: claims.cuts((arm,)) if arm in claims.straight else claims.forms(arm) for arm in arms}
+    touch = {arm: np.isin(labels, list(own[arm])) for arm in arms}
     out: dict[clearance.Pairs, list[int]] = {}
     for k in range(len(rows)):
-        touching = frozenset(frozenset((f"{arm}/edge", "stock")) for arm in cuts if cuts[arm][k])
-        out.setdefault(touching, []).append(k)
+        meet = [arm for arm in arms if touch[arm][k]]
+        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in meet}
+        heads = [f"{arm}/edge" for arm in meet if labels[k] in claims.forms(arm)]
+        pairs |= {frozenset(heads)} if len(heads) > 1 else set()
+        out.setdefault(frozenset(pairs), []).append(k)
     return [(rows[np.array(chosen)], ignore) for ignore, chosen in out.items()]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, FeedWindow, HoldsStock, StraightWire, WireJoins
+from planner.claims import Claim, ContactOnlyIn, FeedWindow, HoldsStock, SheetState, StraightWire, WireJoins
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
 from planner.verify.rapid_steps import MessageStep, MoveStep
@@ -123,6 +123,11 @@ class SetupClaims:
     def contacts(self) -> tuple[ContactOnlyIn, ...]:
         """Where edges may touch the block."""
         return tuple(c for group in self.groups for c in group if isinstance(c, ContactOnlyIn))
+
+    def forms(self, arm: str) -> frozenset[str]:
+        """Segments in which the head of the tool of ``arm`` may touch the sheet."""
+        groups = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
+        return frozenset(claim.segment.lower() for claim in groups if arm in claim.arms)
 
     def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:
         """Segments in which the wire of ``arms`` may be in the foam: claimed, with a feed, by an operation

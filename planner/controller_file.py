@@ -1,0 +1,152 @@
+"""The controller part of a cell: its schema, and its conversion to values in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from planner.handshake import Handshake, PartnerSignals, SignalWire
+from planner.issues import Issue, TandemError
+from planner.problem import Controller
+from planner.schema import Name, Strict
+
+
+class SignalsFile(Strict):
+    """Signals of one controller to the other one."""
+
+    output: Annotated[Name, Field(description="digital output to the other controller")] = "doPartner"
+    input: Annotated[Name, Field(description="digital input from the other controller")] = "diPartner"
+
+
+class WireEndFile(Strict):
+    """One end of a wire between the controllers."""
+
+    arm: Name
+    signal: Name
+
+
+class SignalWireFile(Strict):
+    """A wire between the controllers."""
+
+    output: Annotated[WireEndFile, Field(description="the output that drives it")]
+    input: Annotated[WireEndFile, Field(description="the input that it drives")]
+
+
+class HandshakeFile(Strict):
+    """How two controllers meet that share digital signals only."""
+
+    kind: Annotated[
+        Literal["four_phase", "toggle"],
+        Field(description="signals change twice at each meeting and are 0 between, or once"),
+    ] = "four_phase"
+    every: Annotated[int, Field(ge=1, le=1000, description="meet at every so many moves")] = 1
+    signals: Annotated[
+        dict[Name, SignalsFile],
+        Field(default_factory=dict, description="by arm; an arm not named has the defaults"),
+    ]
+    wires: Annotated[
+        tuple[SignalWireFile, ...],
+        Field(max_length=2, description="none: each arm's output drives the other arm's input"),
+    ] = ()
+    timeout_s: Annotated[
+        float, Field(ge=0.1, le=3600, description="longest wait for the other arm at a step of joint work")
+    ] = 30.0
+    patience_s: Annotated[
+        float,
+        Field(
+            ge=1, le=86_400, description="longest wait while the other arm moves alone or asks the operator"
+        ),
+    ] = 3600.0
+
+
+class ControllerFile(Strict):
+    """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
+    own."""
+
+    sync: Annotated[
+        Literal["multimove", "handshake"],
+        Field(description="one controller, or two that share digital signals only"),
+    ] = "multimove"
+    tasks: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="T_ROB1, T_ROB2; with `handshake` T_ROB1 twice"),
+    ] = None
+    units: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="ROB_1, ROB_2; with `handshake` ROB_1 twice"),
+    ] = None
+    handshake: HandshakeFile | None = None
+    wire_signal: Name = "doWirePower"
+    max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
+    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
+
+
+def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
+    """The controller, or the two of them, of a cell with these arms. Raises ``TandemError``."""
+    alone = spec.sync == "handshake"
+    tasks = spec.tasks or (("T_ROB1", "T_ROB1") if alone else ("T_ROB1", "T_ROB2"))
+    units = spec.units or (("ROB_1", "ROB_1") if alone else ("ROB_1", "ROB_2"))
+    for field, names in (("tasks", tasks), ("units", units)):
+        if len(names) < len(arms):
+            what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
+            raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
+        if not alone and len({name.lower() for name in names}) != len(names):
+            what = f"the {field} {', '.join(names)} are not different; give each arm its own"
+            raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
+    if spec.handshake is not None and not alone:
+        raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
+    handshake = (
+        _handshake(spec.handshake or HandshakeFile(), arms, spec.wire_signal) if alone else Handshake()
+    )
+    return Controller(
+        tuple(tasks),
+        tuple(units),
+        spec.wire_signal,
+        spec.max_moves,
+        spec.max_kilobytes * 1000,
+        spec.sync,
+        handshake,
+    )
+
+
+def _handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshake:
+    if len(arms) != 2:
+        raise _wrong("", f"the cell has {len(arms)} arm; a handshake joins the controllers of two")
+    for name in spec.signals:
+        if name not in arms:
+            raise _wrong("signals", f"the cell has no arm {name}; allowed: {', '.join(arms)}")
+    signals = {
+        arm: PartnerSignals(names.output, names.input)
+        for arm in arms
+        for names in [spec.signals.get(arm, SignalsFile())]
+    }
+    for arm, names in signals.items():
+        words = [names.output.lower(), names.input.lower(), power.lower()]
+        if len(set(words)) != len(words):
+            what = f"{names.output}, {names.input} and {power} (the wire's power) must be three signals"
+            raise _wrong(f"signals.{arm}", f"{what}; give them different names")
+    wires = tuple(SignalWire(w.output.arm, w.output.signal, w.input.arm, w.input.signal) for w in spec.wires)
+    _check_wires(wires, signals)
+    return Handshake(spec.kind, spec.every, signals, wires, spec.timeout_s, spec.patience_s)
+
+
+def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSignals]) -> None:
+    """Raise where stated wires are not one from each controller's output to the other one's input."""
+    if not wires:
+        return
+    first, second = signals
+    wanted = {
+        (a, signals[a].output.lower(), b, signals[b].input.lower())
+        for a, b in ((first, second), (second, first))
+    }
+    got = {(w.source, w.output.lower(), w.sink, w.input.lower()) for w in wires}
+    for source, _, sink, _ in sorted(wanted - got):
+        what = f"no wire leads from {signals[source].output} of {source} to {signals[sink].input} of {sink}"
+        raise _wrong("wires", f"{what}; add it, name the signals as they are, or leave wires out")
+
+
+def _wrong(field: str, message: str) -> TandemError:
+    place = "controller.handshake" + (f".{field}" if field else "")
+    return TandemError(Issue("problem.field", message, field=place))
