@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from planner import (
     cell_file,
+    controller_file,
     part_faces_file,
     part_file,
     part_plate_file,
@@ -70,7 +71,11 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Tool `vacuum_cup`", "", cell_file.VacuumCupFile),
     ("Tool `plain`", "", cell_file.PlainToolFile),
     ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
-    ("`cell.controller`", "", cell_file.ControllerFile),
+    ("`cell.controller`", "", controller_file.ControllerFile),
+    ("`cell.controller.handshake`", "", controller_file.HandshakeFile),
+    ("`signals` of `handshake`, by arm", "", controller_file.SignalsFile),
+    ("`wires` of `handshake`, each", "", controller_file.SignalWireFile),
+    ("`output` and `input` of a wire", "", controller_file.WireEndFile),
     ("Shape `box`", "", cell_file.BoxFile),
     ("Shapes `cylinder` and `capsule`", "", cell_file.RoundFile),
     ("Shape `sphere`", "", cell_file.SphereFile),

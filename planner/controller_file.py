@@ -98,7 +98,9 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     if spec.handshake is not None and not alone:
         raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
     handshake = (
-        _handshake(spec.handshake or HandshakeFile(), arms, spec.wire_signal) if alone else Handshake()
+        _handshake(spec.handshake or HandshakeFile.model_validate({}), arms, spec.wire_signal)
+        if alone
+        else Handshake()
     )
     return Controller(
         tuple(tasks),

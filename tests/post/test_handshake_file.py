@@ -1,0 +1,87 @@
+"""The controller part of a cell: one controller, or two that share digital signals."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from planner.controller_file import ControllerFile, controllers
+from planner.handshake import SignalWire
+from planner.issues import TandemError
+
+ARMS = ("left", "right")
+TWICE = {"output": "DIPARTNER"}
+
+
+def made(arms=ARMS, **fields):
+    return controllers(ControllerFile.model_validate(fields), arms)
+
+
+def refused(arms=ARMS, **fields):
+    with pytest.raises(TandemError) as error:
+        made(arms, **fields)
+    return error.value.issues[0]
+
+
+def test_one_controller_has_a_task_and_a_unit_for_each_arm():
+    got = made()
+    assert (got.sync, got.tasks, got.units) == ("multimove", ("T_ROB1", "T_ROB2"), ("ROB_1", "ROB_2"))
+    assert refused(tasks=["T_A", "t_a"]).code == "problem.duplicate_name"
+
+
+def test_two_controllers_may_have_tasks_of_one_name():
+    got = made(sync="handshake")
+    assert (got.tasks, got.units) == (("T_ROB1", "T_ROB1"), ("ROB_1", "ROB_1"))
+    assert (got.handshake.kind, got.handshake.every) == ("four_phase", 1)
+    assert made(sync="handshake", tasks=["T_A", "T_A"]).tasks == ("T_A", "T_A")
+
+
+def test_outputs_drive_the_other_controllers_inputs_unless_stated():
+    assert made(sync="handshake").handshake.wired(ARMS) == (
+        SignalWire("left", "doPartner", "right", "diPartner"),
+        SignalWire("right", "doPartner", "left", "diPartner"),
+    )
+    names = {"left": {"output": "DO_A", "input": "DI_A"}}
+    wires = [
+        {"output": {"arm": "left", "signal": "DO_A"}, "input": {"arm": "right", "signal": "diPartner"}},
+        {"output": {"arm": "right", "signal": "doPartner"}, "input": {"arm": "left", "signal": "DI_A"}},
+    ]
+    got = made(sync="handshake", handshake={"kind": "toggle", "signals": names, "wires": wires}).handshake
+    assert got.wired(ARMS)[0] == SignalWire("left", "DO_A", "right", "diPartner")
+    assert got.of("left").input == "DI_A" and got.of("right").input == "diPartner"
+
+
+def test_wiring_that_does_not_join_the_signals_is_refused():
+    there = {
+        "output": {"arm": "left", "signal": "doPartner"},
+        "input": {"arm": "right", "signal": "diPartner"},
+    }
+    back = {
+        "output": {"arm": "right", "signal": "doPartner"},
+        "input": {"arm": "left", "signal": "diPartner"},
+    }
+    assert made(sync="handshake", handshake={"wires": [there, back]}).handshake.wires
+    for wires in ([there], [there, there], [there, {**back, "input": {"arm": "left", "signal": "diOther"}}]):
+        issue = refused(sync="handshake", handshake={"wires": wires})
+        assert issue.field == "controller.handshake.wires" and "from doPartner of right" in issue.message
+
+
+@pytest.mark.parametrize(
+    ("arms", "fields", "field"),
+    [
+        (("left",), {"sync": "handshake"}, ""),
+        (ARMS, {"handshake": {}}, ""),
+        (ARMS, {"sync": "handshake", "handshake": {"signals": {"middle": {}}}}, ".signals"),
+        (ARMS, {"sync": "handshake", "handshake": {"signals": {"left": TWICE}}}, ".signals.left"),
+        (ARMS, {"sync": "handshake", "wire_signal": "doPartner"}, ".signals.left"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_by_name(arms, fields, field):
+    issue = refused(arms, **fields)
+    assert (issue.code, issue.field) == ("problem.field", f"controller.handshake{field}")
+
+
+@pytest.mark.parametrize("wrong", [{"every": 0}, {"timeout_s": 0}, {"kind": "hope"}, {"delay": 1}])
+def test_values_out_of_range_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        ControllerFile.model_validate({"sync": "handshake", "handshake": wrong})
