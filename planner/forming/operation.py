@@ -1,0 +1,148 @@
+"""The ``forming`` operation of a problem file: lengths in mm, angles in degrees, speeds in mm/s."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from planner.problem import Stock
+from planner.schema import Angle, Name, Strict, Unit
+
+Mode = Literal["spif", "tpif", "dsif", "dpif_l", "dpif_p", "adsif", "heat"]
+GAPPED = frozenset({"dsif", "dpif_l", "adsif"})
+"""Modes in which the sheet is held between both tools, so that their gap is part of the job."""
+
+
+def _from_the_problem_file(value: Path | None, info: ValidationInfo) -> Path | None:
+    """A file name, looked up from the folder of the problem file."""
+    return None if value is None else (info.context or {}).get("folder", Path()) / value
+
+
+class Adsif(Strict):
+    """Accumulative forming: which solution of the response table is taken, and how much the tools give.
+
+    ``table``: a file of one's own with the columns of the built-in one; its conditions are stated here.
+    """
+
+    prefer: Annotated[
+        Literal["angle", "gap"],
+        Field(description="small position angle, or large gap, which needs less force"),
+    ] = "angle"
+    pitch_mm: Annotated[float, Field(gt=0, le=5)] = 0.2
+    projection_mm: Annotated[float, Field(gt=0, le=50, description="projection distance")] = 1.6
+    force_n: Annotated[float, Field(ge=0, le=100_000)] = 0.0
+    stiffness_n_mm: Annotated[float | None, Field(gt=0, description="of tool and arm across the gap")] = None
+    file: Annotated[Path | None, AfterValidator(_from_the_problem_file)] = None
+
+    @model_validator(mode="after")
+    def _stiff(self) -> Self:
+        if self.force_n > 0 and self.stiffness_n_mm is None:
+            raise ValueError("force_n bends the tools apart only by a stiffness_n_mm; state it")
+        return self
+
+
+class Die(Strict):
+    """The fixed die of ``tpif``: a mesh in the sheet's frame, on the side of the sheet away from the tool.
+
+    ``holder``: the blank holder is fixed, or sinks by a step when ``signal`` is pulsed.
+    """
+
+    file: Annotated[Path, AfterValidator(_from_the_problem_file)]
+    unit: Unit
+    kind: Literal["male", "female"]
+    full: Annotated[bool, Field(description="the die has the whole part's shape")] = True
+    holder: Literal["fixed", "sinking"] = "fixed"
+    signal: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")] = "doBlankHolder"
+
+
+class Forming(Strict):
+    """Incremental forming of the clamped sheet by the tools of one or two arms.
+
+    The first arm's tool works on the sheet's top side (+z of its frame), the second one's below; one arm
+    alone works on ``side``. A feature that goes down is formed by the tool above, one that goes up by the one
+    below.
+    """
+
+    name: Name
+    process: Literal["forming"]
+    arms: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    mode: Mode
+    side: Annotated[Literal["top", "bottom"], Field(description="of the tool of one arm alone")] = "top"
+    path: Literal["helical", "contour", "alternating", "stepped"] = "helical"
+    stepdown_mm: Annotated[float | None, Field(ge=0.02, le=20)] = None
+    scallop_mm: Annotated[
+        float | None, Field(ge=0.0005, le=2, description="height of the ridges between loops; sets the steps")
+    ] = None
+    tangent_deg: Annotated[
+        float, Field(ge=0.2, le=30, description="a target where the path has turned by so much")
+    ] = 4.0
+    chord_mm: Annotated[
+        float, Field(ge=0.002, le=1, description="how far straight moves may be off the path")
+    ] = 0.03
+    seam_deg: Annotated[Angle, Field(description="where loops begin, about the feature's middle")] = 0.0
+    direction: Literal["ccw", "cw"] = "ccw"
+    feature_step_mm: Annotated[
+        float, Field(ge=0.02, le=10, description="distance of the slices that find the features")
+    ] = 0.5
+    strategy: Annotated[
+        Literal["in_place", "virgin"],
+        Field(description="parents first, in place; or inner features first, on the flat sheet"),
+    ] = "in_place"
+    order: Annotated[tuple[int, ...] | None, Field(description="features in an order of one's own")] = None
+    squeeze: Annotated[float, Field(ge=0.5, le=1.2, description="gap over the thickness by the sine law")] = (
+        1.0
+    )
+    shift_deg: Annotated[
+        float, Field(ge=0, le=90, description="of the support around the former, up to the wall angle")
+    ] = 0.0
+    angle_step_deg: Annotated[
+        float, Field(ge=1, le=45, description="between intermediate shapes of steep walls")
+    ] = 15.0
+    passes: Annotated[
+        Literal["auto"] | tuple[float, ...],
+        Field(description="wall angles [deg] of the passes; auto: as the metal needs"),
+    ] = "auto"
+    repeats: Annotated[int, Field(ge=1, le=10, description="times that each pass is run")] = 1
+    feed_mm_s: Annotated[float, Field(ge=0.5, le=500, description="of both tools' TCPs on the sheet")] = 25.0
+    lean_deg: Annotated[
+        float, Field(ge=0, le=60, description="of the tools from the sheet's normal toward the surface's")
+    ] = 0.0
+    cone_deg: Annotated[
+        float, Field(ge=0, le=45, description="how far motion may tilt the tools from there")
+    ] = 0.0
+    force_n: Annotated[
+        float | None, Field(gt=0, le=100_000, description="on the former; none: by a formula")
+    ] = None
+    gouge_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.05
+    gap_tol_mm: Annotated[float, Field(ge=0.002, le=1)] = 0.02
+    handshake_gap_mm: Annotated[
+        float, Field(ge=0, le=10, description="how far the gap may be off with two controllers a step apart")
+    ] = 0.5
+    share: Annotated[
+        float, Field(gt=0.5, le=1, description="part of the walls that must be formed within tolerance")
+    ] = 0.95
+    adsif: Adsif = Adsif()
+    die: Die | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(set(self.arms)) != len(self.arms):
+            raise ValueError("arms: each arm is named once")
+        alone = self.mode in ("spif", "tpif")
+        if alone != (len(self.arms) == 1):
+            need = "one arm" if alone else "two arms, the first above the sheet and the second below"
+            raise ValueError(f"mode {self.mode} needs {need}")
+        if (self.die is not None) != (self.mode == "tpif"):
+            raise ValueError("a die belongs to mode tpif, and tpif needs one")
+        if (self.stepdown_mm is None) == (self.scallop_mm is None):
+            raise ValueError("give either stepdown_mm or scallop_mm, one of them")
+        if isinstance(self.passes, tuple) and (
+            not self.passes or list(self.passes) != sorted(set(self.passes)) or not 0 < self.passes[0] <= 90
+        ):
+            raise ValueError("passes: wall angles must ascend, each above 0 and at most 90")
+        return self
+
+    def leaves(self, stock: Stock) -> Stock:
+        """The sheet as it stays clamped: what stands out of it is part of its solids from the beginning."""
+        return stock
