@@ -56,9 +56,11 @@ def free(
     return _asked(model, rows, good, padding, ignore)
 
 
-def at_least(model: CellModel, q: Mapping[str, FloatArray], reach: float) -> FloatArray:
+def at_least(
+    model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs = frozenset()
+) -> FloatArray:
     """Cheap lower bounds (B,) [m] of the least distance between bodies, ``reach`` where it is more."""
-    lower, _ = _bounds(model, model.stack(q), reach, frozenset())
+    lower, _ = _bounds(model, model.stack(q), reach, ignore)
     return np.asarray(np.minimum(lower, reach))
 
 

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import robot
 from planner.cell import clearance
 from planner.cell.edge import Against, edge
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
-from planner.issues import Issue, TandemError
-from planner.problem import Setup, Shape
+from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
+from planner.verify.looks import PRECISE, looks, measured
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
@@ -25,13 +23,7 @@ Models = Callable[[int], CellModel]
 
 BETWEEN = 1e-3
 """How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
-STRIDE = 0.012
-"""Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
-looks do not touch between them, as long as it is more than ``LEAST``."""
-LEAST = 0.003
 REACH = 0.1
-MOST = 20_000
-"""Most looks of a setup; one that needs more is refused."""
 _FK_SAMPLES = 60
 KINEMATICS = 1e-6
 NEAR_CLAMP = 0.02
@@ -41,62 +33,6 @@ NEAR_CLAMP = 0.02
 def accepted(wanted: float) -> float:
     """Least clearance [m] that passes where one is wanted."""
     return wanted - min(BETWEEN, 0.1 * wanted)
-
-
-def looks(context: Context, index: int) -> IntArray:
-    """Samples of setup ``index`` at which clearance is measured: no point of an arm, its tool or what it
-    holds moves farther than ``STRIDE`` between them."""
-    motion = context.motion
-    rows = np.flatnonzero(context.sample_setup == index)
-    if not len(rows):
-        return rows
-    way = np.zeros(len(rows))
-    for task in context.job.tasks:
-        reach = _lever(context, index, task.arm.name)
-        way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
-    along = np.cumsum(way)
-    count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
-    if count > MOST:
-        what = f"setup {index + 1}: clearance needs {count} looks, at most {MOST} are made; split the job"
-        raise TandemError(Issue("verify.duration", what, value=count, limit=MOST))
-    marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
-    return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
-
-
-def _lever(context: Context, index: int, arm: str) -> FloatArray:
-    """How far any point of an arm is from each of its axes at most (6,) [m]."""
-    setup = context.setups[index]
-    p = robot(setup.cell.arm(arm).robot).opw
-    tool = _hand(setup, arm)
-    hand = abs(p.c4) + tool
-    forearm = float(np.hypot(p.a2, p.c3))
-    return np.array(
-        [abs(p.a1) + p.c2 + forearm + hand, p.c2 + forearm + hand, forearm + hand, hand, hand, tool]
-    )
-
-
-def _hand(setup: Setup, arm: str) -> float:
-    """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
-    tool, stock = setup.cell.arm(arm).tool, setup.stock
-    far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
-    shapes = (*tool.shapes, tool.edge) if tool.edge is not None else tool.shapes
-    far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
-    if stock.held_by == arm:
-        corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))
-        pose = tool.tcp @ stock.grip
-        far.append(float(np.linalg.norm(corners @ pose[:3, :3].T + pose[:3, 3], axis=1).max()))
-    return max(far)
-
-
-def _radius(shape: Shape) -> float:
-    """Radius [m] of a ball about a shape's origin that holds it."""
-    if shape.vertices is not None:
-        return float(np.linalg.norm(shape.vertices, axis=1).max())
-    if shape.kind == "box":
-        return 0.5 * float(np.linalg.norm(shape.size))
-    if shape.kind == "cylinder":
-        return float(np.hypot(shape.size[0], 0.5 * shape.size[1]))
-    return shape.size[0] + (0.5 * shape.size[1] if shape.kind == "capsule" else 0.0)
 
 
 def kinematics(context: Context, models: Models) -> Outcome:
@@ -145,6 +81,7 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
     looked: list[IntArray] = []
     distance: list[FloatArray] = []
     pairs: list[tuple[str, str]] = []
+    rest = np.inf
     for index in range(len(context.setups)):
         rows = looks(context, index)
         for chosen, ignore in _groups(context, index, rows):
@@ -155,10 +92,11 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
                 issues.append(Issue("verify.clearance", what, hint="state the edge of the bow's tool"))
                 continue
             q = {arm: q[chosen] for arm, q in context.motion.q.items()}
-            found = clearance.least(model, q, max(REACH, 1.5 * wanted), ignore)
-            looked.append(chosen)
-            distance.append(found.distance)
-            pairs += found.pair
+            found = measured(model, q, limit, max(REACH, 1.5 * wanted), ignore)
+            looked.append(chosen[found.look])
+            distance.append(found.least.distance)
+            pairs += found.least.pair
+            rest = min(rest, found.rest)
     rows = np.concatenate([*looked, np.zeros(0, dtype=np.int64)])
     order = np.argsort(rows, kind="stable")
     rows = rows[order]
@@ -178,25 +116,28 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
         return Outcome(tuple(issues), where="nothing moves"), rows, least
     k = least.worst()
     where = " and ".join(least.pair[k]) if least.pair[k][0] else "nothing near"
-    return Outcome(tuple(issues), mm(everywhere[k]), mm(limit), "mm", where), rows, least
+    worst = float(everywhere[k])
+    if rest < worst - PRECISE:
+        worst, where = rest, "a bound; bodies may keep farther apart"
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where), rows, least
 
 
 def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
     """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts, the
     heads of forming tools and the sheet between them where they form it."""
     claims = context.setup_claims[index]
+    arms = list(claims.straight)
+    if not arms or not len(rows):
+        return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels()[rows]
-    arms = [task.arm.name for task in context.job.tasks]
-    own = {arm: claims.cuts((arm,)) if arm in claims.straight else claims.forms(arm) for arm in arms}
-    touch = {arm: np.isin(labels, list(own[arm])) for arm in arms}
-    out: dict[clearance.Pairs, list[int]] = {}
-    for k in range(len(rows)):
-        meet = [arm for arm in arms if touch[arm][k]]
-        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in meet}
-        heads = [f"{arm}/edge" for arm in meet if labels[k] in claims.forms(arm)]
-        pairs |= {frozenset(heads)} if len(heads) > 1 else set()
-        out.setdefault(frozenset(pairs), []).append(k)
-    return [(rows[np.array(chosen)], ignore) for ignore, chosen in out.items()]
+    cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)))) for arm in arms], axis=1)
+    out = []
+    for flags in np.unique(cuts, axis=0):
+        touching = frozenset(
+            frozenset((f"{arm}/edge", "stock")) for arm, cut in zip(arms, flags, strict=True) if cut
+        )
+        out.append((rows[(cuts == flags).all(axis=1)], touching))
+    return out
 
 
 def wire_bodies(
