@@ -141,12 +141,14 @@ def robots() -> int:
 
 @app.command
 def materials() -> int:
-    """List the wire and foam materials, with the sources of their figures."""
+    """List the materials of wires, foams and sheets, with the sources of their figures."""
     from planner.materials import foams, wire_materials
+    from planner.sheet_metals import sheet_metals
 
     table = Table("name", "material", "figure", "source")
     known = [(m.name, m.title, m.sources) for m in wire_materials().values()]
     known += [(f.name, f.title, f.sources) for f in foams().values()]
+    known += [(s.name, s.title, s.sources) for s in sheet_metals().values()]
     for name, title, sources in known:
         for figure, source in sources.items():
             table.add_row(name, title, figure.replace("_", " "), source)

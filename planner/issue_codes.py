@@ -127,6 +127,8 @@ CODES: Final[dict[str, str]] = {
     "post.tool": "a tool's data cannot be written",
     "post.frame": "targets lie in a work frame that the program cannot refer to",
     "post.no_split": "a program is too long for one module and has no stop to split it at",
+    "post.handshake_process": "work that two controllers cannot do that share digital signals only",
+    "post.handshake_drift": "what one arm a step ahead of the other does to the distance of the tools",
     "post.load": "the block that an arm holds has no weight that the controller can be told",
     # proof of the programs
     "verify.syntax": "a program is not RAPID as the controller reads it, or has no single straight way",
@@ -191,6 +193,27 @@ CODES: Final[dict[str, str]] = {
     "verify.wire_clearance": "the wire comes too near to a body",
     "verify.surface": "too little of the cut surface is within tolerance of the wanted one",
     "verify.ridge": "a ridge or groove stands out of the cut surface",
+    # sheet metals, forces, trials and tables of forming
+    "forming.unknown_metal": "a sheet metal that is not built in",
+    "forming.thickness_untested": "a sheet is thicker or thinner than the forming tests that are known",
+    "forming.trial": "a trial of one lab failed at such a wall, thickness and depth",
+    "forming.force_input": "a length, angle or force of a force estimate is out of range",
+    "forming.force": "the forming force is beyond the payload that a robot has left",
+    "forming.adsif_table": "a table of the ADSIF response cannot be read, or a value in it is wrong",
+    "forming.adsif_conditions": "the ADSIF table holds for another metal, sheet, tool or path",
+    "forming.adsif_range": "a wall angle that the ADSIF table does not reach",
+    "forming.adsif_unstable": "tool positions that the ADSIF table calls unstable, or beyond it",
+    "forming.adsif_compliance": "the tools give way by more than the ADSIF gap can make up for",
+    # the base of the second robot, from points that both probed
+    "align.file": "a file of probed points cannot be read, or a value in it is missing or out of range",
+    "align.cell": "a cell has no second arm, or its base cannot be rewritten in place",
+    "align.few_points": "fewer than three points were probed, or too few are left",
+    "align.same_points": "probed points lie in one place",
+    "align.collinear": "probed points lie on one line, so that the turn about it is unknown",
+    "align.mirrored": "probed points fit a mirror image, as when an axis has the wrong sign",
+    "align.units": "the points of one robot are a common factor larger than those of the other",
+    "align.bad_point": "a probed point does not fit the others",
+    "align.large_residual": "probed points fit worse than allowed, and no one of them is to blame",
     # motion
     "motion.no_reach": "an arm cannot reach a target",
     "motion.joint_limit": "an arm passes a joint limit at a target whatever its freedoms",
@@ -205,6 +228,14 @@ CODES: Final[dict[str, str]] = {
     "motion.no_placement": "no place of the stock was found from which the whole job can be done",
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
     "verify.no_programs": "a result folder holds no programs",
+    # features of a part that is formed from a sheet
+    "forming.undercut": "a part turns over: a wall beyond 90 degrees",
+    "forming.hole": "a part has a hole, or a crack between facets",
+    "forming.border": "the edge of a part leaves the sheet plane",
+    "forming.touching": "two features touch or lie over each other",
+    "forming.flat": "nothing of a part leaves the sheet plane",
+    "forming.step": "a slicing step is no length above 0, or gives too many levels",
+    "forming.order": "an order of forming names a feature twice, not at all, or before what it stands on",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -61,6 +61,7 @@ def test_the_lists(tmp_path: Path) -> None:
     materials = run("materials", folder=tmp_path)
     assert materials.returncode == 0
     assert "spring_steel" in materials.stdout
+    assert "galvanised_steel" in materials.stdout
     issues = run("issues", folder=tmp_path)
     assert issues.returncode == 0
     assert all(code in issues.stdout for code in CODES)
