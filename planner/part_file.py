@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from planner import part_faces_file, part_plate_file, part_ruled_file, part_surface_file, part_wing_file
+from planner import (
+    part_faces_file,
+    part_plate_file,
+    part_ruled_file,
+    part_sheet_file,
+    part_surface_file,
+    part_wing_file,
+)
 from planner.geometry.laying import check_ruled, lay_along, standing_out
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.placing import fit_into_block, overhang
@@ -26,14 +33,15 @@ from planner.issues import Issue, TandemError, has_errors
 from planner.part_faces_file import BackFile, Faces, FrontFile
 from planner.part_plate_file import PlateFile
 from planner.part_ruled_file import RuledFile
+from planner.part_sheet_file import SheetMeshFile
 from planner.part_surface_file import RuledMeshFile, StripsFile
 from planner.part_wing_file import WingFile
-from planner.problem import Mesh, Part, Ruled
+from planner.problem import Mesh, Part, Ruled, Stock
 from planner.schema import Strict, Vector
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
-KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips")
+KINDS = ("front", "ruled", "wing", "plate", "mesh", "strips", "sheet_mesh")
 
 
 class PlaceFile(Strict):
@@ -55,7 +63,7 @@ InStock = Annotated[
 
 class PartFile(Strict):
     """The wanted part: exactly one of ``front`` (with or without ``back``), ``ruled``, ``wing``, ``plate``,
-    ``mesh`` and ``strips``.
+    ``mesh``, ``strips`` and ``sheet_mesh``, the last one of a sheet that is formed.
 
     ``in_stock: auto`` lays it into the block: a front up, long side along long side; ruled surfaces with
     their rulings along the longest axis of the block along which they fit; outlines of a plate in the middle.
@@ -68,6 +76,7 @@ class PartFile(Strict):
     plate: PlateFile | None = None
     mesh: RuledMeshFile | None = None
     strips: StripsFile | None = None
+    sheet_mesh: SheetMeshFile | None = None
     in_stock: InStock = "auto"
 
     @model_validator(mode="after")
@@ -84,11 +93,18 @@ class PartFile(Strict):
         return self
 
 
-def build(spec: PartFile, folder: Path, stock_size: FloatArray) -> Part:
-    """The part in the stock frame of a block of ``stock_size`` (3,) [m]; files are looked up from ``folder``.
+def build(spec: PartFile, folder: Path, stock: Stock) -> Part:
+    """The part in the stock frame of a block or sheet; files are looked up from ``folder``.
 
     Raises ``TandemError``: issues of files and shapes, ``part.stock_too_small``.
     """
+    stock_size = stock.size
+    if spec.sheet_mesh is not None:
+        pose = None if isinstance(spec.in_stock, str) else spec.in_stock.matrix()
+        return part_sheet_file.build(spec.sheet_mesh, folder, stock, pose)
+    if stock.sheet is not None:
+        what = "part: a sheet is formed to a sheet_mesh; give one, or a block as stock:"
+        raise TandemError(Issue("problem.field", what, field="part"))
     if spec.front is not None:
         faces = part_faces_file.build(spec.front, spec.back, folder)
         return _with_faces(faces, spec.in_stock, stock_size)

@@ -11,19 +11,19 @@ import json
 import reprlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 import yaml
-from pydantic import BaseModel, Field, Tag, ValidationError
+from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner import cell_file, part_file, stock_file, yaml_lines
+from planner import cell_file, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
 from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
 from planner.problem import Cell, Change, Operation, Problem, Settings
 from planner.schema import Name, Strict
+from planner.sheet_file import SheetFile
 from planner.stock_file import Choice, SetupFile, StockFile
 from planner.units import DEG, MM
 from planner.yaml_lines import Document
@@ -63,10 +63,21 @@ class ProblemFile(Strict):
     cell: Annotated[
         Annotated[str, Tag("word"), Field(max_length=1000)] | Annotated[CellFile, Tag("mapping")], Choice
     ]
-    stock: StockFile
+    stock: StockFile | None = None
+    sheet: Annotated[SheetFile | None, Field(description="a clamped sheet to form, in place of a block")] = (
+        None
+    )
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
     operations: Annotated[list[dict[str, Any]], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _one_stock(self) -> Self:
+        if (self.stock is None) == (self.sheet is None):
+            raise ValueError(
+                "stock: give the block as stock, or the sheet to be formed as sheet, one of them"
+            )
+        return self
 
 
 def read(path: Path, models: OperationModels) -> Problem:
@@ -103,15 +114,19 @@ def read(path: Path, models: OperationModels) -> Problem:
     changes: dict[int, Change] = {}
     if spec is not None:
         try:
-            stock = stock_file.stock(spec.stock, path.parent)
+            if spec.sheet is not None:
+                stock = sheet_file.stock(spec.sheet)
+            elif spec.stock is not None:
+                stock = stock_file.stock(spec.stock, path.parent)
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
     if cell is not None:
         changes, faults = _changes(setups, cell, path.parent, document)
         issues += faults
-    if spec is not None and spec.part is not None:
+    if spec is not None and spec.part is not None and stock is not None:
         try:
-            part = part_file.build(spec.part, path.parent, np.array(spec.stock.size_mm) * MM)
+            part = part_file.build(spec.part, path.parent, stock)
+            stock = part_sheet_file.with_formed(stock, part)
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
     if spec is None or cell is None or stock is None or issues:
