@@ -1,0 +1,326 @@
+"""Two programs that meet by signals, as automata, and the check of all that they can do together.
+
+Each program is a row of actions. A wire carries one program's output to the other one's input with any delay:
+its reading end follows its driving end at any later instant, so that a pulse may pass unseen. Any program may
+stop at any instant for good, as its error handler leaves the outputs. All interleavings are looked at.
+
+Every step of a program adds one to the sum of both places, so the reachable states are visited sum by sum;
+what depends on places alone is put in relative form, and equal rows of states before equal actions are
+expanded once. This is exact, and takes time in proportion to the programs' length.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
+
+ActionKind = Literal["set", "wait", "go", "done", "gate"]
+FaultKind = Literal["deadlock", "lost_edge", "apart"]
+Levels = tuple[tuple[int, int], ...]
+_State = tuple[int, int]
+"""Offset between the places of both programs, and bits: three for each wire (driven level, level as read, a
+change that the reader has not seen yet), then one for each program that has stopped."""
+_Here = tuple[int, int, bool, bool, bool, bool]
+"""What the places decide: codes of both actions, whether the other one has done the work before, whether
+gates are open."""
+_Step = tuple[int, int, FaultKind | None]
+"""A step of a program: which one, the bits behind it, the fault that it is."""
+_EVER, _NEVER = 2**60, -(2**60)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Action:
+    """One action. "set" puts ``wire`` to ``value``, "wait" waits until it reads so. "go" and "done" enclose
+    the work of the interval ``value`` between two meetings. "gate" is passed once the other program has
+    reached its place ``value``.
+
+    ``resets``: levels of wires that the error handler in force here leaves, as (wire, value). ``line`` is
+    its step in the program text, for messages.
+    """
+
+    kind: ActionKind
+    wire: int = 0
+    value: int = 0
+    resets: Levels = ()
+    line: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """What one of the programs (0 or 1) did: the action at ``place``."""
+
+    program: int
+    place: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """A fault and how it comes about.
+
+    ``places``: where both programs are; ``program``: whose action is at fault (0 in a deadlock); ``driven``
+    and ``read``: levels of the wires at their ends; ``trace``: the last events before, in order; ``steps``:
+    how many events lead there from the start.
+    """
+
+    kind: FaultKind
+    places: tuple[int, int]
+    program: int
+    driven: tuple[int, ...]
+    read: tuple[int, ...]
+    trace: tuple[Event, ...]
+    steps: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """``findings``: the faults that the fewest events lead to, none for programs that hold. ``states`` that
+    were looked at, counted with their places, and ``kinds`` of them that differ otherwise."""
+
+    findings: tuple[Finding, ...]
+    states: int
+    kinds: int
+
+
+def check(programs: Sequence[Sequence[Action]], wires: int, gates: bool = True, trace: int = 12) -> Verdict:
+    """Look at all that two programs can do together.
+
+    ``wires``: how many there are; at first each one has any level, at both ends. ``gates`` False: gates are
+    passed at any time (the operator does not look), and only "apart" is a fault.
+
+    "apart": a program works in an interval before the other one has done its work of the interval before.
+    "lost_edge": a wire changes before the other program has seen its last change, or that is never seen.
+    """
+    return _Search(programs, wires, gates, trace).run()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Row:
+    """States (offset between the places, bits) and the offsets in them."""
+
+    states: frozenset[_State]
+    offsets: tuple[int, ...]
+
+
+class _Search:
+    def __init__(self, programs: Sequence[Sequence[Action]], wires: int, gates: bool, trace: int) -> None:
+        if len(programs) != 2:
+            raise ValueError(f"{len(programs)} programs; the check takes two")
+        self.programs = programs
+        self.wires = wires
+        self.gates = gates
+        self.trace = trace
+        self.code: list[list[int]] = []
+        self.table: list[Action | None] = [None]
+        known: dict[tuple[object, ...], int] = {}
+        for program in programs:
+            row = []
+            for action in program:
+                value = action.value if action.kind in ("set", "wait") else 0
+                key = (action.kind, action.wire, value, action.resets)
+                if key not in known:
+                    known[key] = len(self.table)
+                    self.table.append(action)
+                row.append(known[key])
+            self.code.append([*row, 0])
+        self.need = [
+            [a.value - 1 if a.kind == "go" else _NEVER for a in program] + [_NEVER] for program in programs
+        ]
+        self.gate = [[a.value if a.kind == "gate" else -1 for a in program] + [-1] for program in programs]
+        self.finished = [_finished(program) for program in programs]
+
+    def run(self) -> Verdict:
+        start = frozenset(
+            (0, sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
+            for levels in itertools.product((0, 1), repeat=self.wires)
+        )
+        rows = [_row(start)]
+        known = {start: 0}
+        memo: dict[tuple[int, tuple[_Here, ...]], tuple[int, int, frozenset[FaultKind]]] = {}
+        history: list[int] = []
+        findings: list[Finding] = []
+        here, states = 0, 0
+        for total in range(sum(len(program) for program in self.programs) + 1):
+            row = rows[here]
+            if not row.states:
+                break
+            history.append(here)
+            place = tuple([self._here(total, offset) for offset in row.offsets])
+            answer = memo.get((here, place))
+            if answer is None:
+                following, count, faults = self._expand(row, dict(zip(row.offsets, place, strict=True)))
+                if following not in known:
+                    known[following] = len(rows)
+                    rows.append(_row(following))
+                answer = memo[here, place] = (known[following], count, faults)
+            here, count, faults = answer
+            states += count
+            if faults:
+                findings += [self._finding(kind, total, rows, history) for kind in sorted(faults)]
+                break
+        return Verdict(tuple(findings), states, sum(len(row.states) for row in rows))
+
+    # ---- one sum of places ----
+
+    def _expand(
+        self, row: _Row, here: Mapping[int, _Here]
+    ) -> tuple[frozenset[_State], int, frozenset[FaultKind]]:
+        """States behind one event, how many states there are before it, and what faults show."""
+        faults: set[FaultKind] = set()
+        out: set[_State] = set()
+        whole = self._closed(row.states, here)
+        for offset, bits in whole:
+            moved = self._events(bits, here[offset])
+            stopped = bits >> 3 * self.wires
+            for program, after, fault in moved:
+                if fault and (fault == "apart" or (self.gates and not stopped)):
+                    faults.add(fault)
+                out.add((offset + (1 if program == 0 else -1), after))
+            if self.gates and self._stuck(bits, here[offset], moved):
+                faults.add("deadlock")
+            if self.gates and self._unread(bits, here[offset]):
+                faults.add("lost_edge")
+        return frozenset(out), len(whole), frozenset(faults)
+
+    def _closed(self, states: frozenset[_State], here: Mapping[int, _Here]) -> set[_State]:
+        """The states with all that happens without a step of a program: wires that follow, programs that
+        stop."""
+        whole = set(states)
+        todo = list(states)
+        while todo:
+            offset, bits = todo.pop()
+            behind = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
+            after = [bits ^ 2 << 3 * wire for wire in behind]
+            for program in range(2):
+                mark = 1 << 3 * self.wires + program
+                action = self.table[here[offset][program]]
+                if bits & mark or action is None:
+                    continue
+                after.append(bits | mark)
+                changed = bits
+                for wire, value in action.resets:
+                    changed = changed & ~(1 << 3 * wire) | value << 3 * wire
+                after.append(changed | mark)
+            for new in after:
+                state = (offset, new)
+                if state not in whole:
+                    whole.add(state)
+                    todo.append(state)
+        return whole
+
+    def _stuck(self, bits: int, here: _Here, moved: list[_Step]) -> bool:
+        """Whether no program that has not come to its end can ever go on, though none has stopped."""
+        settled = all((bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1 == 0 for wire in range(self.wires))
+        return settled and not moved and not bits >> 3 * self.wires and bool(here[0] or here[1])
+
+    def _unread(self, bits: int, here: _Here) -> bool:
+        """Whether both programs are at their ends, and the last change of a wire was never seen."""
+        unseen = any(bits >> 3 * wire & 4 for wire in range(self.wires))
+        return not (here[0] or here[1]) and not bits >> 3 * self.wires and unseen
+
+    def _events(self, bits: int, here: _Here) -> list[_Step]:
+        """Steps that the programs can do."""
+        out: list[_Step] = []
+        for program in range(2):
+            action = self.table[here[program]]
+            if action is None or bits >> 3 * self.wires + program & 1:
+                continue
+            shift = 3 * action.wire
+            fault: FaultKind | None = None
+            after = bits
+            match action.kind:
+                case "set":
+                    if bits >> shift & 1 != action.value:
+                        fault = "lost_edge" if bits >> shift & 4 else None
+                        after = bits & ~(1 << shift) | action.value << shift | 4 << shift
+                case "wait":
+                    if bits >> shift + 1 & 1 != action.value:
+                        continue
+                    if bits >> shift & 1 == action.value:
+                        after = bits & ~(4 << shift)  # the reader has seen the last change
+                case "go":
+                    fault = None if here[2 + program] else "apart"
+                case "gate":
+                    if self.gates and not here[4 + program]:
+                        continue
+            out.append((program, after, fault))
+        return out
+
+    # ---- how it comes about ----
+
+    def _here(self, total: int, offset: int) -> _Here:
+        a, b = (total + offset) >> 1, (total - offset) >> 1
+        return (
+            self.code[0][a],
+            self.code[1][b],
+            self.need[0][a] <= self.finished[1][b],
+            self.need[1][b] <= self.finished[0][a],
+            b >= self.gate[0][a],
+            a >= self.gate[1][b],
+        )
+
+    def _whole(self, total: int, row: _Row) -> dict[_State, list[_Step]]:
+        """States at a sum of places, with the steps that they can do."""
+        here = {offset: self._here(total, offset) for offset in row.offsets}
+        return {
+            (offset, bits): self._events(bits, here[offset])
+            for offset, bits in sorted(self._closed(row.states, here))
+        }
+
+    def _finding(self, kind: FaultKind, total: int, rows: list[_Row], history: list[int]) -> Finding:
+        at, program = next(self._at_fault(kind, total, rows[history[total]]))
+        events: list[Event] = []
+        state, level = at, total
+        while level > 0 and len(events) < self.trace:
+            state, event = self._before(state, level, rows[history[level - 1]])
+            events.append(event)
+            level -= 1
+        offset, bits = at
+        return Finding(
+            kind,
+            ((total + offset) >> 1, (total - offset) >> 1),
+            program,
+            tuple(bits >> 3 * wire & 1 for wire in range(self.wires)),
+            tuple(bits >> 3 * wire + 1 & 1 for wire in range(self.wires)),
+            tuple(reversed(events)),
+            total,
+        )
+
+    def _at_fault(self, kind: FaultKind, total: int, row: _Row) -> Iterator[tuple[_State, int]]:
+        """States at which the fault shows, with the program that does it; unstopped ones come first."""
+        whole = self._whole(total, row)
+        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> 3 * self.wires):
+            stopped = bits >> 3 * self.wires
+            for program, _, fault in moved:
+                if fault == kind and (kind == "apart" or not stopped):
+                    yield (offset, bits), program
+            if kind == "deadlock" and self._stuck(bits, self._here(total, offset), moved):
+                yield (offset, bits), 0
+            if kind == "lost_edge" and self._unread(bits, self._here(total, offset)):
+                yield (offset, bits), 0
+
+    def _before(self, state: _State, level: int, row: _Row) -> tuple[_State, Event]:
+        """A state one event earlier than ``state`` at the sum ``level``, and that event."""
+        for (offset, bits), moved in self._whole(level - 1, row).items():
+            for program, after, _ in moved:
+                there = offset + (1 if program == 0 else -1)
+                if there != state[0]:
+                    continue
+                if state in self._closed(frozenset({(there, after)}), {there: self._here(level, there)}):
+                    place = (level - 1 + offset) >> 1 if program == 0 else (level - 1 - offset) >> 1
+                    return (offset, bits), Event(program, place)
+        raise RuntimeError("a state that was reached has no state before it")
+
+
+def _row(states: frozenset[_State]) -> _Row:
+    return _Row(states, tuple(sorted({offset for offset, _ in states})))
+
+
+def _finished(program: Sequence[Action]) -> list[int]:
+    """For each place, the last interval whose work is done there: the one before that of the work ahead."""
+    out = [_EVER] * (len(program) + 1)
+    for place in range(len(program) - 1, -1, -1):
+        action = program[place]
+        out[place] = action.value - 1 if action.kind in ("go", "done") else out[place + 1]
+    return out
