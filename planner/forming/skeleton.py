@@ -1,0 +1,165 @@
+"""What of a contour tree is meant: places where features begin and end, and walls between them.
+
+A branch that does not leave the height of its fork by ``noise`` is no feature: its vertices count as part of
+the fork. Forks within ``noise`` of each other are one place, as those are that noise makes on a flat.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from planner.forming.contour_tree import ContourTree
+from planner.forming.values import FloatArray, IntArray
+
+EXACT: Final = 1e-6
+"""Heights [m] that differ by less are those of a mesh without noise."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """A flat, a saddle or an end, on which walls begin or end: its ``level`` [m], the ``span`` [m] of heights
+    that noise gives it, and the place from which a wall leads here (-1 for the flat sheet)."""
+
+    level: float
+    span: tuple[float, float]
+    before: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Skeleton:
+    """Places, each after the one before it, and where the vertices are. ``element`` (N,): 2 p at place p,
+    2 p + 1 on the wall that leads to place p. ``height`` (N,) [m]: the surface without what is noise."""
+
+    places: tuple[Place, ...]
+    element: IntArray
+    height: FloatArray
+
+    def onward(self, place: int) -> list[int]:
+        """The places to which walls lead from one."""
+        return [index for index, other in enumerate(self.places) if other.before == place]
+
+    def direction(self, place: int) -> int:
+        """+1 where the wall to a place rises, -1 where it goes down."""
+        return 1 if self.places[place].level > self.places[self.places[place].before].level else -1
+
+
+def skeleton(
+    tree: ContourTree, height: FloatArray, weight: FloatArray, noise: float, level: float
+) -> Skeleton:
+    """The skeleton of a contour tree of ``height`` (N,) [m] whose root is the flat sheet at ``level`` [m].
+
+    ``weight`` (N,): plan area of the vertices, by which the level of a noisy flat is the median of theirs.
+    """
+    return _Builder(tree, height, noise).build(weight, level)
+
+
+def _floats(values: FloatArray) -> list[float]:
+    """Single numbers of a list are got at several times faster than those of an array."""
+    return list(map(float, values))
+
+
+class _Builder:
+    def __init__(self, tree: ContourTree, height: FloatArray, noise: float) -> None:
+        self.tree, self.noise, self.z = tree, noise, _floats(height)
+        self.low, self.high = _floats(tree.low), _floats(tree.high)
+        self.rank: list[int] = tree.rank.tolist()
+        inner = tree.order[1:]
+        above = tree.parent[inner]
+        grouped = np.argsort(above, kind="stable")
+        self.begin: list[int] = np.concatenate(
+            [[0], np.cumsum(np.bincount(above, minlength=len(height)))]
+        ).tolist()
+        self.after: list[int] = inner[grouped].tolist()
+        reach = np.maximum(tree.high[inner] - height[above], height[above] - tree.low[inner]) >= noise
+        self.matters = np.zeros(len(height), dtype=bool)
+        self.matters[inner] = reach
+        self.element = np.full(len(height), -1, dtype=np.int64)
+        self.before: list[int] = [-1]
+        self.ends: dict[int, int] = {}
+
+    def children(self, vertex: int) -> list[int]:
+        return self.after[self.begin[vertex] : self.begin[vertex + 1]]
+
+    def onward(self, vertex: int) -> list[int]:
+        return [child for child in self.children(vertex) if self.matters[child]]
+
+    def build(self, weight: FloatArray, level: float) -> Skeleton:
+        self.element[self.tree.root] = 0
+        reference = [level]
+        open_: list[tuple[int, int]] = [(self.tree.root, 0)]
+        while open_:
+            vertex, place = open_.pop()
+            for child in self.onward(vertex):
+                path, is_end = self._wall(vertex, child)
+                last = path[-1]
+                if is_end and self._beyond(child, reference[place]) < self.noise:
+                    self.element[path] = 2 * place
+                    continue
+                if not is_end and abs(self.z[last] - reference[place]) < self.noise:
+                    self.element[path] = 2 * place
+                    open_.append((last, place))
+                    continue
+                new = len(self.before)
+                self.before.append(place)
+                reference.append(self.z[last])
+                self.element[path[:-1]] = 2 * new + 1
+                self.element[last] = 2 * new
+                if is_end:
+                    self.ends[new] = last
+                else:
+                    open_.append((last, new))
+        return self._finish(weight, level)
+
+    def _wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
+        """From one fork on to the next one, or to the end."""
+        rises = self.rank[child] > self.rank[vertex]
+        path = [child]
+        while len(onward := self.onward(path[-1])) == 1 and (
+            (self.rank[onward[0]] > self.rank[path[-1]]) == rises
+        ):
+            path.append(onward[0])
+        if onward:
+            return path, False
+        return self._to_the_tip(path, 1.0 if rises else -1.0), True
+
+    def _to_the_tip(self, path: list[int], sign: float) -> list[int]:
+        """What is left is less high than noise; where there is none it is followed to its very end."""
+        while children := self.children(path[-1]):
+            here = self.z[path[-1]]
+            reach = [max(self.high[c] - here, here - self.low[c]) for c in children]
+            best = int(np.argmax(reach))
+            others = reach[:best] + reach[best + 1 :]
+            if max(others, default=0.0) > EXACT or sign * (self.z[children[best]] - here) < -EXACT:
+                break
+            path.append(children[best])
+        return path
+
+    def _beyond(self, vertex: int, level: float) -> float:
+        return max(self.high[vertex] - level, level - self.low[vertex])
+
+    def _finish(self, weight: FloatArray, level: float) -> Skeleton:
+        element, flat, up = self.element.tolist(), list(self.z), self.tree.parent.tolist()
+        for vertex in self.tree.order[1:].tolist():
+            if element[vertex] < 0:
+                element[vertex], flat[vertex] = element[up[vertex]], flat[up[vertex]]
+        where, z = np.array(element), np.array(self.z)
+        at_place = np.nonzero(where % 2 == 0)[0]
+        order = at_place[np.argsort(where[at_place], kind="stable")]
+        groups = np.split(order, np.nonzero(np.diff(where[order]))[0] + 1)
+        places = []
+        for index, members in enumerate(groups):
+            heights = z[members]
+            span = (float(heights.min()), float(heights.max()))
+            own = level if index == 0 else self._level(index, heights, weight[members])
+            places.append(Place(own, span, self.before[index]))
+        return Skeleton(tuple(places), where, np.array(flat))
+
+    def _level(self, place: int, heights: FloatArray, weight: FloatArray) -> float:
+        if place in self.ends and np.ptp(heights) <= EXACT:
+            return self.z[self.ends[place]]
+        order = np.argsort(heights)
+        total = np.cumsum(weight[order])
+        return float(heights[order[min(int(np.searchsorted(total, 0.5 * total[-1])), len(order) - 1)]])
