@@ -281,11 +281,15 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
                 field="cell",
             )
         )
-    inner = yaml_lines.read(path)
-    cell_spec, issues = _validate(CellFile, inner.data, inner, ())
-    if cell_spec is None:
+    return read_cell(yaml_lines.read(path))
+
+
+def read_cell(document: Document) -> Cell:
+    """The cell of a file of its own; raises `TandemError` with every fault and its line."""
+    spec, issues = _validate(CellFile, document.data, document, ())
+    if spec is None:
         raise TandemError(issues)
-    return _built(cell_spec, inner, ())
+    return _built(spec, document, ())
 
 
 def _built(spec: CellFile, document: Document, prefix: tuple[str | int, ...]) -> Cell:
