@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
 from planner.problem import Tool
-from planner.targets import Targets, segment_kind
+from planner.targets import Targets, works
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -47,7 +47,7 @@ def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
     if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
         return least
     surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
-    cutting = np.array([segment_kind(label) == "cut" for label in labels])
+    cutting = np.array([works(label) for label in labels])
     foam = max(DEVIATION, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
     return np.where(cutting | np.append(cutting[1:], False), foam, AIR)
 

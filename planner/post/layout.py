@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import dataclasses
 import itertools
 from collections.abc import Sequence
@@ -14,6 +15,9 @@ from planner.post.program import Job, OperationProgram, Run, splittable
 from planner.post.rapid_format import NAME_LENGTH, identifier
 
 IntArray = NDArray[np.int64]
+
+_GRAIN = 200
+"""Where arms meet at every move a procedure has so many moves at least, or what a module takes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,9 +46,13 @@ def parts(
     load = _Load(frame, max_moves, max_bytes)
     for number, runs in enumerate(_runs(job)):
         program = next(t.operations[number] for t in job.tasks if t.operations[number].track is not None)
-        for first, last in _spans(runs, program):
+        begins = [run.first for run in runs]
+        largest = max(1, int(max(sizes[number], default=1)))
+        grain = max(1, min(_GRAIN, max_moves // 4, max_bytes // (4 * largest)))
+        for first, last in _spans(runs, program, grain):
             load.add(program, first, last, sizes[number][first:last])
-            for run in runs:
+            inside = slice(bisect.bisect_right(begins, first) - 1, bisect.bisect_left(begins, last))
+            for run in runs[inside]:
                 low, high = max(run.first, first), min(run.last, last)
                 if low >= high:
                     continue
@@ -96,11 +104,19 @@ def _runs(job: Job) -> list[list[Run]]:
     return out
 
 
-def _spans(runs: Sequence[Run], program: OperationProgram) -> list[tuple[int, int]]:
-    """Spans of moves between places where a program may be split; every operation starts at one."""
+def _spans(runs: Sequence[Run], program: OperationProgram, grain: int) -> list[tuple[int, int]]:
+    """Spans of moves between places where a program may be split; every operation starts at one. Of meeting
+    places within work one at every ``grain`` moves will do."""
     if not runs:
         return []
-    edges = [0, *(np.flatnonzero(splittable(program)) + 1).tolist()]
+    places = splittable(program)
+    edges = [0]
+    for row in np.flatnonzero(places).tolist():
+        inside = (
+            program.meets[row] and row + 1 < len(places) and program.labels[row] == program.labels[row + 1]
+        )
+        if not inside or row + 1 - edges[-1] >= grain:
+            edges.append(row + 1)
     return list(itertools.pairwise(edges))
 
 

@@ -3,6 +3,9 @@
 Tasks go through the same operations side by side. Outside synchronised blocks one arm works while the others
 wait at the next :class:`Meet`; inside, the tasks have equal runs of moves, pair by pair. An action always
 stands outside a block.
+
+Two controllers that share digital signals only (:class:`planner.handshake.Handshake`) meet inside blocks too:
+at the moves that :attr:`OperationProgram.meets` numbers.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import RobotData
+from planner.handshake import Handshake
 from planner.problem import Arm
-from planner.targets import Action, segment_kind
+from planner.targets import Action, works
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,10 +41,12 @@ class Joints:
 
 @dataclasses.dataclass(frozen=True)
 class Meet:
-    """All tasks wait here for each other; ``number`` from 1. ``reached``: what is then so."""
+    """All tasks wait here for each other; ``number`` from 1. ``reached``: what is then so. ``seconds``: what
+    one of them does alone before takes so long by the plan, as far as the plan says."""
 
     number: int
     reached: str
+    seconds: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +126,8 @@ Step = Joints | Meet | SyncOn | SyncOff | Do | Carry | Run
 class OperationProgram:
     """One operation of one task; ``ids``, ``stop``: (M,) of the moves. An arm that waits has no ``track``.
 
-    ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then.
+    ``meets`` (M,): the number of the handshake behind each move, counted with the :class:`Meet` of the job; 0
+    for none. ``setup`` counts from 1; ``arm`` is the arm with the tool that it carries then.
     """
 
     name: str
@@ -129,6 +136,7 @@ class OperationProgram:
     track: Track | None
     ids: IntArray
     stop: BoolArray
+    meets: IntArray
     labels: tuple[str, ...]
     steps: tuple[Step, ...]
 
@@ -147,20 +155,51 @@ class TaskProgram:
 
 
 @dataclasses.dataclass(frozen=True)
+class Drift:
+    """What arms that meet by handshake may be off while one is ahead of the other in operation ``name``.
+
+    ``change`` (M,) [m] of the moves: the most by which the distance of the TCPs may differ from the planned
+    one in the interval between meetings that the move belongs to. ``worst`` [m] at the move ``row``, of the
+    segment ``label``.
+    """
+
+    name: str
+    change: FloatArray
+    worst: float
+    row: int
+    label: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Job:
-    """All tasks. ``coupled``: the arms are joined in some operation; ``signals``: what actions switch."""
+    """All tasks. ``coupled``: the arms are joined in some operation; ``signals``: what actions switch.
+
+    ``handshake``: each task runs on a controller of its own, and this is how they meet; ``meets`` then counts
+    all meetings, the first one in ``main`` too. ``drifts``: of the operations with both arms.
+    """
 
     tasks: tuple[TaskProgram, ...]
     meets: int
     blocks: int
     coupled: bool
     signals: tuple[str, ...]
+    handshake: Handshake | None = None
+    drifts: tuple[Drift, ...] = ()
+
+    def switched(self, task: TaskProgram) -> tuple[str, ...]:
+        """The signals that a task can switch: all, or those that its own controller's actions switch."""
+        if self.handshake is None:
+            return self.signals
+        steps = (step for operation in task.operations for step in operation.steps)
+        own = {step.action.signal for step in steps if isinstance(step, Do)}
+        return tuple(signal for signal in self.signals if signal in own)
 
 
 def splittable(program: OperationProgram) -> BoolArray:
-    """(M,) whether a program may be split behind a move: at stops that do not lie inside one cut segment."""
+    """(M,) whether a program may be split behind a move: at stops that do not lie inside one segment of work,
+    and where the arms meet anyway."""
     out = program.stop.copy()
-    for i in np.flatnonzero(out[:-1]):
-        inside = program.labels[i] == program.labels[i + 1] and segment_kind(program.labels[i]) == "cut"
+    for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
+        inside = program.labels[i] == program.labels[i + 1] and works(program.labels[i])
         out[i] = not inside
     return out

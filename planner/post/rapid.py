@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
+from planner.post import handshake_drift
 from planner.post.layout import Part, parts
 from planner.post.program import (
     Carry,
@@ -36,6 +37,7 @@ from planner.post.rapid_data import (
     wobj_name,
 )
 from planner.post.rapid_format import action_lines, box, comment, identifier, quoted, short
+from planner.post.rapid_handshake import Partner
 from planner.post.rapid_moves import move_lines, zones
 from planner.problem import Problem
 
@@ -43,6 +45,7 @@ NameArray = NDArray[np.str_]
 
 _INDENT = "  "
 _PROC_BYTES = 1500
+_CALL_BYTES = 20
 _NO_WIRE = (
     "Is there NO wire between the arms? Each arm now goes alone to home and to its first position. "
     "Take off what joins them, see that their ways are clear, then press OK."
@@ -65,6 +68,8 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
         )
         for i in range(len(plan.operations))
     ]
+    if job.handshake is not None:
+        sizes = [size + _CALL_BYTES for size in sizes]
     limits = problem.cell.controller
     layout = parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes)
     out: dict[str, str] = {}
@@ -102,7 +107,7 @@ def _moves(task: TaskProgram, job: Job, zone: Sequence[Mapping[int, NameArray]])
         if program.track is None:
             out.append([])
             continue
-        ids = program.ids if len(_moving(job, i)) > 1 else None
+        ids = program.ids if len(_moving(job, i)) > 1 and job.handshake is None else None
         names = (tools.of(program.arm.tool), wobj_name(program.track.frame, program.setup))
         out.append(move_lines(task.robot, program.track, ids, zone[i][task.number], *names))
     return out
@@ -125,6 +130,11 @@ class _Task:
         self.margins, self.layout, self.moves = margins, layout, moves
         self.stations = Stations(task)
         self.tools = Tools(task)
+        self.partner = Partner.of(task, job)
+        self.signals = job.switched(task)
+        # tasks of two controllers may have the same name
+        alone = problem.cell.controller.sync == "handshake"
+        self.folder = task.arm.name if alone else task.task
 
     def files(self, zone_names: set[str]) -> dict[str, str]:
         """The task's files by relative name."""
@@ -141,7 +151,7 @@ class _Task:
         listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
         head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\n'
         files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
-        return {f"{self.task.task}/{name}": text for name, text in files.items()}
+        return {f"{self.folder}/{name}": text for name, text in files.items()}
 
     def _unique(self, bodies: Mapping[str, Sequence[str]]) -> None:
         """Raise an issue when two things of the task would have one name."""
@@ -179,9 +189,13 @@ class _Task:
                 "Parallel-rod arm: jointtargets hold the controller's axis 3 (serial angle plus axis 2). How "
                 "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
             )
-        if self.job.signals:
+        if self.partner is not None:
+            out += self.partner.header()
+            for drift in self.job.drifts:
+                out += comment(f"Operation {drift.name}: {handshake_drift.sentence(drift)}.")
+        if self.signals:
             out += comment(
-                f"Error handlers switch {', '.join(self.job.signals)} off first. An emergency stop runs no "
+                f"Error handlers switch {', '.join(self.signals)} off first. An emergency stop runs no "
                 "handler: wire the power so that it falls with the motors."
             )
         return out
@@ -191,14 +205,20 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        if self.task.number == 1:
+        clear = _CLEAR if self.problem.setups[0].steps else _READY
+        if self.partner is not None:
+            body += [*self._power_off(), *self.partner.start(clear)]
+        elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            clear = _CLEAR if self.problem.setups[0].steps else _READY
             body += box("Tandem", _NO_WIRE if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
+        body += [] if self.partner is None else self.partner.end()
         out = self._procedure("main", body, undo=False)
+        if self.partner is not None:
+            for name, lines in self.partner.procedures().items():
+                out += ["", *self._procedure(name, lines, undo=False)]
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]
         return out
@@ -208,7 +228,7 @@ class _Task:
         for step in operation.steps:
             body += self._step(step, index)
         blocks = any(isinstance(step, SyncOn) for step in operation.steps)
-        return self._procedure(f"operation_{index + 1}", body, undo=blocks)
+        return self._procedure(f"operation_{index + 1}", body, undo=blocks and self.partner is None)
 
     def _step(self, step: Step, operation: int) -> list[str]:
         match step:
@@ -216,6 +236,10 @@ class _Task:
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{tool};"]
+            case Meet(number, reached, seconds) if self.partner is not None:
+                return [*comment(f"Meeting: {reached}"), *self.partner.meet(number, seconds)]
+            case SyncOn() | SyncOff() if self.partner is not None:
+                return []
             case Meet(number, reached):
                 return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASKS};"]
             case SyncOn(number):
@@ -239,7 +263,11 @@ class _Task:
             short(float(operation.track.duration[rows].sum()), 2) if operation.track is not None else "0"
         )
         body = comment(f"Segment {part.label}: {part.last - part.first} moves, {seconds} s.")
-        return self._procedure(part.name, [*body, *self.moves[part.operation][rows]], undo=False)
+        moves = self.moves[part.operation][rows]
+        if self.partner is not None:
+            calls = [self.partner.call(number) for number in operation.meets[rows].tolist()]
+            moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
+        return self._procedure(part.name, [*body, *moves], undo=False)
 
     def _procedure(self, name: str, body: Sequence[str], undo: bool) -> list[str]:
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
@@ -250,7 +278,7 @@ class _Task:
         return [*out, "ENDPROC"]
 
     def _power_off(self) -> list[str]:
-        return [f"SetDO {identifier(signal)},0;" for signal in self.job.signals]
+        return [f"SetDO {identifier(signal)},0;" for signal in self.signals]
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
@@ -259,12 +287,13 @@ class _Task:
             if self.job.coupled
             else "Check the arm before it moves."
         )
-        stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 else "Stop;"
+        stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
         note = quoted(f"Tandem: error in {name}, number ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",
             f"TPWrite {note}\\Num:=ERRNO;",
+            *([] if self.partner is None else self.partner.unanswered()),
             f"TPWrite {quoted(joined)};",
             stop,
             "EXIT;",

@@ -125,7 +125,7 @@ def data_lines(
     own = own_zones(set(zones))
     if own:
         out += ["", "! zones that fit the distances of the targets", *own]
-    if len(job.tasks) > 1:
+    if len(job.tasks) > 1 and job.handshake is None:
         listed = ",".join(f"[{quoted(other.task)}]" for other in job.tasks)
         out += ["", "! where the tasks meet; each point is used once"]
         out += [f"PERS tasks {TASKS}{{{len(job.tasks)}}}:=[{listed}];"]

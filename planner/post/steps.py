@@ -9,9 +9,11 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.geometry.rigid import to_quaternion
+from planner.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.post import corners
+from planner.post import corners, handshake_drift
+from planner.post.handshake import meeting_rows, refuse
 from planner.post.loads import carries
 from planner.post.program import (
     POSITION_DECIMALS,
@@ -59,7 +61,10 @@ def build(plan: Plan, problem: Problem) -> Job:
             f"{len(setups)} in {len(problem.setups)}"
         )
         raise TandemError(Issue("post.plan", message, hint="plan this problem again"))
-    builder = _Builder([arm.name for arm in arms])
+    handshake = controller.handshake if controller.sync == "handshake" and len(arms) > 1 else None
+    if handshake is not None:
+        refuse(plan, setups)
+    builder = _Builder([arm.name for arm in arms], handshake)
     loads = carries(plan, problem)
     parts = [
         builder.operation(i, operation, setups[i], plan.places[setups[i].number - 1], loads.get(i, {}))
@@ -81,15 +86,17 @@ def build(plan: Plan, problem: Problem) -> Job:
     actions = [action for operation in plan.operations for action in operation.targets.actions]
     signals = dict.fromkeys(action.signal for action in actions if action.kind in ("on", "off"))
     coupled = any(operation.targets.coupled for operation in plan.operations)
-    return Job(tasks, builder.meets, builder.blocks, coupled, tuple(signals))
+    drifts = () if handshake is None else handshake_drift.drifts(plan, setups, parts)
+    return Job(tasks, builder.meets, builder.blocks, coupled, tuple(signals), handshake, drifts)
 
 
 class _Builder:
     """Numbers the meeting points and blocks of a job while its operations are laid out."""
 
-    def __init__(self, arms: Sequence[str]) -> None:
+    def __init__(self, arms: Sequence[str], handshake: Handshake | None) -> None:
         self.arms = arms
-        self.meets = 0
+        self.handshake = handshake
+        self.meets = 0 if handshake is None else 1  # the first meeting stands before all operations
         self.blocks = 0
         self.steps: dict[str, list[Step]] = {}
 
@@ -108,8 +115,14 @@ class _Builder:
         written = _written(plan, frames, place)
         keep = _kept(written)
         arms = {arm.name: arm for arm in setup.cell.arms}
-        tracks = {arm: _track(plan, arms[arm], frames[arm], keep, *written[arm]) for arm in targets.arms}
         stop = _stops(targets, keep)
+        meets = np.zeros(len(keep), dtype=np.int64)
+        if self.handshake is not None and len(targets.arms) > 1:
+            stop = meeting_rows(stop, self.handshake.every)
+            meets = stop.astype(np.int64)
+        tracks = {
+            arm: _track(plan, arms[arm], frames[arm], keep, stop, *written[arm]) for arm in targets.arms
+        }
         labels = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
@@ -128,14 +141,22 @@ class _Builder:
             from_home = number > 0 or opened
             self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
-        self._blocks(number, targets, keep, labels)
+        self._blocks(number, targets, keep, labels, meets, next(iter(tracks.values())).duration)
         for arm in reversed(plan.order):
             steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
             self._alone(arm, steps[1:], f"{arm} is home again")
         ids = np.arange(1, len(keep) + 1)
         return {
             arm: OperationProgram(
-                plan.name, setup.number, arms[arm], tracks.get(arm), ids, stop, labels, tuple(self.steps[arm])
+                plan.name,
+                setup.number,
+                arms[arm],
+                tracks.get(arm),
+                ids,
+                stop,
+                meets,
+                labels,
+                tuple(self.steps[arm]),
             )
             for arm in self.arms
         }
@@ -146,16 +167,16 @@ class _Builder:
         asked = Action(0, "confirm", text=setup.confirmation)
         self._alone(self.arms[0], [Do(action) for action in (*told, asked)], f"setup {setup.number} is done")
 
-    def _meet(self, reached: str) -> None:
+    def _meet(self, reached: str, seconds: float = 0.0) -> None:
         if len(self.arms) > 1:
             self.meets += 1
             for arm in self.arms:
-                self.steps[arm].append(Meet(self.meets, reached))
+                self.steps[arm].append(Meet(self.meets, reached, seconds))
 
     def _alone(self, arm: str, steps: Sequence[Step], reached: str) -> None:
         if steps:
             self.steps[arm] += steps
-            self._meet(reached)
+            self._meet(reached, sum(step.action.seconds for step in steps if isinstance(step, Do)))
 
     def _actions(self, targets: Targets, row: int, keep: IntArray) -> None:
         """Actions from the target of this row to before that of the next one; row -1 is the first target."""
@@ -166,7 +187,16 @@ class _Builder:
         lead = next(arm for arm in self.arms if arm in targets.arms)
         self._alone(lead, [Do(action) for action in due], "what this stop asks for is done")
 
-    def _blocks(self, number: int, targets: Targets, keep: IntArray, labels: Sequence[str]) -> None:
+    def _blocks(
+        self,
+        number: int,
+        targets: Targets,
+        keep: IntArray,
+        labels: Sequence[str],
+        meets: IntArray,
+        duration: FloatArray,
+    ) -> None:
+        """Lays out the moves; gives the rows that are marked in ``meets`` (M,) their numbers."""
         together = len(targets.arms) > 1
         ends = {int(np.searchsorted(keep, action.at, side="right")) - 1 for action in targets.actions}
         edges = sorted({0, len(keep)} | {end + 1 for end in ends})
@@ -176,8 +206,11 @@ class _Builder:
             runs = _runs(number, labels, first, last, together)
             for arm in targets.arms:
                 self.steps[arm] += [SyncOn(self.blocks), *runs, SyncOff(self.blocks)] if together else runs
+            marked = np.flatnonzero(meets[first:last]) + first
+            meets[marked] = self.meets + 1 + np.arange(len(marked))
+            self.meets += len(marked)
             if not together:
-                self._meet(f"{targets.arms[0]} has run its moves")
+                self._meet(f"{targets.arms[0]} has run its moves", float(duration[first:last].sum()))
             self._actions(targets, last - 1, keep)
 
 
@@ -275,6 +308,7 @@ def _track(
     arm: Arm,
     frame: str,
     keep: IntArray,
+    stop: BoolArray,
     position: FloatArray,
     quaternion: FloatArray,
 ) -> Track:
@@ -290,7 +324,6 @@ def _track(
         )
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
-    stop = _stops(plan.targets, keep)
     labels = [plan.targets.segment[i] for i in keep]
     room = corners.room(
         position[stations],
