@@ -169,7 +169,7 @@ def test_a_move_before_the_other_arm_has_arrived():
 
 
 def test_error_handlers_that_touch_the_lines_are_taken_for_arrivals():
-    """A toggle's line may be 1 while its arm moves; a handler that resets it says that the arm has arrived."""
+    """A toggle's line may be 1 while its arm moves; a handler that resets it says that it has arrived."""
     programs = both(four=False, meetings=4)
     resets = ((0, 0),)
     programs[LEAD] = [dataclasses.replace(action, resets=resets) for action in programs[LEAD]]
