@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from planner.geometry.mesh import TriangleMesh, face_normals, vertex_normals
 from planner.issues import TandemError
 from planner.part_file import PartFile, build
+from planner.problem import Stock
 
 SIZE = np.array([0.17, 0.70, 0.10])
 PROFILES = [
@@ -31,7 +32,7 @@ def capital(**more: Any) -> dict[str, Any]:
 
 
 def make(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = SIZE) -> Any:
-    return build(PartFile.model_validate(spec), folder, size)
+    return build(PartFile.model_validate(spec), folder, Stock(size, None, np.eye(3)))
 
 
 def test_a_panel_is_laid_front_up_along_the_block_and_inside_it() -> None:

@@ -18,14 +18,16 @@ from pydantic import ValidationError
 from planner.geometry.rulings import outward, outward_sides, points, tessellate
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile, build
-from planner.problem import Part
+from planner.problem import Part, Stock
 
 BLOCK = np.array([0.3, 0.6, 0.1])
 SQUARE = [[0, 0], [100, 0], [100, 100], [0, 100]]
 
 
 def make(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> Part:
-    return build(PartFile.model_validate_json(json.dumps(spec), strict=True), folder, size)
+    return build(
+        PartFile.model_validate_json(json.dumps(spec), strict=True), folder, Stock(size, None, np.eye(3))
+    )
 
 
 def refused(spec: dict[str, Any], folder: Path = Path(), size: np.ndarray = BLOCK) -> list[Issue]:

@@ -17,13 +17,15 @@ from planner.geometry.rulings import outward, points
 from planner.geometry.strips import cut
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile, build
-from planner.problem import Part
+from planner.problem import Part, Stock
 
 BLOCK = np.array([0.5, 0.5, 0.3])
 
 
 def make(spec: dict[str, Any], folder: Path = Path()) -> Part:
-    return build(PartFile.model_validate_json(json.dumps(spec), strict=True), folder, BLOCK)
+    return build(
+        PartFile.model_validate_json(json.dumps(spec), strict=True), folder, Stock(BLOCK, None, np.eye(3))
+    )
 
 
 def refused(spec: dict[str, Any], folder: Path = Path()) -> Issue:

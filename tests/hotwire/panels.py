@@ -40,7 +40,7 @@ def part(front: dict[str, Any] | None = None, back: float | None = 15.0, block: 
     spec: dict[str, Any] = {"front": front or loft(ARCH)}
     if back is not None:
         spec["back"] = {"offset_mm": back}
-    return build(PartFile.model_validate(spec), Path(), (block or stock()).size)
+    return build(PartFile.model_validate(spec), Path(), block or stock())
 
 
 def operation(wire: dict[str, Any] | None = None, **more: Any) -> ElasticWire:
