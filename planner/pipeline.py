@@ -83,6 +83,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
     made = solve.solve(problem, targets, tell)
     tell("programs", 0.0)
+    made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
     tell("proof", 0.0)
     proof = verify(problem, programs)
