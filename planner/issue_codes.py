@@ -204,6 +204,11 @@ CODES: Final[dict[str, str]] = {
     "forming.adsif_range": "a wall angle that the ADSIF table does not reach",
     "forming.adsif_unstable": "tool positions that the ADSIF table calls unstable, or beyond it",
     "forming.adsif_compliance": "the tools give way by more than the ADSIF gap can make up for",
+    # paths of the contact on a face
+    "forming.path_options": "a step, ridge height, chord or other figure of a forming path is out of range",
+    "forming.no_contour": "nothing of a face lies between the levels that a path is to go",
+    "forming.open_contour": "a level line of a face ends at a border of its mesh",
+    "forming.tool_radius": "a forming tool is too large for a place of the face",
     # the base of the second robot, from points that both probed
     "align.file": "a file of probed points cannot be read, or a value in it is missing or out of range",
     "align.cell": "a cell has no second arm, or its base cannot be rewritten in place",

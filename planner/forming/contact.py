@@ -1,0 +1,217 @@
+"""A ball on a face: where its centre is when it touches at a wanted place and cuts in nowhere.
+
+All here is for a ball above a face whose normals point up; for a ball below, mirror the face in z first.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
+from planner.geometry.mesh import TriangleMesh, face_normals
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+CREASE: Final = math.radians(20.0)
+"""Faces that turn by more than this over an edge meet in a crease; by less, they stand for a smooth face."""
+TOUCH: Final = 1e-6
+"""The ball may cut in by so much [m]; places so near to the nearest one are touched as well."""
+ON_FACE: Final = 3e-6
+"""A place of contact so near [m] to the mesh counts as on it: facets are chords of a smooth face."""
+_ROUNDS: Final = 40
+_PAIRS: Final = 200_000
+_PIECES: Final = 150_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Contact:
+    """Of N wanted places: ``centre`` (N, 3) [m] of the ball, ``point`` (N, 3) where it touches, ``normal``
+    (N, 3) from there to the centre, ``pushed`` (N,) [m] how far the centre had to go aside, ``gap`` (N,) [m]
+    from the ball to the wanted place, ``clear`` (N,) whether the ball then cuts in nowhere."""
+
+    centre: FloatArray
+    point: FloatArray
+    normal: FloatArray
+    pushed: FloatArray
+    gap: FloatArray
+    clear: BoolArray
+
+
+class Face:
+    """A face that balls of one ``radius`` [m] touch from above; only what lies within ``box`` ((2, 2), lower
+    and upper x, y [m]) and a ball's width around it is looked at."""
+
+    def __init__(self, mesh: TriangleMesh, radius: float, box: FloatArray | None = None) -> None:
+        flat = mesh.vertices[mesh.faces][:, :, :2]
+        if box is not None:
+            low, high = box[0] - 2.5 * radius, box[1] + 2.5 * radius
+            near = ((flat.max(axis=1) >= low) & (flat.min(axis=1) <= high)).all(axis=1)
+            mesh = TriangleMesh(mesh.vertices, mesh.faces[near])
+        self.mesh, self.radius = mesh, radius
+        self.normals = face_normals(mesh)
+        self.smooth = corner_normals(mesh, CREASE)
+        self._corners = mesh.vertices[mesh.faces]
+        self._offset = np.einsum("fd,fd->f", self._corners[:, 0], self.normals)
+        edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
+        # small and large faces apart, so that the large ones do not widen the search among the small ones
+        self._trees: list[tuple[cKDTree, IntArray, float]] = []
+        rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
+        for one in np.unique(rank):
+            members = np.flatnonzero(rank == one)
+            pieces, owner = small_pieces(self._corners[members], 0.05 * radius * 2.0**one, _PIECES)
+            if box is not None:
+                low, high = pieces[:, :, :2].min(axis=1), pieces[:, :, :2].max(axis=1)
+                kept = ((high >= box[0] - 2.5 * radius) & (low <= box[1] + 2.5 * radius)).all(axis=1)
+                pieces, owner = pieces[kept], owner[kept]
+            if not len(pieces):
+                continue
+            middle = pieces.mean(axis=1)
+            reach = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
+            self._trees.append((cKDTree(middle), members[owner], reach))
+
+    def normal_at(self, face: IntArray, weights: FloatArray) -> FloatArray:
+        """Unit normals (N, 3), smooth over the facets, at places of ``face`` (N,) by their barycentric
+        ``weights`` (N, 3)."""
+        mixed = np.einsum("nk,nkd->nd", weights, self.smooth[face])
+        return np.asarray(mixed / np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-300))
+
+    def nearest(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """The places (N, 3) of the face that are nearest to ``points`` (N, 3), the faces (N,) they are on and
+        their barycentric weights (N, 3)."""
+        place, face = np.empty_like(points), np.zeros(len(points), dtype=np.int64)
+        share = np.zeros((len(points), 3))
+        bound = np.full(len(points), np.inf)
+        for tree, _, _ in self._trees:
+            bound = np.minimum(bound, tree.query(points)[0])
+        order = np.argsort(bound, kind="stable")  # so that each chunk asks no wider than it needs
+        for start in range(0, len(points), 4000):
+            rows = order[start : start + 4000]
+            some = points[rows]
+            best = np.full(len(rows), np.inf)
+            for i, f in self._pairs(some, float(bound[rows].max())):
+                weights = closest_on_triangles(some[i], *self._ends(f))
+                foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
+                apart = np.linalg.norm(some[i] - foot, axis=1)
+                first = _first_least(i, apart)
+                first = first[apart[first] < best[i[first]]]
+                to = i[first]
+                best[to] = apart[first]
+                place[rows[to]], face[rows[to]], share[rows[to]] = foot[first], f[first], weights[first]
+        return place, face, share
+
+    def clearance(self, centres: FloatArray) -> FloatArray:
+        """Distances (N,) [m] of ``centres`` (N, 3) from the face, negative below it; those beyond the radius
+        and a little may be given as infinite."""
+        return self._deepest(centres, None)[0]
+
+    def clear(self, wanted: FloatArray, normal: FloatArray) -> Contact:
+        """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it
+        cuts in nowhere."""
+        radius = self.radius
+        first = wanted + radius * normal
+        centre = first.copy()
+        active = np.arange(len(centre))
+        for _ in range(_ROUNDS):
+            distance, _, away = self._deepest(centre[active], None)
+            deep = distance < radius - TOUCH
+            active = active[deep]
+            if not len(active):
+                break
+            centre[active] += (radius - distance[deep] + 0.2 * TOUCH)[:, None] * away[deep]
+        clear = np.ones(len(centre), dtype=np.bool_)
+        clear[active] = False
+        offset = centre - wanted
+        apart = np.linalg.norm(offset, axis=1)
+        clear &= np.einsum("nd,nd->n", offset, normal) > 0.0
+        along = np.where(apart[:, None] > 0.0, offset / np.maximum(apart, 1e-300)[:, None], normal)
+        point = wanted.copy()
+        moved = np.flatnonzero((centre != first).any(axis=1))
+        if len(moved):
+            _, place, _ = self._deepest(centre[moved], along[moved])
+            # facets are chords: the ball touches the smooth face at the foot of the smooth normal, if that
+            # is on the mesh within what contact means; a foot on the facets themselves would flicker from
+            # one to the next
+            foot = centre[moved] - radius * along[moved]
+            good = np.linalg.norm(self.nearest(foot)[0] - foot, axis=1) <= ON_FACE
+            point[moved] = np.where(good[:, None], foot, place)
+        back = centre - point
+        length = np.linalg.norm(back, axis=1, keepdims=True)
+        return Contact(
+            centre,
+            point,
+            np.asarray(back / np.maximum(length, 1e-300)),
+            np.linalg.norm(centre - first, axis=1),
+            np.maximum(apart - radius, 0.0),
+            clear,
+        )
+
+    def _deepest(
+        self, centres: FloatArray, like: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Signed distances (N,) of the face, infinite beyond the radius, the nearest places (N, 3) and the
+        unit ways (N, 3) from there to the centre; of places that are equally near the one whose way is most
+        ``like`` (N, 3) the given one."""
+        reach = self.radius + 20.0 * TOUCH
+        best = np.full(len(centres), np.inf)
+        place, away = centres.copy(), np.tile([0.0, 0.0, 1.0], (len(centres), 1))
+        for start in range(0, len(centres), 4000):
+            some = centres[start : start + 4000]
+            kept = []
+            for i, f in self._pairs(some, reach):
+                height = np.einsum("nd,nd->n", some[i], self.normals[f]) - self._offset[f]
+                near = np.abs(height) < reach  # the plane is as far off as that at least
+                i, f, height = i[near], f[near], height[near]
+                weights = closest_on_triangles(some[i], *self._ends(f))
+                foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
+                back = some[i] - foot
+                apart = np.linalg.norm(back, axis=1)
+                behind = (height < 0.0) & (weights.min(axis=1) > 0.0)
+                apart = np.where(behind, -apart, apart)
+                use = apart < reach
+                kept.append((i[use], apart[use], foot[use], back[use], f[use]))
+            if not kept:
+                continue
+            i, apart, foot, back, f = (np.concatenate(part) for part in zip(*kept, strict=True))
+            near_zero = np.abs(apart) < 1e-9
+            way = np.where(
+                near_zero[:, None], self.normals[f], back / np.where(near_zero, 1.0, apart)[:, None]
+            )
+            first = _first_least(i, apart)
+            best[start + i[first]] = apart[first]
+            if like is not None:
+                tie = apart <= best[start + i] + TOUCH
+                i, apart, foot, way = i[tie], apart[tie], foot[tie], way[tie]
+                first = _first_least(i, -np.einsum("nd,nd->n", way, like[start + i]))
+            place[start + i[first]], away[start + i[first]] = foot[first], way[first]
+        return best, place, away
+
+    def _ends(self, face: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        corners = self._corners[face]
+        return corners[:, 0], corners[:, 1], corners[:, 2]
+
+    def _pairs(self, points: FloatArray, reach: float) -> Iterator[tuple[IntArray, IntArray]]:
+        """Indices of points and of faces that may be as near as ``reach`` to each other, in chunks."""
+        mine = cKDTree(points)
+        for tree, owner, size in self._trees:
+            found = mine.sparse_distance_matrix(tree, reach + size, output_type="ndarray")
+            for start in range(0, len(found), _PAIRS):
+                part = found[start : start + _PAIRS]
+                yield part["i"].astype(np.int64), owner[part["j"]]
+
+
+def _first_least(group: IntArray, value: FloatArray) -> IntArray:
+    """Index of the least ``value`` of each group."""
+    order = np.lexsort((value, group))
+    ordered = group[order]
+    first = np.ones(len(order), dtype=np.bool_)
+    first[1:] = ordered[1:] != ordered[:-1]
+    return np.asarray(order[first])

@@ -1,0 +1,168 @@
+"""Where a ball is too large for a face: creases, where every ball is, and smooth places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.forming.contact import CREASE, Contact, Face
+from planner.forming.paths_slices import Loop
+from planner.geometry.mesh import TriangleMesh
+from planner.issues import Issue, TandemError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+PUSHED: Final = 2e-5
+"""A ball that a crease pushes aside by more than this [m] does not reach its place."""
+_SAMPLES: Final = 64
+_WORST: Final = 60
+_STEEPEST: Final = np.radians(85.0)
+
+
+class Creases:
+    """Concave creases and points of a face, and how far around them the face's ball cannot reach."""
+
+    def __init__(self, face: Face) -> None:
+        mesh, normals = face.mesh, face.normals
+        self._face = face
+        directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+        owner = np.tile(np.arange(len(mesh.faces)), 3)
+        key = directed.min(axis=1) * len(mesh.vertices) + directed.max(axis=1)
+        order = np.argsort(key, kind="stable")
+        twin = np.flatnonzero(key[order][1:] == key[order][:-1])
+        first, second = order[twin], order[twin + 1]
+        f, g = owner[first], owner[second]
+        turn = np.arccos(np.clip(np.einsum("ed,ed->e", normals[f], normals[g]), -1.0, 1.0))
+        middle = mesh.vertices[mesh.faces].mean(axis=1)
+        concave = np.einsum("ed,ed->e", middle[g] - middle[f], normals[f]) > 0.0
+        # what the facets of a smooth face turn by, at each vertex
+        self._turn = np.zeros(len(mesh.vertices))
+        flat = turn < CREASE
+        for end in range(2):
+            np.maximum.at(self._turn, directed[first[flat], end], turn[flat])
+        sharp = concave & ~flat
+        spots, reach = [], []
+        step = 0.1 * face.radius
+        one, two = (mesh.vertices[directed[first[sharp], end]] for end in range(2))
+        parts = np.maximum(np.ceil(np.linalg.norm(two - one, axis=1) / step), 1).astype(np.int64)
+        edge = np.repeat(np.arange(len(parts)), parts + 1)
+        share = (np.arange(len(edge)) - np.repeat(np.cumsum(parts + 1) - parts - 1, parts + 1)) / parts[edge]
+        spots.append(one[edge] + share[:, None] * (two - one)[edge])
+        reach.append(0.5 * turn[sharp][edge])
+        # points: vertices around which the faces lean from their mean by more than a crease's half
+        mean = np.zeros_like(mesh.vertices)
+        pull = np.zeros_like(mesh.vertices)
+        for k in range(3):
+            np.add.at(mean, mesh.faces[:, k], normals)
+            np.add.at(pull, mesh.faces[:, k], middle - mesh.vertices[mesh.faces[:, k]])
+        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+        lean = np.zeros(len(mesh.vertices))
+        for k in range(3):
+            corner = mesh.faces[:, k]
+            cosine = np.einsum("fd,fd->f", mean[corner], normals)
+            np.maximum.at(lean, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
+        tip = (lean > 0.5 * CREASE) & (np.einsum("vd,vd->v", mean, pull) > 0.0)
+        spots.append(mesh.vertices[tip])
+        reach.append(lean[tip])
+        self._spots = np.concatenate(spots)
+        wide = np.tan(np.minimum(np.concatenate(reach), _STEEPEST))
+        self._reach = 1.05 * face.radius * wide + step
+        self._tree = cKDTree(self._spots) if len(self._spots) else None
+
+    def near(self, wanted: FloatArray) -> BoolArray:
+        """Whether places (N, 3) [m] lie where a crease may keep the ball off."""
+        found = np.zeros(len(wanted), dtype=np.bool_)
+        if self._tree is None or not len(wanted):
+            return found
+        most = float(self._reach.max())
+        for start in range(0, len(wanted), 2000):
+            some = cKDTree(wanted[start : start + 2000])
+            pairs = some.sparse_distance_matrix(self._tree, most, output_type="ndarray")
+            found[start + pairs["i"][pairs["v"] <= self._reach[pairs["j"]]]] = True
+        return found
+
+    def misses(self, wanted: FloatArray, contact: Contact) -> BoolArray:
+        """Whether a crease keeps the ball off the wanted places (N, 3)."""
+        out = contact.pushed > PUSHED
+        out[out] = self.near(wanted[out])
+        return np.asarray(out)
+
+    def too_narrow(self, wanted: FloatArray, contact: Contact, missed: float) -> BoolArray:
+        """Whether smooth places (N, 3) are too narrow for the ball: it stays farther off than ``missed`` [m]
+        and than what the mesh's facets leave under it, or fits nowhere near."""
+        out = ~contact.clear | (contact.gap > missed)
+        out[out] = ~self.near(wanted[out])
+        rows = np.flatnonzero(out)
+        if len(rows):
+            _, face, _ = self._face.nearest(wanted[rows])
+            turn = self._turn[self._face.mesh.faces[face]].max(axis=1)
+            allowed = missed + 1.5 * self._face.radius * (1.0 / np.cos(0.5 * turn) - 1.0)
+            out[rows] = ~contact.clear[rows] | (contact.gap[rows] > allowed)
+        return out
+
+
+def lowest_reached(
+    groups: list[list[Loop]],
+    levels: FloatArray,
+    sliced: Callable[[FloatArray], list[list[Loop]]],
+    face: Face,
+    creases: Creases,
+) -> list[list[Loop]]:
+    """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
+    ball off all along; in place of the first level without any the lowest one that the ball reaches."""
+    reached = [[loop for loop in group if _reached(loop, face, creases)] for group in groups]
+    for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
+        if group or not before or k == 0 or not reached[k - 1]:
+            continue
+        good, bad = float(levels[k - 1]), float(levels[k])
+        best: list[Loop] = []
+        while good - bad > 2e-6:
+            middle = 0.5 * (good + bad)
+            found = [loop for loop in sliced(np.array([middle]))[0] if _reached(loop, face, creases)]
+            good, bad = (middle, bad) if found else (good, middle)
+            best = found or best
+        reached[k] = best
+    return reached
+
+
+def _reached(loop: Loop, face: Face, creases: Creases) -> bool:
+    rows = np.unique(np.linspace(0, len(loop.point) - 1, _SAMPLES).astype(np.int64))
+    if not creases.near(loop.point[rows]).all():
+        return True
+    contact = face.clear(loop.point[rows], loop.normal[rows])
+    return not creases.misses(loop.point[rows], contact).all()
+
+
+def refuse(
+    name: str, face: Face, wanted: FloatArray, normal: FloatArray, gap: FloatArray, missed: float
+) -> TandemError:
+    """The error that places (N, 3) [m] of a face are too narrow for its ball: with the worst of them and the
+    largest ball that fits them all."""
+    order = np.argsort(-gap)
+    rows = order[:: max(1, len(order) // _WORST)]
+    low, high = 0.0, face.radius
+    box = np.stack([wanted[:, :2].min(axis=0), wanted[:, :2].max(axis=0)])
+    around = Face(face.mesh, face.radius, box).mesh
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        smaller = Face(TriangleMesh(around.vertices, around.faces), middle, box)
+        contact = smaller.clear(wanted[rows], normal[rows])
+        fits = not Creases(smaller).too_narrow(wanted[rows], contact, missed).any()
+        low, high = (middle, high) if fits else (low, middle)
+    at = 1e3 * wanted[order[0]]
+    return TandemError(
+        Issue(
+            "forming.tool_radius",
+            f"{name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a ball "
+            f"of radius {1e3 * face.radius:.2f} mm, which stays {1e3 * gap[order[0]]:.3f} mm off it; the "
+            f"largest radius that fits is {1e3 * low:.2f} mm: take a smaller tool or round the part more",
+            value=1e3 * face.radius,
+            limit=1e3 * low,
+            unit="mm",
+        )
+    )

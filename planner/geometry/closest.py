@@ -1,0 +1,105 @@
+"""Closest places of triangles to points, and what a faceted face needs to be asked for them: small pieces,
+normals that are smooth except over creases."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.mesh import TriangleMesh, face_normals
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_VALENCE: Final = 48
+"""Corners of a vertex with more faces than this take the normal of their own face."""
+
+
+def closest_on_triangles(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Barycentric weights (M, 3) of the closest places of triangles ``a``, ``b``, ``c`` (M, 3) to ``points``
+    (M, 3): the foot in the plane where it lies inside, else the best of the feet on the three edges."""
+    ab, ac, ap = b - a, c - a, points - a
+    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
+    d20, d21 = _dot(ap, ab), _dot(ap, ac)
+    scale = np.maximum(d00 * d11 - d01 * d01, 1e-300)
+    v = (d11 * d20 - d01 * d21) / scale
+    w = (d00 * d21 - d01 * d20) / scale
+    weights = np.stack([1.0 - v - w, v, w], axis=1)
+    out = np.flatnonzero(weights.min(axis=1) < 0.0)
+    if len(out):
+        corners = (a[out], b[out], c[out])
+        p = points[out]
+        best = np.full(len(out), np.inf)
+        found = np.zeros((len(out), 3))
+        for k in range(3):
+            one, two = corners[k], corners[(k + 1) % 3]
+            way, rest = two - one, p - one
+            share = np.clip(_dot(rest, way) / np.maximum(_dot(way, way), 1e-300), 0.0, 1.0)
+            off = rest - share[:, None] * way
+            square = _dot(off, off)
+            better = square < best
+            best[better] = square[better]
+            edge = np.zeros((int(better.sum()), 3))
+            edge[:, k], edge[:, (k + 1) % 3] = 1.0 - share[better], share[better]
+            found[better] = edge
+        weights[out] = found
+    return weights
+
+
+def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
+    """Unit normals (F, 3, 3) at the corners of each face: those of the faces around the vertex averaged by
+    their angles there, without the faces that turn from this one by more than ``crease`` [rad]."""
+    normals = face_normals(mesh)
+    corner = mesh.vertices[mesh.faces]
+    edge = np.roll(corner, -1, axis=1) - corner
+    edge = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)
+    angle = np.arccos(np.clip(-np.einsum("fcd,fcd->fc", edge, np.roll(edge, 1, axis=1)), -1.0, 1.0)).ravel()
+    vertex = mesh.faces.ravel()
+    order = np.argsort(vertex, kind="stable")
+    count = np.bincount(vertex, minlength=len(mesh.vertices))
+    first = np.cumsum(count) - count
+    total = np.repeat(normals, 3, axis=0) * angle[:, None]
+    used = np.flatnonzero(count[vertex] <= _VALENCE)
+    many = count[vertex[used]]
+    mine = np.repeat(used, many)
+    place = np.arange(len(mine)) - np.repeat(np.cumsum(many) - many, many)
+    other = order[first[vertex[mine]] + place]
+    near = (_dot(normals[mine // 3], normals[other // 3]) > np.cos(crease)) & (other != mine)
+    mine, other = mine[near], other[near]
+    for axis in range(3):
+        total[:, axis] += np.bincount(
+            mine, weights=normals[other // 3, axis] * angle[other], minlength=len(total)
+        )
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+    return total.reshape(-1, 3, 3)
+
+
+def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArray, IntArray]:
+    """Triangles (T, 3, 3) halved across their longest edges until none is longer than ``size`` (or ``most``
+    pieces are reached): pieces (P, 3, 3) and the triangle (P,) that each belongs to."""
+    owner = np.arange(len(corners))
+    done: list[FloatArray] = []
+    owners: list[IntArray] = []
+    finished = 0
+    while len(corners):
+        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        longest = np.argmax(length, axis=1)
+        rows = np.arange(len(corners))
+        fine = (length[rows, longest] <= size) | (finished + 2 * len(corners) > most)
+        done.append(corners[fine])
+        owners.append(owner[fine])
+        finished += int(fine.sum())
+        corners, owner, longest = corners[~fine], owner[~fine], longest[~fine]
+        rows = np.arange(len(corners))
+        one, two = corners[rows, longest], corners[rows, (longest + 1) % 3]
+        tip = corners[rows, (longest + 2) % 3]
+        middle = 0.5 * (one + two)
+        corners = np.concatenate([np.stack([one, middle, tip], axis=1), np.stack([middle, two, tip], axis=1)])
+        owner = np.concatenate([owner, owner])
+    return np.concatenate(done), np.concatenate(owners)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("ij,ij->i", a, b))
