@@ -7,15 +7,18 @@ in pairs; in any other one at most one task may move, so that no order of events
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 from collections.abc import Mapping
 from pathlib import PurePosixPath
 
 from planner.problem import Arm, Problem
+from planner.verify import handshake_stages
+from planner.verify.handshake_text import Reading
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits
-from planner.verify.rapid_reader import FlowError, called, flatten, handlers, read_task, undos
+from planner.verify.rapid_reader import Flow, FlowError, flow, read_task
 from planner.verify.rapid_steps import MessageStep, MoveStep, Step, SyncStep
 
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
@@ -40,21 +43,30 @@ class TaskText:
 @dataclasses.dataclass(frozen=True)
 class Stage:
     """Steps of each task between two synchronisation points. ``opened`` by ``ident`` (None for the first
-    stage)."""
+    stage). ``ends``: where two controllers meet by handshake, the moves in it behind which they do, by
+    index; else empty."""
 
     synchronised: bool
     ident: str | None
     steps: Mapping[str, tuple[Step, ...]]
+    ends: tuple[int, ...] = ()
 
     def moves(self, task: str) -> tuple[MoveStep, ...]:
         """The moves of one task."""
-        return tuple(step for step in self.steps[task] if isinstance(step, MoveStep))
+        return self._moves[task]
+
+    @functools.cached_property
+    def _moves(self) -> dict[str, tuple[MoveStep, ...]]:
+        return {
+            task: tuple(step for step in steps if isinstance(step, MoveStep))
+            for task, steps in self.steps.items()
+        }
 
 
 @dataclasses.dataclass(frozen=True)
 class JobText:
     """All tasks, the stages they share (empty where the synchronisation points do not match), and faults of
-    reading."""
+    reading. ``readings``: what each program does with the wires between two controllers, None for one."""
 
     tasks: tuple[TaskText, ...]
     stages: tuple[Stage, ...]
@@ -62,11 +74,22 @@ class JobText:
     flow: tuple[Fault, ...]
     strays: tuple[str, ...]
     lists: Mapping[str, str]
+    readings: Mapping[str, Reading] | None = None
+
+
+def task_names(problem: Problem) -> tuple[str, ...]:
+    """What the tasks of the arms are called here: those of two controllers may have one name, so by arm."""
+    controller = problem.cell.controller
+    if controller.sync == "handshake":
+        return tuple(arm.name for arm in problem.cell.arms)
+    return controller.tasks
 
 
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Module files of each task by the task's name in the path, and the files that belong to none."""
-    found: dict[str, dict[str, str]] = {task: {} for task in problem.cell.controller.tasks}
+    """Module files of each task by the task's name in the path, of two controllers by the arm's folder, and
+    the files that belong to none."""
+    found: dict[str, dict[str, str]] = {task: {} for task in task_names(problem)}
+    folders = problem.cell.controller.sync == "handshake"
     strays: list[str] = []
     for path, text in sorted(programs.items()):
         if PurePosixPath(path).suffix.lower() == ".pgf":
@@ -74,8 +97,15 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
         if PurePosixPath(path).suffix.lower() not in (".mod", ".sys"):
             strays.append(path)
             continue
+        where = [part.lower() for part in PurePosixPath(path).parent.parts]
         words = [
-            task for task in found if re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)
+            task
+            for task in found
+            if (
+                task.lower() in where
+                if folders
+                else re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)
+            )
         ]
         if len(words) == 1:
             found[words[0]][path] = text
@@ -91,28 +121,33 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     limits = Limits(bytes=controller.max_bytes)
     tasks: list[TaskText] = []
     faults: list[Fault] = []
-    flow: list[Fault] = []
+    no_way: list[Fault] = []
+    names = task_names(problem)
     for number, arm in enumerate(problem.cell.arms):
-        if number >= len(controller.tasks) or not files[controller.tasks[number]]:
+        if number >= len(names) or not files[names[number]]:
             continue
-        name = controller.tasks[number]
+        name = names[number]
         text = read_task(files[name], limits)
         faults += text.faults
-        steps: tuple[Step, ...] = ()
-        sections: Handlers = {}
-        leaving: Handlers = {}
-        reached: frozenset[tuple[str, str]] = frozenset()
+        way = Flow((), {}, {}, frozenset())
         if not text.faults:
             try:
-                steps, sections = flatten(text.modules), handlers(text.modules)
-                leaving, reached = undos(text.modules), called(text.modules)
+                way = flow(text.modules)
             except FlowError as wrong:
-                flow += wrong.faults
+                no_way += wrong.faults
         unit = controller.units[number] if number < len(controller.units) else ""
-        tasks.append(TaskText(name, unit, arm, text.modules, steps, sections, leaving, reached, files[name]))
+        parts = (way.steps, way.handlers, way.undos, way.called)
+        tasks.append(TaskText(name, unit, arm, text.modules, *parts, files[name]))
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
     asked = {setup.confirmation for setup in problem.setups if setup.steps}
-    return JobText(tuple(tasks), _stages(tasks, asked), tuple(faults), tuple(flow), tuple(strays), lists)
+    found, stages = None, _stages(tasks, asked)
+    if controller.sync == "handshake":
+        ways = {task.name: task.steps for task in tasks}
+        aside = {task.name: (task.handlers, task.undos) for task in tasks}
+        found = handshake_stages.readings(problem, ways, aside)
+        if len(tasks) > 1:
+            stages = tuple(Stage(*part) for part in handshake_stages.parts(found, ways))
+    return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found)
 
 
 def sync_points(task: TaskText) -> tuple[SyncStep, ...]:

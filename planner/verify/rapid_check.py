@@ -47,6 +47,7 @@ class Checker:
         self.globals: dict[str, Data | Procedure] = {}
         self.locals: dict[str, dict[str, Data | Procedure]] = {}
         self.counters: list[str] = []
+        self._fitting: set[tuple[str, str, str]] = set()
 
     def run(self) -> tuple[Fault, ...]:
         """All faults, in the order of the modules and lines."""
@@ -205,6 +206,20 @@ class Checker:
 
     def expect(self, value: Expr, kind: str) -> None:
         """Note a fault unless `value` is of type `kind`."""
+        if isinstance(value, Literal) and value.kind == kind != "list":
+            return
+        if isinstance(value, Name) and self.module is not None and not self.counters:
+            place = (self.module.name, value.text, kind)  # moves by the thousand name the same data
+            if place in self._fitting:
+                return
+            before = len(self.faults)
+            self._expect(value, kind)
+            if len(self.faults) == before:
+                self._fitting.add(place)
+            return
+        self._expect(value, kind)
+
+    def _expect(self, value: Expr, kind: str) -> None:
         variable = kind.startswith("variable ")
         wanted = base_type(kind.removeprefix("variable "))
         if isinstance(value, Aggregate) and wanted in RECORDS:

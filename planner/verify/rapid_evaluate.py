@@ -40,6 +40,44 @@ class FlowError(ValueError):
         self.faults = tuple(faults)
 
 
+class Names:
+    """What names mean in the modules of a task, worked out once for all that is read from them.
+
+    `modules` by lower-case name; `written`: names, in lower case, that some statement writes to.
+    """
+
+    def __init__(self, modules: Sequence[Module]) -> None:
+        self.modules = {module.name.lower(): module for module in modules}
+        self.written = frozenset(name for module in modules for name in _written(module))
+        self._items: dict[str, dict[str, list[Data | Procedure]]] = {}
+        self._found: dict[tuple[str, str], tuple[Module, Data | Procedure] | None] = {}
+
+    def find(self, key: str, here: Module) -> tuple[Module, Data | Procedure] | None:
+        """What a name means in module `here`, and the module that declares it."""
+        place = (here.name, key)
+        if place not in self._found:
+            self._found[place] = self._search(key, here)
+        return self._found[place]
+
+    def _search(self, key: str, here: Module) -> tuple[Module, Data | Procedure] | None:
+        for module in (here, *(module for module in self.modules.values() if module is not here)):
+            for item in self.items(module).get(key, ()):
+                if module is here or not item.local:
+                    return module, item
+        return None
+
+    def items(self, module: Module) -> dict[str, list[Data | Procedure]]:
+        """The declarations of a module by lower-case name."""
+        key = module.name.lower()
+        if key not in self._items:
+            table: dict[str, list[Data | Procedure]] = {}
+            items: list[Data | Procedure] = [*module.data, *module.procedures]
+            for item in items:
+                table.setdefault(item.name.lower(), []).append(item)
+            self._items[key] = table
+        return self._items[key]
+
+
 class Evaluator:
     """Names and values as seen from `module`; `cells` holds what was assigned on the way.
 
@@ -47,12 +85,13 @@ class Evaluator:
     keeps its last one when the program is run again.
     """
 
-    def __init__(self, modules: Sequence[Module]) -> None:
-        self.modules = {module.name.lower(): module for module in modules}
+    def __init__(self, modules: Sequence[Module], names: Names | None = None) -> None:
+        self.names = names or Names(modules)
+        self.modules = self.names.modules
         self.module: Module = modules[0]
         self.cells: dict[tuple[str, str], Any] = {}
         self.cache: dict[tuple[str, str], Any] = {}
-        self.written = frozenset(name for module in modules for name in _written(module))
+        self.written = self.names.written
 
     def fail(self, start: int, message: str) -> FlowError:
         """What to raise for a place in the current module."""
@@ -60,24 +99,7 @@ class Evaluator:
 
     def find(self, key: str) -> tuple[Module, Data | Procedure] | None:
         """What a name means in the current module, and the module that declares it."""
-        own = [self.module, *(module for module in self.modules.values() if module is not self.module)]
-        for module in own:
-            for item in self.items(module).get(key, ()):
-                if module is self.module or not item.local:
-                    return module, item
-        return None
-
-    def items(self, module: Module) -> dict[str, list[Data | Procedure]]:
-        """The declarations of a module by lower-case name."""
-        key = ("", module.name.lower())
-        if key not in self.cache:
-            table: dict[str, list[Data | Procedure]] = {}
-            items: list[Data | Procedure] = [*module.data, *module.procedures]
-            for item in items:
-                table.setdefault(item.name.lower(), []).append(item)
-            self.cache[key] = table
-        found: dict[str, list[Data | Procedure]] = self.cache[key]
-        return found
+        return self.names.find(key, self.module)
 
     def value(self, expr: Expr | None, kind: str) -> Value:
         """The value of an expression, UNKNOWN where it is known at run time only."""

@@ -7,7 +7,7 @@ is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from planner.verify.rapid_ast import (
@@ -26,7 +26,7 @@ from planner.verify.rapid_ast import (
     Statement,
     While,
 )
-from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError
+from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError, Names
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_steps import (
     CallStep,
@@ -64,61 +64,12 @@ class _LeaveError(Exception):
         self.word = word
 
 
-def flatten(modules: Sequence[Module], entry: str = "main") -> tuple[Step, ...]:
-    """All steps of a task from `entry` on, for modules without faults (`rapid_reader.read_task`).
+class Runner(Evaluator):
+    """Runs procedures and collects their steps; `entered`: what ran or may run. `handler`: a section in which
+    steps may hang on run-time conditions."""
 
-    Raises `FlowError` when the entry is missing, the calls have no end, or run-time conditions decide over
-    the motion.
-    """
-    runner = _Runner(modules)
-    return runner.run(entry)
-
-
-def handlers(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, ...]]:
-    """Steps of each ERROR section by (module, procedure). Branches on run-time conditions are included, and
-    say so.
-    """
-    return _sections(modules, "error")
-
-
-def undos(modules: Sequence[Module]) -> Mapping[tuple[str, str], tuple[Step, ...]]:
-    """Steps of each UNDO section by (module, procedure), as :func:`handlers` gives those of ERROR."""
-    return _sections(modules, "undo")
-
-
-def called(modules: Sequence[Module], entry: str = "main") -> frozenset[tuple[str, str]]:
-    """(module, procedure) of all that runs or may run from `entry` on, sections of errors and UNDO included,
-    for modules that :func:`flatten` takes."""
-    runner = _Runner(modules)
-    runner.run(entry)
-    found = set(runner.entered)
-    todo = set(found)
-    while todo:
-        holder, name = todo.pop()
-        module = runner.modules[holder.lower()]
-        procedure = next(p for p in module.procedures if p.name == name)
-        for block in (procedure.error, procedure.undo):
-            aside = _Runner(modules, handler=True)
-            aside.run_block(module, procedure, block or ())
-            todo |= aside.entered - found
-            found |= aside.entered
-    return frozenset(found)
-
-
-def _sections(modules: Sequence[Module], which: str) -> dict[tuple[str, str], tuple[Step, ...]]:
-    found: dict[tuple[str, str], tuple[Step, ...]] = {}
-    for module in modules:
-        for procedure in module.procedures:
-            block = getattr(procedure, which)
-            if block is not None:
-                runner = _Runner(modules, handler=True)
-                found[module.name, procedure.name] = runner.run_block(module, procedure, block)
-    return found
-
-
-class _Runner(Evaluator):
-    def __init__(self, modules: Sequence[Module], handler: bool = False) -> None:
-        super().__init__(modules)
+    def __init__(self, modules: Sequence[Module], handler: bool = False, names: Names | None = None) -> None:
+        super().__init__(modules, names)
         self.handler = handler
         self.steps: list[Step] = []
         self.procedure = ""
@@ -129,6 +80,7 @@ class _Runner(Evaluator):
     # ---- entry ----
 
     def run(self, entry: str) -> tuple[Step, ...]:
+        """Steps from the procedure `entry` on."""
         found = [
             (module, procedure)
             for module in self.modules.values()
@@ -141,6 +93,7 @@ class _Runner(Evaluator):
         raise FlowError([Fault(1, 1, "rapid.flow", f"{what} in the task's modules", self.module.file)])
 
     def run_block(self, module: Module, procedure: Procedure, body: Sequence[Statement]) -> tuple[Step, ...]:
+        """Steps of a block of a procedure."""
         self.module, self.procedure = module, procedure.name
         self.entered.add((module.name, procedure.name))
         with suppress(_LeaveError):
@@ -186,7 +139,7 @@ class _Runner(Evaluator):
         found = self.find(short.lower())
         if holder:
             module = self.modules.get(holder.lower())
-            items = self.items(module).get(short.lower(), []) if module else []
+            items = self.names.items(module).get(short.lower(), []) if module else []
             found = (module, items[0]) if module and items else None
         if found is None or not isinstance(found[1], Procedure):
             raise self.fail(start, f"no procedure {name} in the task's modules")
@@ -260,9 +213,11 @@ class _Runner(Evaluator):
             seconds = self.value(arguments[0] if name == "WaitTime" else options.get("maxtime"), "num")
             signal = _text(arguments[0]) if name == "WaitDI" else ""
             value = self.value(arguments[1], "num") if name == "WaitDI" else None
-            self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options))
-            if "timeflag" in options and options["timeflag"] is not None:
-                self._assign(options["timeflag"], UNKNOWN)
+            flag = options.get("timeflag")
+            told = _text(flag) if flag is not None else ""
+            self.steps.append(WaitStep(*where, name, seconds, signal, value, "inpos" in options, told))
+            if flag is not None:
+                self._assign(flag, UNKNOWN)
         elif name in _MESSAGES:
             self._message(statement, options)
         elif name.startswith(("WaitSync", "SyncMove")):

@@ -1,8 +1,8 @@
 """RAPID programs of one task, read strictly: the door of the reader.
 
 `read_task` gives the modules and every fault of syntax, names, types and sizes; `flatten` gives the
-straight way of the task. The reader shares no code with the writer: it knows the language from ABB's
-manuals only.
+straight way of the task, `flow` all that may run beside it too. The reader shares no code with the writer:
+it knows the language from ABB's manuals only.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from dataclasses import dataclass
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_check import Checker
 from planner.verify.rapid_evaluate import FlowError
-from planner.verify.rapid_flow import called, flatten, handlers, undos
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits, Parser
+from planner.verify.rapid_ways import Flow, flatten, flow, handlers
 
 __all__ = [
     "Fault",
+    "Flow",
     "FlowError",
     "Limits",
     "Task",
-    "called",
     "flatten",
+    "flow",
     "handlers",
     "read_module",
     "read_task",
-    "undos",
 ]
 
 
