@@ -1,4 +1,4 @@
-"""The command line: ``tandem plan | check | verify | robots | materials | kerf | issues``."""
+"""The command line: ``tandem plan | check | verify | robots | materials | kerf | align | issues``."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner import kerf_commands
+from planner import align_commands, kerf_commands
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
-GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf"} | {
+GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align"} | {
     "wire.unknown_material",
     "wire.size",
     "wire.temperature",
@@ -161,6 +161,16 @@ def kerf(action: kerf_commands.Action) -> int:
     """Fit a foam of your own from test cuts, or ask for a kerf, a speed or a power."""
     try:
         kerf_commands.run(action)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
+    """Find the base of a cell's second robot from points that both robots probed."""
+    try:
+        _print_issues(align_commands.run(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
