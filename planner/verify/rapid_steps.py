@@ -55,7 +55,7 @@ class SignalStep(Step):
 @dataclass(frozen=True, slots=True, eq=False)
 class WaitStep(Step):
     """`kind` WaitTime, WaitRob or WaitDI; `seconds` for WaitTime and as the limit of WaitDI; `standing`:
-    \\InPos.
+    \\InPos; `flag`: the variable that tells whether WaitDI's limit was over, "" where that is an error.
     """
 
     kind: str
@@ -63,6 +63,7 @@ class WaitStep(Step):
     signal: str
     value: float | None
     standing: bool
+    flag: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,8 @@ from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.rapid_steps import ChoiceStep, MessageStep, MoveStep, Step
 from planner.verify.rapid_values import JointTarget
-from planner.verify.setups import Asked, all_asked, letters, one_line, told
+from planner.verify.setups import Asked, all_asked, one_line, told
+from planner.verify.words import letters
 
 FloatArray = NDArray[np.float64]
 

@@ -4,8 +4,6 @@ confirms it."""
 from __future__ import annotations
 
 import dataclasses
-import re
-import unicodedata
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,6 +13,7 @@ from planner.claims import Claim, ContactOnlyIn, FeedWindow, HoldsStock, SheetSt
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
 from planner.verify.rapid_steps import MessageStep, MoveStep
+from planner.verify.words import letters
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -80,12 +79,6 @@ def told(job: JobText, asked: Asked) -> str:
             if isinstance(step, MessageStep) and step.kind == "TPWrite":
                 lines.append(step.text)
     return letters(" ".join(reversed(lines)))
-
-
-def letters(text: str) -> str:
-    """Letters and digits of a text, without accents and case: what survives wrapping and a panel's
-    alphabet."""
-    return re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", text).lower())
 
 
 def one_line(text: str) -> str:
