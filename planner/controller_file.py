@@ -41,7 +41,7 @@ class HandshakeFile(Strict):
         Literal["four_phase", "toggle"],
         Field(description="signals change twice at each meeting and are 0 between, or once"),
     ] = "four_phase"
-    every: Annotated[int, Field(ge=1, le=1000, description="meet at every so many moves")] = 1
+    every: Annotated[int, Field(ge=1, le=100, description="meet at every so many moves")] = 1
     signals: Annotated[
         dict[Name, SignalsFile],
         Field(default_factory=dict, description="by arm; an arm not named has the defaults"),

@@ -81,7 +81,9 @@ def test_what_cannot_be_meant_is_refused_by_name(arms, fields, field):
     assert (issue.code, issue.field) == ("problem.field", f"controller.handshake{field}")
 
 
-@pytest.mark.parametrize("wrong", [{"every": 0}, {"timeout_s": 0}, {"kind": "hope"}, {"delay": 1}])
+@pytest.mark.parametrize(
+    "wrong", [{"every": 0}, {"every": 101}, {"timeout_s": 0}, {"kind": "hope"}, {"delay": 1}]
+)
 def test_values_out_of_range_are_refused(wrong):
     with pytest.raises(ValidationError):
         ControllerFile.model_validate({"sync": "handshake", "handshake": wrong})
