@@ -142,6 +142,7 @@ CODES: Final[dict[str, str]] = {
     "verify.digest": "the programs were not written for this problem",
     "verify.task_list": "a synchronisation point does not name all tasks",
     "verify.sync_order": "the tasks do not pass the same synchronisation points in the same order, each once",
+    "verify.handshake": "two controllers that share signals may wait for ever, lose a signal or run apart",
     "verify.error_handler": "an error handler is missing, does not switch the power off first, or goes on",
     "verify.motion_settings": "settings make the moves slower than their times say",
     "verify.move_count": "the tasks have different numbers of moves in a synchronised block",
@@ -193,6 +194,13 @@ CODES: Final[dict[str, str]] = {
     "verify.wire_clearance": "the wire comes too near to a body",
     "verify.surface": "too little of the cut surface is within tolerance of the wanted one",
     "verify.ridge": "a ridge or groove stands out of the cut surface",
+    # passes over a sheet, and the tool that supports it
+    "forming.wall_angle": "a wall is too steep to be formed, or too steep for one pass",
+    "forming.support_radius": "the supporting tool's ball is larger than the part leaves room for",
+    "forming.support_tool": "a mode of forming has not the tool that it needs",
+    "forming.die_gouge": "a die would cut into the wanted part",
+    "forming.die_far": "a full die is too far from the wanted part",
+    "forming.clear": "a tool cuts into a part of the sheet that is formed already",
     # sheet metals, forces, trials and tables of forming
     "forming.unknown_metal": "a sheet metal that is not built in",
     "forming.thickness_untested": "a sheet is thicker or thinner than the forming tests that are known",

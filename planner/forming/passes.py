@@ -1,0 +1,190 @@
+"""The passes of a part: over each feature one, or several where its walls are too steep for one.
+
+**Thickness from pass to pass.** A shape in between is moved from the flat along z only, as the final one is,
+so the change of area of a place from pass to pass, A(k-1) / A(k), telescopes to that from the flat: t0
+cos(a), the sine law of the shape that the place has now. Several passes give no thicker wall than one in
+this model; what they gain in practice, sheet drawn from the floor and a higher strain at fracture, it does
+not know, so it errs to the safe side. One thing it carries: sheet once thinned does not thicken where a
+later pass makes it less steep (the wall of a shape in between becomes floor). So each place keeps the least
+thickness of all passes over it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from planner.forming.feature_order import OrderStep
+from planner.forming.feature_surface import alone
+from planner.forming.feature_tree import FeatureTree
+from planner.forming.intermediate import Limited, depth_areas, face_of, limited
+from planner.forming.operation import Forming
+from planner.forming.thickness import steepest, thickness_map
+from planner.forming.trials import warning
+from planner.forming.values import FloatArray, Pass
+from planner.issues import Issue, Severity, TandemError
+from planner.problem import Mesh
+from planner.sheet_metals import SheetMetal
+from planner.units import DEG
+
+SUPPORTED: Final = frozenset({"dsif", "dpif_l", "adsif"})
+"""Modes with a tool opposite the forming one."""
+UPRIGHT: Final = 89.0 * DEG
+"""Walls [rad] from which on the sine law leaves nothing of the sheet."""
+ALIKE: Final = 0.1 * DEG
+LEAP: Final = 15.0 * DEG
+"""Angle [rad] from shape to shape beyond which walls tore in trials (30 deg tore, 15 deg did not)."""
+
+
+def passes(
+    tree: FeatureTree,
+    order: Sequence[OrderStep],
+    mesh: Mesh,
+    thickness: float,
+    operation: Forming,
+    metal: SheetMetal,
+) -> tuple[Pass, ...]:
+    """All passes in the order of forming, in the sheet's frame.
+
+    ``mesh``: lower face of the part, of which ``tree`` was built. The sheet of ``thickness`` [m] is as thick
+    along z everywhere, so the face that the tool touches, for features that go down, is the mesh moved up by
+    it. Raises ``TandemError`` (forming.wall_angle) for upright walls.
+    """
+    out: list[Pass] = []
+    wrong: list[Issue] = []
+    for step in order:
+        final = _final(tree, step, mesh, thickness)
+        angle = steepest(final.vertices, final.faces)
+        if angle >= UPRIGHT:
+            wrong.append(_upright(step.feature, angle))
+            continue
+        shapes = _shapes(final, pass_angles(angle, operation, metal)[:-1], thickness)
+        repeated = [shape for shape in shapes for _ in range(operation.repeats)]
+        for number, shape in enumerate(repeated, start=1):
+            name = f"f{step.feature}" + (f"_p{number}" if len(repeated) > 1 else "")
+            out.append(dataclasses.replace(shape, name=name, number=number))
+    if wrong:
+        raise TandemError(wrong)
+    return tuple(out)
+
+
+def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[float, ...]:
+    """Wall angles [rad] of the shapes on the way to a feature whose wall is ``angle`` [rad], itself the last.
+
+    Where the user gives none, they go up by the operation's step from an angle that one pass may have. In
+    ADSIF the sheet is formed once, so there is one.
+    """
+    if operation.mode == "adsif":
+        return (angle,)
+    if operation.passes != "auto":
+        return (*(a * DEG for a in operation.passes if a * DEG < angle - ALIKE), angle)
+    step = operation.angle_step_deg * DEG
+    limit = metal.wall_angle_limit(operation.mode in SUPPORTED)
+    count = max(math.ceil((angle - limit - ALIKE) / step), 0)
+    return tuple(angle - step * k for k in range(count, -1, -1) if angle - step * k > ALIKE)
+
+
+def pass_issues(
+    found: Sequence[Pass], thickness: float, operation: Forming, metal: SheetMetal
+) -> tuple[Issue, ...]:
+    """Warnings of ``found`` passes: walls that one pass may tear, and failed trials that are like them."""
+    issues: list[Issue] = []
+    limit = metal.wall_angle_limit(operation.mode in SUPPORTED)
+    for feature in dict.fromkeys(one.feature for one in found):
+        mine = [one for one in found if one.feature == feature]
+        angles = [steepest(one.vertices, one.faces) for one in mine]
+        before = 0.0
+        for one, angle in zip(mine, angles, strict=True):
+            if angle > limit + ALIKE and angle - before > max(LEAP, operation.angle_step_deg * DEG) + DEG:
+                issues.append(_torn(one, angle, before, limit))
+            before = max(before, angle)
+        deep = abs(mine[-1].end - mine[-1].start)
+        trial = warning(metal.family, thickness, angles[-1], deep, operation.mode)
+        if trial is not None:
+            issues.append(dataclasses.replace(trial, field=f"feature {feature}"))
+    return tuple(issues)
+
+
+def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float) -> Pass:
+    feature = tree.feature(step.feature)
+    side = -feature.sign
+    rise = step.shift + (thickness if side > 0 else 0.0)
+    face = alone(mesh, tree, step.feature, rise)
+    return Pass(
+        name=f"f{step.feature}",
+        feature=step.feature,
+        number=1,
+        side=side,
+        vertices=face.vertices,
+        faces=face.faces,
+        thickness=thickness_map(face.vertices, face.faces, thickness),
+        start=feature.start + rise,
+        end=feature.end + rise,
+        region=feature.region,
+    )
+
+
+def _shapes(final: Pass, angles: Sequence[float], thickness: float) -> list[Pass]:
+    """Shapes of at most ``angles`` [rad] in turn, and the final one, with the thickness that each place has
+    then."""
+    if not angles:
+        return [final]
+    face = Mesh(final.vertices, final.faces)
+    depth, areas = depth_areas(face, final.side, final.start, final.end)
+    earlier: list[Limited] = []
+    out = []
+    for angle in angles:
+        shape = limited(depth, areas, angle)
+        between = face_of(shape, final.side, final.start)
+        level = between.vertices[:, 2]
+        out.append(
+            dataclasses.replace(
+                final,
+                vertices=between.vertices,
+                faces=between.faces,
+                thickness=_kept_thin(between, final, earlier, thickness),
+                end=float(level.min() if final.side > 0 else level.max()),
+            )
+        )
+        earlier.append(shape)
+    return [*out, dataclasses.replace(final, thickness=_kept_thin(face, final, earlier, thickness))]
+
+
+def _kept_thin(face: Mesh, final: Pass, earlier: Sequence[Limited], thickness: float) -> FloatArray:
+    thick = thickness_map(face.vertices, face.faces, thickness)
+    depth = final.side * (final.start - face.vertices[:, 2])
+    for shape in earlier:
+        held = shape.holds_back(face.vertices[:, :2], depth)
+        thick = np.where(held, np.minimum(thick, thickness * math.cos(shape.angle)), thick)
+    return np.asarray(thick)
+
+
+def _upright(feature: int, angle: float) -> Issue:
+    return Issue(
+        "forming.wall_angle",
+        f"feature {feature}: a wall of {angle / DEG:.1f} deg, allowed below {UPRIGHT / DEG:.0f} deg; by the "
+        "sine law nothing is left of the sheet at 90 deg, and an undercut tore in trials",
+        field="part",
+        value=angle / DEG,
+        limit=UPRIGHT / DEG,
+        unit="deg",
+        hint="make the wall lean, or form it in another way",
+    )
+
+
+def _torn(one: Pass, angle: float, before: float, limit: float) -> Issue:
+    how = "in one pass" if before == 0.0 else f"in one pass from a shape of {before / DEG:.1f} deg"
+    return Issue(
+        "forming.wall_angle",
+        f"pass {one.name}: a wall of {angle / DEG:.1f} deg {how}; the metal is good for "
+        f"{limit / DEG:.1f} deg at once and about {LEAP / DEG:.0f} deg more with each further pass",
+        Severity.WARNING,
+        value=angle / DEG,
+        limit=limit / DEG,
+        unit="deg",
+        hint="leave passes to auto, or give wall angles between",
+    )
