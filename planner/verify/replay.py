@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from planner.catalogue import robot
 from planner.cell.robots import forward
-from planner.geometry.rigid import exp_rotation, from_parts, inverse, log_rotation
+from planner.geometry.rigid import inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
-from planner.verify import arm_ik, confdata, time_law
+from planner.verify import arm_ik, confdata, straight_moves, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
 from planner.verify.motion import Fault, Motion, differences
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
@@ -77,7 +77,7 @@ class _Player:
         if not self.labels:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
-        p = {key: np.concatenate(value) for key, value in self.parts.items()}
+        p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
         q = {name: p[f"q/{name}"] for name in names}
         speed, acceleration = {}, {}
@@ -107,6 +107,11 @@ class _Player:
 
     def _add(self, key: str, value: np.ndarray) -> None:
         self.parts.setdefault(key, []).append(value)
+
+    def _joined(self, key: str) -> np.ndarray:
+        """All values of a key; the parts are given up, for long motions take a lot of memory."""
+        parts = self.parts.pop(key)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _still(self) -> None:
         """One sample at home, so that arrays have a row where nothing moves."""
@@ -304,10 +309,14 @@ class _Player:
                 first = (
                     begin if a == 0 else self._own(row, carried, here, row.tool[a], int(np.argmax(inside)))
                 )
-                path = self._straight(row, part, a, b, first, when)
-                tcp[inside] = path if carried is None else carried.samples[inside] @ path
-                q[inside] = self._joints(row, part, a, b, here, when, tcp[inside])
-                end = q[np.flatnonzero(inside)[-1]] if inside.any() else here
+                branch = straight_moves.branches(row, a, b, here)
+                nodes, delta = straight_moves.steps(row, a, b, first)
+                end = here
+                for some, moments in straight_moves.chunks(np.flatnonzero(inside), when):
+                    path = straight_moves.poses(part, nodes, delta, moments)
+                    tcp[some] = path if carried is None else carried.samples[some] @ path
+                    q[some] = straight_moves.joints(row, part, a, branch, end, moments, tcp[some])
+                    end = q[some[-1]]
                 flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = confdata.select(row.robot, flange, row.conf[a:b])
                 sample = _up_to(at, law.times[a + 1 : b + 1])
@@ -338,38 +347,6 @@ class _Player:
         """TCP (4, 4) of joints in the frame of the row's poses, at a sample."""
         here = row.base @ forward(row.robot, q) @ tool
         return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
-
-    def _straight(
-        self, row: Row, law: time_law.TimeLaw, a: int, b: int, start: FloatArray, when: FloatArray
-    ) -> FloatArray:
-        """TCP poses (S, 4, 4) in the row's frame on the straight moves a to b - 1 from the pose ``start``."""
-        nodes = np.concatenate([start[None], row.pose[a:b]])
-        turn = log_rotation(np.swapaxes(nodes[:-1, :3, :3], 1, 2) @ nodes[1:, :3, :3])
-        delta = np.concatenate([np.diff(nodes[:, :3, 3], axis=0), turn], axis=1)
-        at_node, xi = time_law.offsets(law, delta, when)
-        rotation = nodes[at_node, :3, :3] @ exp_rotation(xi[:, 3:])
-        return from_parts(rotation, nodes[at_node, :3, 3] + xi[:, :3])
-
-    def _joints(
-        self,
-        row: Row,
-        law: time_law.TimeLaw,
-        a: int,
-        b: int,
-        here: FloatArray,
-        when: FloatArray,
-        tcp: FloatArray,
-    ) -> FloatArray:
-        """Joint angles (S, 6) on the straight moves: the branch of each move's target, unwrapped from the
-        start."""
-        move = np.clip(np.searchsorted(law.times, when, side="left") - 1, 0, b - a - 1)
-        branch = row.conf[a:b, 3][move]
-        if (
-            row.robot.coupling is not None
-        ):  # cfx of parallel-rod arms is not settled: the arm keeps its branch
-            branch = np.full_like(branch, arm_ik.branch_of(row.robot, here))
-        flange = inverse(row.base) @ tcp @ inverse(row.tool[a + move])
-        return arm_ik.continued(arm_ik.solve(row.robot, flange, branch), here)
 
     def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:
         self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))

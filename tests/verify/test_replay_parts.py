@@ -10,10 +10,10 @@ import trimesh
 from planner import catalogue
 from planner.cell.robots import forward
 from planner.claims import CutsSurface, KerfCurve
-from planner.verify import arm_ik, confdata, time_law
+from planner.verify import arm_ik, confdata, straight_moves, time_law
 from planner.verify.context import Context
 from planner.verify.surface import Sweep, closest, cut_face
-from tests.verify import small_job
+from tests.verify import held_job, small_job
 
 
 @pytest.mark.parametrize("name", catalogue.robot_names())
@@ -137,6 +137,16 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
     assert np.all(found.deviation > 0.0003 - 0.001 - 1e-5)
     assert np.all(found.deviation < 0.0003 - 0.001 + chord + 1e-5)
     assert found.area.sum() == pytest.approx(radius * (a[-4] - a[3]) * (y[-4] - y[3]), rel=1e-3)
+
+
+@pytest.mark.parametrize("job", [small_job, held_job])
+def test_samples_worked_out_in_parts_are_the_same(job, monkeypatch):
+    whole = Context(job.problem(), job.claims(), job.programs()).motion
+    monkeypatch.setattr(straight_moves, "CHUNK", 97)
+    parts = Context(job.problem(), job.claims(), job.programs()).motion
+    for arm in whole.q:
+        assert np.abs(whole.q[arm] - parts.q[arm]).max() < 1e-12
+        assert np.abs(whole.tcp[arm] - parts.tcp[arm]).max() < 1e-12
 
 
 def test_the_replay_meets_the_written_targets():

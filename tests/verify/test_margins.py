@@ -1,0 +1,50 @@
+"""A header may change comments of proven programs and nothing else."""
+
+import time
+
+import pytest
+
+from planner.verify import margins
+from tests.verify import small_job
+
+TEXT = """MODULE M
+  ! header
+
+  CONST string s:="a ! b";
+  PROC main()
+    MoveL p,v10,fine,t;
+  ENDPROC
+ENDMODULE
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "same"),
+    [
+        ("! header", "! header\n  ! Proven: clearance 3 mm.", True),
+        ("  ! header\n", "", True),
+        ("  PROC", "\tPROC", True),
+        ("MoveL p,v10", "MoveL p, ! slowly\n    v10", True),
+        ("MoveL p", "movel P", True),
+        ("MoveL p", "MoveL q", False),
+        ("    MoveL p", "!   MoveL p", False),
+        ("a ! b", "a ! c", False),
+        ("! header", "! header\n  VAR num n;", False),
+        ("\n\n", "\n\f\n", False),
+        ("ENDPROC", "! ENDPROC", False),
+    ],
+)
+def test_only_comments_and_white_space(before, after, same):
+    assert TEXT.count(before) == 1
+    assert margins.same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
+
+
+def test_no_file_more_or_less():
+    assert not margins.same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
+
+
+def test_long_programs_are_compared_at_once():
+    text = small_job.programs()["T_ROB1/TandemCut1_1.mod"] * 200
+    start = time.process_time()
+    assert margins.same_program({"a.mod": text}, {"a.mod": "! Proven.\n" + text})
+    assert time.process_time() - start < 2.0
