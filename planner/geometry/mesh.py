@@ -99,9 +99,10 @@ def merge(mesh: TriangleMesh) -> TriangleMesh:
 def check_surface(mesh: TriangleMesh, name: str, file: str | None = None) -> list[Issue]:
     """Issues of a mesh that is to be a wanted face: open, one piece, oriented, two faces an edge at most."""
     directed = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    edges, inverse, count = np.unique(
-        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    low, high = np.sort(directed, axis=1).T
+    vertices = len(mesh.vertices)
+    key, inverse, count = np.unique(low * vertices + high, return_inverse=True, return_counts=True)
+    edges = np.stack(np.divmod(key, vertices), axis=1)
     issues = []
     if (count > 2).any():
         at = 1e3 * mesh.vertices[edges[count > 2][0]].mean(axis=0)
