@@ -81,6 +81,9 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     tell = progress or _silent
     tell("targets", 0.0)
     targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
+    refused = write.refusals(problem, targets)
+    if refused:
+        raise TandemError(refused)
     made = solve.solve(problem, targets, tell)
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
@@ -96,7 +99,7 @@ def check(problem: Problem) -> tuple[Issue, ...]:
     try:
         targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
         found = [issue for item in targets for issue in item.issues]
-        return aggregate([*found, *solve.check(problem, targets)])
+        return aggregate([*found, *write.refusals(problem, targets), *solve.check(problem, targets)])
     except TandemError as error:
         return error.issues
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 
-from planner.issues import Issue, TandemError
-from planner.plans import Plan
+from planner.issues import Issue
 from planner.post.program import BoolArray
-from planner.problem import Setup
+from planner.problem import Problem
+from planner.targets import Targets
 
 _HINT = "use one MultiMove controller for both arms (sync: multimove)"
 
@@ -23,11 +23,11 @@ def meeting_rows(stop: BoolArray, every: int) -> BoolArray:
     return np.asarray(stop | ((since + 1) % every == 0))
 
 
-def refuse(plan: Plan, setups: Mapping[int, Setup]) -> None:
-    """Raise (``post.handshake_process``) where one arm a step ahead of the other would break something."""
+def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
+    """Operations in which one arm a step ahead of the other would break something
+    (``post.handshake_process``)."""
     issues = []
-    for i, operation in enumerate(plan.operations):
-        targets = operation.targets
+    for i, (operation, targets) in enumerate(zip(problem.operations, made, strict=False)):
         if targets.coupled:
             what = (
                 f"operation {operation.name}: a wire joins {' and '.join(targets.arms)}, whose controllers "
@@ -35,7 +35,7 @@ def refuse(plan: Plan, setups: Mapping[int, Setup]) -> None:
                 "wire out of its shape, kinks it or tears it"
             )
             issues.append(Issue("post.handshake_process", what, index=i, hint=_HINT))
-        holder = setups[i].stock.held_by
+        holder = problem.setup_of(i).stock.held_by
         carried = any(frame.startswith("held:") for frame in targets.frame.values())
         if len(targets.arms) > 1 and (carried or holder in targets.arms):
             what = (
@@ -44,5 +44,4 @@ def refuse(plan: Plan, setups: Mapping[int, Setup]) -> None:
                 "whole step ahead of the other, so the tool would leave its path on the block"
             )
             issues.append(Issue("post.handshake_process", what, index=i, hint=_HINT))
-    if issues:
-        raise TandemError(issues)
+    return tuple(issues)

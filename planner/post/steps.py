@@ -13,7 +13,7 @@ from planner.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import corners, handshake_drift
-from planner.post.handshake import meeting_rows, refuse
+from planner.post.handshake import meeting_rows, refusals
 from planner.post.loads import carries
 from planner.post.program import (
     POSITION_DECIMALS,
@@ -63,7 +63,9 @@ def build(plan: Plan, problem: Problem) -> Job:
         raise TandemError(Issue("post.plan", message, hint="plan this problem again"))
     handshake = controller.handshake if controller.sync == "handshake" and len(arms) > 1 else None
     if handshake is not None:
-        refuse(plan, setups)
+        refused = refusals(problem, [operation.targets for operation in plan.operations])
+        if refused:
+            raise TandemError(refused)
     builder = _Builder([arm.name for arm in arms], handshake)
     loads = carries(plan, problem)
     parts = [

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake_drift, rapid
+from planner.post.handshake import refusals as refused
 from planner.post.program import Job
 from planner.post.steps import build
 from planner.problem import Problem
+from planner.targets import Targets
 
 
 def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -21,6 +23,11 @@ def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = N
     """
     job = build(plan, problem)
     return rapid.texts(_checked(job), plan, problem, margins or {})
+
+
+def refusals(problem: Problem, targets: Sequence[Targets]) -> tuple[Issue, ...]:
+    """Why no program can be written for these targets, one an operation, however they are planned."""
+    return refused(problem, targets) if problem.cell.controller.sync == "handshake" else ()
 
 
 def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:

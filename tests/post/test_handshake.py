@@ -12,7 +12,7 @@ import pytest
 
 from planner.handshake import Handshake, PartnerSignals
 from planner.issues import TandemError
-from planner.post import handshake_drift
+from planner.post import handshake_drift, write
 from planner.post.handshake import meeting_rows
 from planner.post.steps import build
 from planner.post.write import notes, programs
@@ -261,6 +261,8 @@ def test_what_cannot_live_with_a_step_apart_is_refused_with_the_reason(coupled):
     assert (
         issue.code == "post.handshake_process" and word in issue.message and "multimove" in (issue.hint or "")
     )
+    # seen before anything is planned
+    assert write.refusals(job, [plan.operations[0].targets]) == error.value.issues
 
 
 def test_long_programs_are_split_where_the_arms_meet():
