@@ -55,10 +55,9 @@ def check(vertices: FloatArray, faces: IntArray, noise: float) -> SheetSurface:
     if np.sum(_plan_areas(vertices, faces)) < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    edges, inverse, count = np.unique(
-        np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    inverse = np.reshape(inverse, -1)
+    low, high = np.sort(directed, axis=1).T
+    key, inverse, count = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)
+    edges, inverse = np.stack(np.divmod(key, len(vertices)), axis=1), np.reshape(inverse, -1)
     outer = _outer_border(vertices, directed[count[inverse] == 1])
     level = float(np.median(vertices[outer, 2]))
     off = np.abs(vertices[outer, 2] - level)

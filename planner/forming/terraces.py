@@ -12,17 +12,20 @@ import dataclasses
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from planner.forming.values import FloatArray
 
-WIDTH: Final = 2e-3
-"""Mean width [m] in plan, within a height of ``noise``, from which on a flat is a terrace."""
+WIDTH: Final = 1e-3
+"""Mean width [m] in plan, within a height of ``noise``, from which on a flat may be a terrace: 3 degrees."""
 SHARE: Final = 0.1
 """The same as a share of the radius of a circle as large as the feature there, where that is less."""
-LEAST: Final = 0.5e-3
+LEAST: Final = 0.4e-3
 """Mean width [m] below which nothing is a terrace."""
+CONTRAST: Final = 3.0
+"""How many times wider a terrace is than the wall is somewhere before it and somewhere after it."""
 WALL: Final = 2.0
-"""Height of the walls before and after a terrace, in units of ``noise``, from which on they are walls."""
+"""Height of those walls at least, in units of ``noise``."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,30 +80,37 @@ def find(
     passed = _Passed(near, np.maximum(far, near + 0.01 * cell), area)
     change = passed(at + 0.5 * noise) - passed(at - 0.5 * noise)
     radius = np.sqrt(np.maximum(inside - passed(at - 0.5 * noise), 1e-12) / np.pi)
-    flat = change / (2.0 * np.pi * radius) >= np.clip(SHARE * radius, LEAST, WIDTH)
+    width = change / (2.0 * np.pi * radius)
+    flat = width >= np.maximum(np.clip(SHARE * radius, LEAST, WIDTH), CONTRAST * _walled(width, noise / cell))
     bounds = np.nonzero(np.diff(np.concatenate([[0], flat.astype(np.int8), [0]])))[0].reshape(-1, 2)
-    found: list[Terrace] = []
-    walls = np.concatenate([[0.0], np.cumsum(~flat) * cell])
-    since = 0.0
-    for begin, stop in bounds:
-        if walls[begin] - since < WALL * noise or walls[-1] - walls[stop] < WALL * noise:
-            continue
-        since = float(walls[begin])
-        found.append(_terrace(begin * cell, stop * cell, passed, start, sign, noise))
-    return found
+    return [_terrace(begin * cell, stop * cell, passed, start, sign, noise) for begin, stop in bounds]
+
+
+def _walled(width: FloatArray, cells: float) -> FloatArray:
+    """For each cell of height the width of the steepest wall before it, or after it if that is wider; where
+    there is no wall on a side, infinite."""
+    tall = round(WALL * cells)
+    before = np.full(len(width), np.inf)
+    after = before.copy()
+    if len(width) > tall:
+        widest = sliding_window_view(width, tall).max(axis=1)
+        before[tall:] = np.minimum.accumulate(widest)[:-1]
+        after[:-tall] = np.minimum.accumulate(widest[::-1])[::-1][1:]
+    return np.asarray(np.maximum(before, after))
 
 
 def _terrace(begin: float, stop: float, passed: _Passed, start: float, sign: float, noise: float) -> Terrace:
     # the window of heights makes a flat seem half of it higher on both sides
-    begin, stop = begin + 0.5 * noise, stop - 0.5 * noise
+    begin, stop = sorted((begin + 0.5 * noise, stop - 0.5 * noise))
     cell = noise / 5.0
     if stop - begin > noise:  # it slopes: its own level lines belong to the wall before it
-        return Terrace(start + sign * stop, start + sign * stop, start + sign * (stop + cell))
+        levels = (stop, stop - cell, stop + cell)
+        return Terrace(*(start + sign * level for level in levels))
     depths = np.linspace(begin - cell, stop + cell, 201)
     areas = passed(depths)
-    middle = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
+    middle = float(np.clip(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths), begin, stop))
     return Terrace(
         start + sign * middle,
-        start + sign * min(begin - cell, middle),
-        start + sign * max(stop + cell, middle),
+        start + sign * (begin - cell),
+        start + sign * (stop + cell),
     )
