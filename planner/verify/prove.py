@@ -23,6 +23,7 @@ from planner.verify import (
     rules_cell,
     rules_data,
     rules_frames,
+    rules_handshake,
     rules_motion,
     rules_part,
     rules_power,
@@ -54,6 +55,7 @@ TEXT: _RuleTable = (
 TASKS: _RuleTable = (
     ("verify.task_list", rules_sync.task_list),
     ("verify.sync_order", rules_sync.sync_order),
+    ("verify.handshake", rules_handshake.handshake),
     ("verify.error_handler", rules_data.error_handler),
     ("verify.motion_settings", rules_data.motion_settings),
     ("verify.hidden", rules_data.hidden),
@@ -118,6 +120,7 @@ NEEDED = (
     "verify.setup",
     "verify.move_count",
     "verify.sync_order",
+    "verify.handshake",
     "verify.arms_alone",
     "verify.held_frame",
 )

@@ -118,14 +118,19 @@ def move_count(context: Context) -> Outcome:
 
 
 def move_ids(context: Context) -> Outcome:
-    """IDs ascend and are equal in both tasks inside a block, and there are none outside."""
+    """IDs ascend and are equal in both tasks inside a block, and there are none outside or where two
+    controllers meet by signals."""
     issues = []
     for _, stage, task, moves in context.moves():
         last = -1
         for move in moves:
-            if not stage.synchronised:
+            if not stage.synchronised or stage.ends:
                 if move.id is not None:
-                    issues.append(at_step("verify.move_ids", f"\\ID:={move.id} outside a block", task, move))
+                    issues.append(
+                        at_step(
+                            "verify.move_ids", f"\\ID:={move.id} outside a block of MultiMove", task, move
+                        )
+                    )
                 continue
             if move.id is None:
                 issues.append(at_step("verify.move_ids", "a move in a block has no \\ID", task, move))

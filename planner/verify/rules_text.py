@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
 from planner.verify.context import DIGEST, Context, Outcome
+from planner.verify.job import task_names
 from planner.verify.rapid_ast import Literal
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_steps import MoveStep
@@ -140,10 +141,11 @@ def decimals(context: Context) -> Outcome:
 
 def _coarse(file: str, text: str) -> list[Issue]:
     issues = []
+    line, seen = 1, 0
     for found in _TARGET.finditer(text):
         if not _few(found.group(1), POSITION_DECIMALS) and not _few(found.group(2), QUATERNION_DECIMALS):
             continue
-        line = text.count("\n", 0, found.start()) + 1
+        line, seen = line + text.count("\n", seen, found.start()), found.start()
         message = (
             f"a target has fewer than {POSITION_DECIMALS} decimals in mm or {QUATERNION_DECIMALS} "
             "in its quaternion"
@@ -161,11 +163,11 @@ def files(context: Context) -> Outcome:
     are there."""
     issues = []
     job = context.job
-    controller = context.problem.cell.controller
+    names = task_names(context.problem)
     read = {task.name for task in job.tasks}
     used = {arm for operation in context.problem.operations for arm in operation.arms}
     for number, arm in enumerate(context.problem.cell.arms):
-        name = controller.tasks[number] if number < len(controller.tasks) else f"task {number + 1}"
+        name = names[number] if number < len(names) else f"task {number + 1}"
         if arm.name in used and name not in read:
             message = f"arm {arm.name} has no module for task {name}"
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
