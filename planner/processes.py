@@ -11,6 +11,8 @@ from pydantic import BaseModel
 
 from planner import posed
 from planner.claims import Claim
+from planner.forming import forming
+from planner.forming.operation import Forming
 from planner.hotwire import elastic, straight
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.straight_operation import Straight
@@ -29,6 +31,7 @@ class Process(NamedTuple):
 
 
 PROCESSES: Final[Mapping[str, Process]] = {
+    "forming": Process(Forming, forming.make_targets, forming.claims),
     "elastic_wire": Process(ElasticWire, elastic.make_targets, elastic.claims),
     "straight_wire": Process(Straight, straight.make_targets, straight.claims),
     "targets": Process(posed.Posed, posed.make_targets, posed.claims),

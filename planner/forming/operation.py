@@ -80,7 +80,7 @@ class Forming(Strict):
     ] = 4.0
     chord_mm: Annotated[
         float, Field(ge=0.002, le=1, description="how far straight moves may be off the path")
-    ] = 0.03
+    ] = 0.05
     seam_deg: Annotated[Angle, Field(description="where loops begin, about the feature's middle")] = 0.0
     direction: Literal["ccw", "cw"] = "ccw"
     feature_step_mm: Annotated[

@@ -1,0 +1,91 @@
+"""The process ``forming``: from the mesh of a part to the poses of one or two tools that form it out of a
+clamped sheet.
+
+See ``job`` (features, order, passes), ``paths`` (the contact on each face), ``support`` (both tools by mode),
+``route`` (the ways between), ``frames`` (poses and freedoms), ``forming_claims`` (what must hold).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim
+from planner.forming import forming_claims
+from planner.forming.forming_check import check
+from planner.forming.forming_exhibits import exhibits
+from planner.forming.frames import freedoms, poses
+from planner.forming.job import Job, job
+from planner.forming.laid import lay
+from planner.forming.operation import Forming
+from planner.forming.route import Route, lay_out
+from planner.forming.values import Pass, ToolPath
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.problem import Part, Setup
+from planner.targets import Action, Targets, works
+from planner.units import DEG, MM
+
+FloatArray = NDArray[np.float64]
+
+AIR_FEED: Final = 0.1
+"""Upper limit of the tools' speed between passes [m/s]."""
+CLEARANCE: Final = 0.010
+"""How far tools are off the sheet between passes, besides what the route adds [m]."""
+RUN: Final = 0.8
+"""Share of a module's most moves after which tools stop, so that a program can be split there."""
+MOST: Final = 4000
+
+
+def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets:
+    """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
+    made = job(operation, setup, part)
+    paths = [(one, lay(made, one)) for one in made.passes]
+    issues = check(made, setup, paths)
+    if has_errors(issues):
+        raise TandemError(aggregate(issues))
+    most = int(min(RUN * setup.cell.controller.max_moves, MOST))
+    route = lay_out(made, paths, CLEARANCE, most)
+    return _targets(made, setup, paths, route, issues)
+
+
+def claims(operation: Forming, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """What must hold of the job, from the problem alone."""
+    return forming_claims.claims(job(operation, setup, part))
+
+
+def _targets(
+    made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]], route: Route, issues: list[Issue]
+) -> Targets:
+    op = made.operation
+    count = len(route.segment)
+    forming = np.array([works(label) for label in route.segment])
+    steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
+    return Targets(
+        arms=op.arms,
+        pose={arm: poses(route.centre[arm], route.axis[arm]) for arm in op.arms},
+        frame=dict.fromkeys(op.arms, "stock"),
+        freedoms=freedoms(op.arms, op.cone_deg * DEG, count),
+        feed=np.where(forming, op.feed_mm_s * MM, AIR_FEED),
+        feed_min=np.zeros(count),
+        travel=np.concatenate([[0.0], np.max(steps, axis=0)]),
+        stop=route.stop,
+        segment=route.segment,
+        actions=_actions(made, setup, route),
+        claims=forming_claims.claims(made),
+        exhibits=exhibits(made, paths),
+        issues=aggregate(issues),
+    )
+
+
+def _actions(made: Job, setup: Setup, route: Route) -> tuple[Action, ...]:
+    """What the operator is told and asked, and the signal of a blank holder that sinks."""
+    size = setup.stock.size / MM
+    sheet = f"Sheet {size[0]:g} x {size[1]:g} x {size[2]:g} mm, {made.sheet.metal.name}"
+    out = [
+        Action(0, "message", sheet),
+        Action(0, "confirm", "Sheet clamped and greased, nobody in the cell?"),
+    ]
+    return (*out, Action(len(route.segment) - 1, "confirm", "Tools off the sheet, take the part out?"))

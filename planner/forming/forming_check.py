@@ -1,0 +1,59 @@
+"""What a forming job is refused for, or warned of, once its tools' paths are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from planner.catalogue import robot
+from planner.forming.force import ForceEstimate, estimate, payload_issue
+from planner.forming.job import Job
+from planner.forming.passes import pass_issues
+from planner.forming.values import Pass, ToolPath
+from planner.issues import Issue
+from planner.problem import Setup
+from planner.sheet_metals import thickness_doubt
+from planner.units import MM
+
+
+def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+    """All issues of a job: metal, passes, forces."""
+    return [*job.tree.issues, *_metal(job), *_forces(job, setup, paths)]
+
+
+def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
+    """The axial force on the forming tool of a pass."""
+    op, radius = job.operation, job.heads[job.former(one)].radius
+    walls = path.contact.angle[path.contact.angle > 0.0]
+    if op.stepdown_mm is not None:
+        step = op.stepdown_mm * MM
+    else:  # the step whose ridges are as high as stated, at the steepest wall
+        ridge = (op.scallop_mm or 0.0) * MM
+        step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
+    return estimate(job.sheet.metal, job.thickness, 2.0 * radius, step, walls, op.force_n)
+
+
+def _metal(job: Job) -> Iterator[Issue]:
+    doubt = thickness_doubt(job.sheet.metal, job.thickness)
+    if doubt is not None:
+        yield doubt
+    yield from pass_issues(job.passes, job.thickness, job.operation, job.sheet.metal)
+
+
+def _forces(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    """The largest force of each arm against what it carries."""
+    most: dict[str, ForceEstimate] = {}
+    for one, path in paths:
+        found = force(job, one, path)
+        for arm in filter(None, (job.former(one), job.supporter(one))):
+            if job.operation.mode == "heat" and arm != job.former(one):
+                continue
+            if arm not in most or found.force > most[arm].force:
+                most[arm] = found
+    for arm, found in most.items():
+        mounted = setup.cell.arm(arm)
+        data = robot(mounted.robot)
+        issue = payload_issue(found, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
+        if issue is not None:
+            yield issue

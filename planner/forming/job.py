@@ -1,0 +1,121 @@
+"""What a forming operation comes to before any path is laid: features, their order, passes, and who forms."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from planner.forming import feature_order, feature_tree
+from planner.forming.feature_order import OrderStep
+from planner.forming.feature_tree import FeatureTree
+from planner.forming.operation import Forming
+from planner.forming.passes import passes
+from planner.forming.path_options import PathOptions
+from planner.forming.values import Pass
+from planner.issues import Issue, TandemError
+from planner.problem import FormingHead, Mesh, Part, Setup, Sheet
+from planner.units import DEG, MM
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
+    working ends by arm, ``passes`` in the order of forming."""
+
+    operation: Forming
+    sheet: Sheet
+    thickness: float
+    mesh: Mesh
+    tree: FeatureTree
+    order: tuple[OrderStep, ...]
+    passes: tuple[Pass, ...]
+    heads: dict[str, FormingHead]
+
+    def former(self, one: Pass) -> str:
+        """The arm that forms a pass."""
+        arms = self.operation.arms
+        return arms[0] if len(arms) == 1 or one.side > 0 else arms[1]
+
+    def supporter(self, one: Pass) -> str | None:
+        """The arm on the other side of the sheet, or None where one works alone."""
+        arms = self.operation.arms
+        return None if len(arms) == 1 else arms[1] if one.side > 0 else arms[0]
+
+    def above(self, arm: str) -> bool:
+        """Whether an arm's tool is on the top side of the sheet."""
+        if len(self.operation.arms) == 1:
+            return self.operation.side == "top"
+        return arm == self.operation.arms[0]
+
+    @property
+    def options(self) -> PathOptions:
+        """How paths are laid."""
+        op = self.operation
+        return PathOptions(
+            kind=op.path,
+            stepdown=None if op.stepdown_mm is None else op.stepdown_mm * MM,
+            scallop=None if op.scallop_mm is None else op.scallop_mm * MM,
+            tangent_angle=op.tangent_deg * DEG,
+            chord=op.chord_mm * MM,
+            start_angle=op.seam_deg * DEG,
+            direction=op.direction,
+        )
+
+
+def segment(one: Pass) -> str:
+    """The label of the segment in which a pass is formed."""
+    return f"form/{one.name}"
+
+
+def job(operation: Forming, setup: Setup, part: Part | None) -> Job:
+    """The job of an operation. Raises ``TandemError`` with the codes ``forming.*``."""
+    sheet, mesh = setup.stock.sheet, None if part is None or part.formed is None else part.formed.mesh
+    if sheet is None or mesh is None:
+        what = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
+        raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
+    heads = _heads(operation, setup)
+    tree = feature_tree.build(mesh, operation.feature_step_mm * MM)
+    order = _order(operation, tree)
+    thickness = float(setup.stock.size[2])
+    made = passes(tree, order, mesh, thickness, operation, sheet.metal)
+    _require_sides(operation, made)
+    return Job(operation, sheet, thickness, mesh, tree, order, made, heads)
+
+
+def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
+    if op.order is not None:
+        return feature_order.given(tree, op.order, translated=op.strategy == "virgin")
+    return feature_order.on_virgin_sheet(tree) if op.strategy == "virgin" else feature_order.in_place(tree)
+
+
+def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
+    out: dict[str, FormingHead] = {}
+    issues = []
+    for place, arm in enumerate(op.arms):
+        tool = setup.cell.arm(arm).tool
+        wanted = "heat_tool" if op.mode == "heat" and place == 1 else "ball_tool"
+        fits = tool.head is not None and (tool.head.kind == "heat") == (wanted == "heat_tool")
+        disk = tool.head is not None and tool.head.kind == "disk" and (place == 0 or op.mode != "dpif_p")
+        if tool.head is None or not fits or disk:
+            other = " or a disk_tool" if op.mode == "dpif_p" and place == 1 else ""
+            what = f"{op.name}: arm {arm} carries the tool {tool.name}; mode {op.mode} wants {wanted}{other}"
+            issues.append(Issue("forming.tool", what, field="cell.arms.tool", arm=arm))
+        else:
+            out[arm] = tool.head
+    if issues:
+        raise TandemError(issues)
+    return out
+
+
+def _require_sides(op: Forming, made: tuple[Pass, ...]) -> None:
+    """Every pass needs a ball on its side of the sheet."""
+    balls = {"top"} if len(op.arms) == 2 and op.mode == "heat" else {"top", "bottom"}
+    balls = {op.side} if len(op.arms) == 1 else balls
+    wrong = [one for one in made if ("top" if one.side > 0 else "bottom") not in balls]
+    if wrong:
+        way = "down and needs a tool above" if wrong[0].side > 0 else "up and needs a tool below"
+        names = ", ".join(sorted({f"feature {one.feature}" for one in wrong}))
+        remedy = (
+            "turn the part or the sheet over, or take two arms in mode dsif, whose tools swap their roles"
+        )
+        what = f"{op.name}: {names} goes {way} the sheet, where no ball works; {remedy}"
+        raise TandemError(Issue("forming.side", what, field="operations.mode"))

@@ -1,0 +1,101 @@
+"""The whole way of both tools: over the sheet to each pass, down onto it, along it, and off again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.forming.job import Job, segment
+from planner.forming.values import Pass, ToolPath
+
+FloatArray = NDArray[np.float64]
+
+AIR: Final = 0.005
+"""How much farther than the clearance tools stay off the sheet between passes [m]."""
+BACK: Final = 0.06
+"""How far tools are drawn back before and after the job [m], so that arms come to them in free space."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """N targets: ``centre``, ``axis`` {arm: (N, 3)}, ``segment`` and ``stop`` (N,)."""
+
+    centre: dict[str, FloatArray]
+    axis: dict[str, FloatArray]
+    segment: tuple[str, ...]
+    stop: NDArray[np.bool_]
+
+
+def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, most: int) -> Route:
+    """The route through all passes. Between passes tools go over the highest place of the part, ``clearance``
+    [m] and a little more away; at least every ``most`` targets of a pass, at the end of a loop, they stop, so
+    that programs can be split there."""
+    arms = job.operation.arms
+    away = {arm: _away(job, arm, clearance) for arm in arms}
+    centre: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
+    axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
+    labels: list[str] = []
+    stops: list[NDArray[np.bool_]] = []
+    for number, (one, path) in enumerate(paths):
+        own = _by_arm(job, one, path)
+        count, name = len(path.former), segment(one)
+        first, last = number == 0, number == len(paths) - 1
+        for arm in arms:
+            points, axes = own[arm]
+            rise = np.array([0.0, 0.0, 1.0 if job.above(arm) else -1.0])
+            start, end = (np.where([0, 0, 1], away[arm], points[k]) for k in (0, -1))
+            row = [start, start, *points, end] if not first else [start + BACK * rise, start, *points, end]
+            row = row[0 if first else 1 :]
+            turns = [axes[:1]] * (2 if first else 1) + [axes, axes[-1:]]
+            if last:
+                row.append(end + BACK * rise)
+                turns.append(axes[-1:])
+            centre[arm].append(np.array(row))
+            axis[arm].append(np.concatenate(turns))
+        labels += ["approach", "approach"] if first else ["link"]
+        labels += [f"{name}_in", *[name] * (count - 1), f"{name}_out"] + (["retreat"] if last else [])
+        head, tail = (2 if first else 1), (2 if last else 1)
+        within = _stops(path.contact.loop, most)
+        within[[0, -1]] = True
+        stops.append(np.concatenate([np.ones(head, bool), within, np.ones(tail, bool)]))
+    return Route(
+        {arm: np.concatenate(centre[arm]) for arm in arms},
+        {arm: np.concatenate(axis[arm]) for arm in arms},
+        tuple(labels),
+        np.concatenate(stops),
+    )
+
+
+def _by_arm(job: Job, one: Pass, path: ToolPath) -> dict[str, tuple[FloatArray, FloatArray]]:
+    out = {job.former(one): (path.former, path.axis)}
+    other = job.supporter(one)
+    if other is not None and path.support is not None and path.support_axis is not None:
+        out[other] = (path.support, path.support_axis)
+    return out
+
+
+def _away(job: Job, arm: str, clearance: float) -> float:
+    """Height z [m] at which a tool's TCP is off everything of the sheet, whatever is formed already."""
+    head, heights = job.heads[arm], job.mesh.vertices[:, 2]
+    shifts = [one.vertices[:, 2] for one in job.passes]
+    low = min(float(heights.min()), *(float(z.min()) for z in shifts))
+    high = max(float(heights.max()), *(float(z.max()) for z in shifts)) + job.thickness
+    reach = head.radius if head.kind == "ball" else 0.0
+    gap = clearance + AIR + reach
+    return high + gap if job.above(arm) else low - gap
+
+
+def _stops(loop: NDArray[np.int64], most: int) -> NDArray[np.bool_]:
+    """(N,) where to stop: at the last possible end of a loop before ``most`` targets have gone by."""
+    ends = np.flatnonzero(np.diff(loop) != 0)
+    out = np.zeros(len(loop), dtype=bool)
+    last = 0
+    while len(loop) - 1 - last > most:
+        near = ends[(ends > last) & (ends <= last + most)]
+        last = int(near[-1]) if len(near) else last + most
+        out[last] = True
+    return out
