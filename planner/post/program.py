@@ -196,10 +196,10 @@ class Job:
 
 
 def splittable(program: OperationProgram) -> BoolArray:
-    """(M,) whether a program may be split behind a move: at stops that do not lie inside one segment of work,
-    and where the arms meet anyway."""
+    """(M,) whether a program may be split behind a move: at stops that do not lie inside one cut, where a hot
+    wire would wait, and where the arms meet anyway."""
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
-        inside = program.labels[i] == program.labels[i + 1] and works(program.labels[i])
+        inside = program.labels[i] == program.labels[i + 1] and segment_kind(program.labels[i]) == "cut"
         out[i] = not inside
     return out
