@@ -154,6 +154,8 @@ class _Reader:
         self.count = 0
         self.last: MoveStep | None = None
         self.working: int | None = None
+        self.asked = False
+        """Whether the operator was asked anything: that no earlier run goes on."""
 
     def run(self) -> None:
         for i, step in enumerate(self.steps):
@@ -194,6 +196,7 @@ class _Reader:
                 self._aside(step)
                 self._work(i)
             case WaitStep() | MessageStep() | CarryStep() | LoadStep():
+                self.asked |= isinstance(step, MessageStep) and step.certain
                 self._work(i)
             case _:
                 pass
@@ -208,6 +211,8 @@ class _Reader:
         value = int(step.value == 1.0)
         self._rest()
         known = self.levels.get(wire)
+        if known == value:
+            self._fault(f"{step.signal} is {value} already; the other program can see no change", step)
         if value != known and (value == 1 or (self.kind == "toggle" and known is not None)):
             self.count += 1
         self.levels[wire] = value
@@ -270,6 +275,12 @@ class _Reader:
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
         step = self.steps[i]
+        if kind in ("set", "wait") and not self.asked:
+            what = (
+                "nobody is asked before whether a program of an earlier run goes on at the other controller"
+            )
+            self._fault(what, step)
+            self.asked = True
         self.actions.append(Action(kind, wire, value, self._left(step), i))  # type: ignore[arg-type]
 
     def _left(self, step: Step) -> Levels:
