@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner.catalogue import RobotData
 from planner.handshake import Handshake
 from planner.problem import Arm
-from planner.targets import Action, works
+from planner.targets import Action, segment_kind
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
