@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.issues import Issue
-from planner.post.program import BoolArray
+from planner.post.program import TIME_DECIMALS, BoolArray
 from planner.problem import Problem
 from planner.targets import Targets
+
+FloatArray = NDArray[np.float64]
 
 _HINT = "use one MultiMove controller for both arms (sync: multimove)"
 
@@ -21,6 +24,28 @@ def meeting_rows(stop: BoolArray, every: int) -> BoolArray:
     begins = np.where(np.concatenate([[True], stop[:-1]]), rows, 0) if len(stop) else rows
     since = rows - np.maximum.accumulate(begins)
     return np.asarray(stop | ((since + 1) % every == 0))
+
+
+def stretched(
+    duration: FloatArray, stop: BoolArray, least: FloatArray, steps: Sequence[FloatArray]
+) -> FloatArray:
+    """Times (M,) [s] of moves that stop at ``stop`` (M,) where they were planned to run through, rounded up
+    as written; never below ``duration`` (M,).
+
+    From stop to stop by a cubic a move of the mean speed 1 has the highest speed 3/2 and, in the time 1, the
+    highest acceleration 6; with a stop at one end and the mean speed at the other it is 4/3 and 4. ``least``
+    (M,) [s]: the time at the highest speed allowed; ``steps``: for each arm the joints' steps (M, 6) over
+    their accelerations allowed [s^2].
+    """
+    ends = stop.astype(np.int64) + np.concatenate([[True], stop[:-1]]) if len(stop) else np.zeros(0, np.int64)
+    out = np.maximum(duration, np.array([1.0, 4.0 / 3.0, 1.5])[ends] * least)
+    for step in steps:
+        out = np.maximum(
+            out, np.sqrt(np.array([0.0, 4.0, 6.0])[ends] * np.abs(step).max(axis=1, initial=0.0))
+        )
+    unit = 10.0**TIME_DECIMALS
+    changed = out > duration
+    return np.asarray(np.where(changed, np.ceil(out * unit - 1e-6) / unit, duration))
 
 
 def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:

@@ -217,7 +217,7 @@ class _Task:
         body += [] if self.partner is None else self.partner.end()
         out = self._procedure("main", body, undo=False)
         if self.partner is not None:
-            for name, lines in self.partner.procedures().items():
+            for name, lines in self.partner.procedures(self.task).items():
                 out += ["", *self._procedure(name, lines, undo=False)]
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]

@@ -9,6 +9,8 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
+
 from planner.handshake import Handshake
 from planner.post.program import Job, TaskProgram
 from planner.post.rapid_format import box, comment, identifier, short, write_lines
@@ -48,12 +50,11 @@ class Partner:
         """A meeting at which the other arm may have moved alone for ``seconds`` or asked the operator."""
         return self.meeting(number, self.handshake.patience + math.ceil(seconds))
 
-    def procedures(self) -> dict[str, list[str]]:
-        """Bodies of the procedures that moves are followed by, by name."""
-        wait = self.handshake.timeout
-        if self.handshake.kind == "four_phase":
-            return {"handshake": self.meeting(1, wait)}
-        return {f"handshake_{phase}": self._turn(phase, wait) for phase in (1, 0)}
+    def procedures(self, task: TaskProgram) -> dict[str, list[str]]:
+        """Bodies of the procedures that the task's moves are followed by, by name."""
+        numbers = np.concatenate([operation.meets for operation in task.operations])
+        used = {self.call(n).rstrip(";"): n for n in np.unique(numbers[numbers > 0]).tolist()}
+        return {name: self.meeting(used[name], self.handshake.timeout) for name in sorted(used)}
 
     def start(self, ask: str) -> list[str]:
         """What ``main`` begins with: lines down and seen so, first meeting. ``ask``: the lead's question."""

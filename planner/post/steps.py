@@ -13,7 +13,7 @@ from planner.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.post import corners, handshake_drift
-from planner.post.handshake import meeting_rows, refusals
+from planner.post.handshake import meeting_rows, refusals, stretched
 from planner.post.loads import carries
 from planner.post.program import (
     POSITION_DECIMALS,
@@ -35,7 +35,7 @@ from planner.post.program import (
     TaskProgram,
     Track,
 )
-from planner.problem import Arm, Problem, Setup
+from planner.problem import Arm, Problem, Settings, Setup
 from planner.targets import Action, Targets
 
 MAX_TASKS = 2
@@ -66,7 +66,7 @@ def build(plan: Plan, problem: Problem) -> Job:
         refused = refusals(problem, [operation.targets for operation in plan.operations])
         if refused:
             raise TandemError(refused)
-    builder = _Builder([arm.name for arm in arms], handshake)
+    builder = _Builder([arm.name for arm in arms], handshake, problem.settings)
     loads = carries(plan, problem)
     parts = [
         builder.operation(i, operation, setups[i], plan.places[setups[i].number - 1], loads.get(i, {}))
@@ -95,9 +95,10 @@ def build(plan: Plan, problem: Problem) -> Job:
 class _Builder:
     """Numbers the meeting points and blocks of a job while its operations are laid out."""
 
-    def __init__(self, arms: Sequence[str], handshake: Handshake | None) -> None:
+    def __init__(self, arms: Sequence[str], handshake: Handshake | None, settings: Settings) -> None:
         self.arms = arms
         self.handshake = handshake
+        self.settings = settings
         self.meets = 0 if handshake is None else 1  # the first meeting stands before all operations
         self.blocks = 0
         self.steps: dict[str, list[Step]] = {}
@@ -122,8 +123,12 @@ class _Builder:
         if self.handshake is not None and len(targets.arms) > 1:
             stop = meeting_rows(stop, self.handshake.every)
             meets = stop.astype(np.int64)
+        duration = _durations(plan, keep)
+        if meets.any():
+            duration = _stretched(duration, stop, plan, keep, written, arms, self.settings)
         tracks = {
-            arm: _track(plan, arms[arm], frames[arm], keep, stop, *written[arm]) for arm in targets.arms
+            arm: _track(plan, arms[arm], frames[arm], keep, stop, duration, *written[arm])
+            for arm in targets.arms
         }
         labels = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
@@ -143,7 +148,7 @@ class _Builder:
             from_home = number > 0 or opened
             self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
-        self._blocks(number, targets, keep, labels, meets, next(iter(tracks.values())).duration)
+        self._blocks(number, targets, keep, labels, meets, duration)
         for arm in reversed(plan.order):
             steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
             self._alone(arm, steps[1:], f"{arm} is home again")
@@ -305,15 +310,8 @@ def _stops(targets: Targets, keep: IntArray) -> BoolArray:
     return stop
 
 
-def _track(
-    plan: OperationPlan,
-    arm: Arm,
-    frame: str,
-    keep: IntArray,
-    stop: BoolArray,
-    position: FloatArray,
-    quaternion: FloatArray,
-) -> Track:
+def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
+    """Times (M,) [s] of the kept moves, rounded as written."""
     clock = np.round(plan.time, TIME_DECIMALS)
     duration = np.round(clock[keep] - clock[keep - 1], TIME_DECIMALS)
     late = np.flatnonzero(duration <= 0.0)
@@ -324,6 +322,43 @@ def _track(
         raise TandemError(
             Issue("post.plan", message, index=i, hint="every move needs a time above 0.00001 s")
         )
+    return np.asarray(duration)
+
+
+def _stretched(
+    duration: FloatArray,
+    stop: BoolArray,
+    plan: OperationPlan,
+    keep: IntArray,
+    written: Mapping[str, tuple[FloatArray, FloatArray]],
+    arms: Mapping[str, Arm],
+    settings: Settings,
+) -> FloatArray:
+    """The times of moves that have more stops than the plan counted with."""
+    targets = plan.targets
+    with np.errstate(divide="ignore", invalid="ignore"):
+        least = np.where(targets.travel > 0.0, targets.travel / targets.feed, 0.0)
+    least = np.diff(np.cumsum(least)[np.concatenate([[0], keep])])
+    steps = []
+    for arm, (position, _) in written.items():
+        way = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
+        least = np.maximum(least, 1e-3 * way / settings.tcp_speed)
+        q = plan.q[arm]
+        allowed = settings.acceleration_fraction * robot(arms[arm].robot).acceleration
+        steps.append((q[keep] - q[keep - 1]) / allowed)
+    return stretched(duration, stop, least, steps)
+
+
+def _track(
+    plan: OperationPlan,
+    arm: Arm,
+    frame: str,
+    keep: IntArray,
+    stop: BoolArray,
+    duration: FloatArray,
+    position: FloatArray,
+    quaternion: FloatArray,
+) -> Track:
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
     labels = [plan.targets.segment[i] for i in keep]

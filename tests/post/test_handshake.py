@@ -220,6 +220,16 @@ def test_power_is_switched_off_by_the_controller_that_switches_it_on():
     assert set(handlers) == {"SetDO doWirePower,0;"}
 
 
+def test_only_procedures_that_are_called_are_written():
+    for every, wanted in ((1, {"handshake_0", "handshake_1"}), (9, {"handshake_0", "handshake_1"})):
+        main = written("toggle", every)["left/TandemMain_1.mod"]
+        assert set(re.findall(r"PROC (handshake\w*)", main)) == wanted
+    job = cell("toggle", 100)
+    q = {"left": synthetic.sweep(4), "right": synthetic.sweep(4, 0.25)}
+    plan = synthetic.plan(synthetic.operation(job, q, ["cut/b"] * 4, actions=(), coupled=False))
+    assert re.findall(r"PROC (handshake\w*)", programs(plan, job)["left/TandemMain_1.mod"]) == ["handshake_1"]
+
+
 def test_one_arm_alone_needs_no_handshake():
     job = cell()
     work = synthetic.operation(job, {"right": synthetic.sweep(5)}, ["cut/a"] * 5, actions=(), coupled=False)
