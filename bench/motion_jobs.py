@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.rigid import from_parts
+from planner.geometry.rigid import from_parts, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
 from planner.targets import Edge, ScrewFreedom, Targets
 from planner.tools import wire_holder
@@ -114,3 +114,47 @@ def s_curve(count: int = 400) -> tuple[Cell, Targets]:
         segment=("path",) * count,
     )
     return cell, targets
+
+
+def spiral_pair(
+    count: int, loops: int, tilt: float = 0.0, obstacles: tuple[Obstacle, ...] = ()
+) -> tuple[Cell, Targets]:
+    """Two IRB 140 with balls of 5 mm radius on both sides of a spiral in the plane x = 0, each free to spin.
+
+    The balls' centres are 12 mm apart, the loops shrink from 80 to 40 mm. Tools are bent by 45 degrees; their
+    axes lean by ``tilt`` [rad] to the spiral's outside and turn with it. The first and the last target are 40
+    mm off the plane.
+    """
+    lean = from_rpy((0.0, 0.0, 0.02), (0.0, np.deg2rad(45.0), 0.0))
+    ball = Shape("capsule", (0.005, 0.1), lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))
+    tcp = lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.11]))
+    tool = Tool("ball", tcp, 0.5, np.array([0.04, 0.0, 0.06]), (ball,))
+    arms = tuple(Arm(a.name, a.robot, a.base, tool, a.home) for a in two_arms(1.3).arms)
+    share = np.linspace(0.0, 1.0, count - 2)
+    angle, radius = 2.0 * np.pi * loops * share, 0.08 - 0.04 * share
+    out = np.stack([np.zeros(count - 2), np.cos(angle), np.sin(angle)], axis=1)
+    tangent = np.stack([np.zeros(count - 2), -np.sin(angle), np.cos(angle)], axis=1)
+    poses = {}
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        z = np.array([-side * np.cos(tilt), 0.0, 0.0]) + np.sin(tilt) * out
+        place = np.array([side * 0.006, 0.0, 0.55]) + radius[:, None] * out
+        turn = np.stack([tangent, np.cross(z, tangent), z], axis=-1)
+        pose = from_parts(turn, place)[np.r_[0, 0 : count - 2, count - 3]]
+        pose[[0, -1], 0, 3] += side * 0.04
+        poses[name] = pose
+    full = np.full(count, np.pi)
+    axis = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    step = [np.linalg.norm(np.diff(p[:, :3, 3], axis=0), axis=1) for p in poses.values()]
+    stop = np.zeros(count, dtype=bool)
+    stop[[0, 1, -2, -1]] = True
+    return Cell("spiral", arms, obstacles, Controller()), Targets(
+        arms=("left", "right"),
+        pose=poses,
+        frame={"left": "world", "right": "world"},
+        freedoms=tuple(ScrewFreedom(f"spin_{a}", {a: axis}, -full, full, periodic=True) for a in poses),
+        feed=np.full(count, 0.1),
+        feed_min=np.zeros(count),
+        travel=np.append(0.0, np.max(step, axis=0)),
+        stop=stop,
+        segment=("approach", *("cut/spiral",) * (count - 2), "retreat"),
+    )

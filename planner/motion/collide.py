@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Mapping
 from typing import Final
@@ -9,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.cell.clearance import Pairs
 from planner.motion.reach import Grid, Rungs
 from planner.motion.scene import Scene
 from planner.targets import Targets
@@ -23,10 +25,36 @@ SUSPECT: Final = 0.05
 """Cost [s] of a sample between two of these targets one of which collides with it."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Others:
+    """Arms that a search leaves alone: the joints ``standing`` {arm: (N, 6)} at every target, and arms that
+    are ``absent``, as if they were not there."""
+
+    standing: Mapping[str, FloatArray]
+    absent: frozenset[str]
+
+    def ignored(self, scene: Scene) -> Pairs:
+        """Pairs of bodies that absent arms are part of."""
+        if scene.model is None:
+            return frozenset()
+        bodies = {solid.body for solid in scene.model.solids}
+        gone = {body for body in bodies if body.partition("/")[0] in self.absent}
+        return frozenset(frozenset((a, b)) for a in gone for b in bodies if a != b)
+
+
 class Checker:
     """What is known of the samples of one choice of branches: ``known``, ``collided`` (N, S)."""
 
-    def __init__(self, scene: Scene, targets: Targets, grid: Grid, rungs: Mapping[str, Rungs]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        targets: Targets,
+        grid: Grid,
+        rungs: Mapping[str, Rungs],
+        others: Others | None = None,
+    ) -> None:
+        self._standing = others.standing if others else {}
+        self._ignored: Pairs = others.ignored(scene) if others else frozenset()
         self._scene, self._targets, self._rungs = scene, targets, rungs
         shape = grid.values.shape[:2]
         self._rungs_shape = (int(shape[0]), int(shape[1]))
@@ -41,7 +69,8 @@ class Checker:
         if len(index) == 0:
             return
         q = {arm: r.q[index, sample] for arm, r in self._rungs.items()}
-        self.collided[index, sample] = ~self._scene.free(self._targets, q, index)
+        q |= {arm: angles[index] for arm, angles in self._standing.items()}
+        self.collided[index, sample] = ~self._scene.free(self._targets, q, index, ignored=self._ignored)
         self.known[index, sample] = True
         self.checks += len(index)
 

@@ -52,6 +52,8 @@ def around(count: int, moves: NDArray[np.intp], reach: int) -> BoolArray:
     hit = np.zeros(count, dtype=np.bool_)
     hit[moves] = True
     hit[np.maximum(moves - 1, 0)] = True
+    near = np.zeros(count + 1, dtype=np.intp)
     at = np.flatnonzero(hit)
-    away = np.abs(np.arange(count)[:, None] - at[None, :]).min(axis=1, initial=count)
-    return np.asarray(away <= reach)
+    np.add.at(near, np.maximum(at - reach, 0), 1)
+    np.add.at(near, np.minimum(at + reach + 1, count), -1)
+    return np.asarray(np.cumsum(near)[:-1] > 0)

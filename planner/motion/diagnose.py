@@ -28,6 +28,11 @@ SUBSAMPLE: Final = 24
 
 def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> list[Issue]:
     """Issues that say why the ladder has no path."""
+    if blocked.few is not None:
+        few, rows = blocked.few
+        help_ = shift_that_helps(scene, targets)
+        some = no_path(scene, few, grid, dataclasses.replace(blocked, few=None))
+        return [_in_job(issue, targets, rows, help_) for issue in some]
     out = [issue for arm, r in blocked.reach.items() if (issue := _unreached(scene, targets, grid, arm, r))]
     if not out and blocked.common < targets.count:
         out = [_broken(targets, blocked.common)]
@@ -35,6 +40,21 @@ def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> lis
         out = [_collision(scene, targets, blocked)]
     help_ = shift_that_helps(scene, targets)
     return [dataclasses.replace(issue, hint=help_ or issue.hint) for issue in out]
+
+
+def _in_job(issue: Issue, targets: Targets, rows: NDArray[np.intp], help_: str | None) -> Issue:
+    """An issue of some of the targets, ``rows`` (K,), as one of the whole job."""
+    if issue.index is None or issue.target is None:
+        return issue
+    index = int(rows[issue.index])
+    name = targets.name(index)
+    return dataclasses.replace(
+        issue,
+        message=issue.message.replace(issue.target, name),
+        index=index,
+        target=name,
+        hint=help_ or issue.hint,
+    )
 
 
 def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -> Issue | None:

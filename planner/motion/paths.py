@@ -6,6 +6,7 @@ from planner.motion.reach import SLIDES, Grid, sample, slides_only
 from planner.motion.roadmap import search_wide
 from planner.motion.scene import Scene
 from planner.motion.search import Blocked, Found, search
+from planner.motion.skeleton import search_long, suits
 from planner.targets import Targets
 
 FEW = 1
@@ -16,8 +17,12 @@ def find(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
     """The path of least cost, or what is known of why there is none, and the samples that were looked at.
 
     With few freedoms slides and tables are in their middle first, and at more places only where that has no
-    path.
+    path. Very many targets are planned on a skeleton first.
     """
+    if suits(targets):
+        long = search_long(scene, targets)
+        if long is not None:
+            return long
     free = [f for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
     if sum(not slides_only(f) for f in free) > FEW:
         return search_wide(scene, targets)

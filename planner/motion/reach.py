@@ -98,11 +98,12 @@ def slides_only(freedom: Freedom) -> bool:
     return not (isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values()))
 
 
-def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES) -> Grid:
+def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES, far: int = 1) -> Grid:
     """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at
     ``slides`` places.
 
     Bounded freedoms are sampled between their bounds at each target, so that a narrow window is never missed.
+    Where one freedom alone is sampled, a step may go ``far`` samples.
     """
     counts = [_count(f, spin_step, slides) for f in targets.freedoms]
     while counts and int(np.prod(counts)) * targets.count > MOST_SAMPLES and max(counts) > 2:
@@ -117,7 +118,7 @@ def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES)
     ]
     shape = (targets.count, len(picks))
     values = np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
-    return Grid(values, _steps(picks, counts, rings))
+    return Grid(values, _steps(picks, counts, rings, far))
 
 
 def _count(freedom: Freedom, spin_step: float, slides: int) -> int:
@@ -139,11 +140,13 @@ def _values(freedom: Freedom, picks: IntArray, count: int, ring: bool) -> FloatA
     return freedom.lower[:, None] + share * (freedom.upper - freedom.lower)[:, None]
 
 
-def _steps(picks: IntArray, counts: list[int], rings: list[bool]) -> IntArray:
+def _steps(picks: IntArray, counts: list[int], rings: list[bool], far: int) -> IntArray:
     """Predecessors (M, S): stay, and each freedom one sample up or down (two freedoms: diagonals as well)."""
-    offsets = list(itertools.product((0, -1, 1), repeat=len(counts)))
+    far = far if sum(count > 1 for count in counts) == 1 else 1
+    away = (0, *itertools.chain.from_iterable((-k, k) for k in range(1, far + 1)))
+    offsets = list(itertools.product(away, repeat=len(counts)))
     if len(counts) > 2:
-        offsets = [o for o in offsets if sum(map(abs, o)) <= 1]
+        offsets = [o for o in offsets if np.count_nonzero(o) <= 1]
     offsets = [o for o in offsets if all(c > 1 or s == 0 for c, s in zip(counts, o, strict=True))]
     offsets.sort(key=lambda o: sum(map(abs, o)))
     out = np.empty((len(offsets), len(picks)), dtype=np.intp)

@@ -33,6 +33,9 @@ IndexArray = NDArray[np.intp]
 RUNGS: Final = (48, 96)
 """About so many rungs; more where fewer have no path."""
 
+MOST_RUNGS: Final = 300
+"""Where so many targets are stops, only some of them are rungs."""
+
 ROUNDS: Final = 80
 CHOICES: Final = 6
 """Choices of branches that are looked at in each level."""
@@ -71,7 +74,10 @@ def _rows(targets: Targets, count: int) -> IndexArray:
     rows = set(np.linspace(0, targets.count - 1, min(count, targets.count)).round().astype(int).tolist())
     rows |= set(np.flatnonzero(targets.stop).tolist())
     rows |= {i for i in range(1, targets.count) if targets.segment[i] != targets.segment[i - 1]}
-    return np.array(sorted(rows), dtype=np.intp)
+    out = np.array(sorted(rows), dtype=np.intp)
+    if len(out) <= MOST_RUNGS:
+        return out
+    return out[np.linspace(0, len(out) - 1, MOST_RUNGS).round().astype(np.intp)]
 
 
 class _Attempt:

@@ -107,19 +107,20 @@ class Scene:
         q: Mapping[str, FloatArray],
         index: IndexArray,
         move: IndexArray | None = None,
+        ignored: Pairs = frozenset(),
     ) -> NDArray[np.bool_]:
         """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edges
         included.
 
         ``move`` (B,) are the targets that the moves lead to on which the joints lie, where that is not
-        ``index``.
+        ``index``. Pairs of bodies in ``ignored`` are not looked at.
         """
         if self.model is None or len(index) == 0:
             return np.ones(len(index), dtype=bool)
         ok = np.zeros(len(index), dtype=bool)
         for ignore, part in self.by_kind(targets, index if move is None else move):
             some = {arm: v[part] for arm, v in q.items()}
-            ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore)
+            ok[part] = clearance.free(self.model, some, self.settings.clearance, ignore | ignored)
         rows = np.flatnonzero(ok)
         distance, _ = self.edge_clearance(targets, {arm: v[rows] for arm, v in q.items()}, index[rows])
         ok[rows] = distance >= self.settings.clearance

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.motion.chain import TWO_PI
-from planner.motion.collide import Checker
+from planner.motion.collide import Checker, Others
 from planner.motion.ladder import Ladder, Path, Steps, joint_path, steps
 from planner.motion.reach import PREFER, Grid, Reach, Rungs, full_turn, reach
 from planner.motion.scene import Scene
@@ -46,7 +46,8 @@ class Blocked:
 
     ``reach`` is the table of all arms; ``common`` the first target that no choice of branches passes, N if it
     is collisions that are in the way; then ``path`` is the last path tried and ``collided`` (N, S) what
-    collides, or ``hit`` a target with joints {arm: (6,)} on the move to it that collide.
+    collides, or ``hit`` a target with joints {arm: (6,)} on the move to it that collide. ``few``: the targets
+    that all this is about, with their indices (K,) in the job, where only some of it was looked at.
     """
 
     reach: Mapping[str, Reach]
@@ -54,14 +55,15 @@ class Blocked:
     collided: NDArray[np.bool_] | None = None
     path: Found | None = None
     hit: tuple[int, dict[str, FloatArray]] | None = None
+    few: tuple[Targets, NDArray[np.intp]] | None = None
 
 
-def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
+def search(scene: Scene, targets: Targets, grid: Grid, others: Others | None = None) -> Found | Blocked:
     """The path of least cost over branches, samples and turns that keeps clearance at every target.
 
     Branches stay the same over the whole run. Choices of branches are tried in the order of their cost
     without collisions, which bounds their cost with collisions from below; the rest are left out
-    once none promises much.
+    once none promises much. ``others`` are arms that do not take part.
     """
     table = reach(scene, targets, grid)
     choices, common = _choices(scene, targets, grid, table)
@@ -74,7 +76,7 @@ def search(scene: Scene, targets: Targets, grid: Grid) -> Found | Blocked:
     for bound, k in sorted(offers)[:MOST_CHOICES]:
         if best is not None and best.path.cost <= bound * (1.0 + WORTH_IT):
             break
-        check = Checker(scene, targets, grid, choices[k].rungs)
+        check = Checker(scene, targets, grid, choices[k].rungs, others)
         found, last = _free_path(choices[k], check)
         if found is not None and (best is None or found.path.cost < best.path.cost):
             best = dataclasses.replace(found, choices=len(offers))
