@@ -10,10 +10,13 @@ import shapely
 
 from planner.forming.feature_tree import FeatureTree
 from planner.forming.values import FloatArray, IntArray
+from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.problem import Mesh
 
 RING: Final = 0.03
 """Width [m] of the flat that is kept around a feature."""
+LEVEL: Final = float(np.cos(np.radians(1.0)))
+"""Faces of a floor whose normal is so near to z are level."""
 _EXACT: Final = 1e-9
 
 
@@ -23,7 +26,7 @@ def alone(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> Mesh:
     Inside its children it is flat at the level where they start; around it there is a ring of flat sheet at
     its own start. ``mesh`` is what the tree was built of, its normals all up or all down.
     """
-    share, start = tree.share[feature - 1], tree.feature(feature).start + shift
+    share, start = _levelled(mesh, tree, feature), tree.feature(feature).start + shift
     kept = (np.abs(share) > _EXACT)[mesh.faces].any(axis=1)
     used, index = np.unique(mesh.faces[kept], return_inverse=True)
     faces = np.asarray(index).reshape(-1, 3).astype(np.int64)
@@ -31,6 +34,17 @@ def alone(mesh: Mesh, tree: FeatureTree, feature: int, shift: float) -> Mesh:
     if plan_areas(vertices, faces).sum() < 0.0:
         faces = np.ascontiguousarray(faces[:, ::-1])
     return with_ring(Mesh(vertices, faces), start)
+
+
+def _levelled(mesh: Mesh, tree: FeatureTree, feature: int) -> FloatArray:
+    """How far (V,) [m] a feature moves the vertices, with its floor made level: where features leave a floor
+    on both sides, or its mesh is noisy, heights there differ by less than the tree's noise."""
+    share, total = tree.share[feature - 1], tree.feature(feature).end - tree.feature(feature).start
+    near = mesh.faces[(np.abs(share[mesh.faces] - total) < tree.noise).all(axis=1)]
+    normals = face_normals(TriangleMesh(np.column_stack([mesh.vertices[:, :2], share]), near))
+    out: FloatArray = share.copy()
+    out[near[np.abs(normals[:, 2]) > LEVEL]] = total
+    return out
 
 
 def with_ring(mesh: Mesh, level: float, width: float = RING) -> Mesh:
