@@ -9,7 +9,8 @@ slicing step sets how many contours a feature has and nothing else. The rules:
   feature, and what turns back there is its child (a dome on a slope).
 - A terrace, a flat within a wall, ends a feature too, and what follows is its child: a stepped dish is two
   features, and so is a dish with one dimple in its floor. `terraces` says how wide a flat must be.
-- What does not leave its surroundings by ``noise`` is no feature.
+- What does not leave its surroundings by ``noise`` is no feature, nor is a bump less than 2 mm across beside
+  something larger.
 
 After Ndip-Agbor, Ehmann and Cao, Automated flexible forming strategy for geometries with multiple features in
 double-sided incremental forming, J. Manuf. Sci. Eng. 140 (2018), who match loops of neighbouring slices.
@@ -29,7 +30,7 @@ from shapely.ops import nearest_points
 from planner.forming.contour_tree import contour_tree
 from planner.forming.skeleton import skeleton
 from planner.forming.slicing import area, slice_levels
-from planner.forming.surface import SheetSurface, check, plan_areas, where
+from planner.forming.surface import Beyond, SheetSurface, check, plan_areas, where
 from planner.forming.values import FloatArray
 from planner.forming.walls import Wall, walls
 from planner.issues import Issue, Severity, TandemError
@@ -154,7 +155,7 @@ def _walls(surface: SheetSurface, noise: float) -> list[Wall]:
     weight = np.bincount(
         surface.faces.reshape(-1), weights=np.repeat(plan_areas(surface), 3), minlength=count
     )
-    bones = skeleton(tree, height, np.append(weight, 0.0), noise, surface.level)
+    bones = skeleton(tree, height, np.append(weight, 0.0), Beyond(surface), noise, surface.level)
     bones = dataclasses.replace(bones, element=bones.element[:count], height=bones.height[:count])
     return walls(bones, surface, noise)
 

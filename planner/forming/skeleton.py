@@ -1,12 +1,14 @@
 """What of a contour tree is meant: places where features begin and end, and walls between them.
 
-A branch that does not leave the height of its fork by ``noise`` is no feature: its vertices count as part of
-the fork. Forks within ``noise`` of each other are one place, as those are that noise makes on a flat.
+A branch that does not leave the height of its fork by ``noise`` is no feature, nor is the lesser one of two
+that is smaller in plan than any tool: its vertices count as part of the fork. Forks within ``noise`` of each
+other are one place, as those are that noise makes on a flat.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -16,15 +18,17 @@ from planner.forming.values import FloatArray, IntArray
 
 EXACT: Final = 1e-6
 """Heights [m] that differ by less are those of a mesh without noise."""
+SMALLEST: Final = 3e-6
+"""Plan area [m^2], 2 mm across, below which a bump is one of facets that do not follow a crease."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """A flat, a saddle or an end, on which walls begin or end: its ``level`` [m], the ``span`` [m] of heights
-    that noise gives it, and the place from which a wall leads here (-1 for the flat sheet)."""
+    """A flat, a saddle or an end, on which walls begin or end: its ``level`` [m], how far ``off`` [m]
+    it noise takes its vertices, and the place from which a wall leads here (-1 for the flat sheet)."""
 
     level: float
-    span: tuple[float, float]
+    off: float
     before: int
 
 
@@ -46,14 +50,18 @@ class Skeleton:
         return 1 if self.places[place].level > self.places[self.places[place].before].level else -1
 
 
+Size = Callable[[list[int], float], float]
+"""Plan area [m^2] of what of the surface around some vertices lies beyond a level [m]."""
+
+
 def skeleton(
-    tree: ContourTree, height: FloatArray, weight: FloatArray, noise: float, level: float
+    tree: ContourTree, height: FloatArray, weight: FloatArray, size: Size, noise: float, level: float
 ) -> Skeleton:
     """The skeleton of a contour tree of ``height`` (N,) [m] whose root is the flat sheet at ``level`` [m].
 
-    ``weight`` (N,): plan area of the vertices, by which the level of a noisy flat is the median of theirs.
+    ``weight`` (N,): plan area of the vertices [m^2], by which a noisy flat's level is the median.
     """
-    return _Builder(tree, height, noise).build(weight, level)
+    return _Builder(tree, height, weight, size, noise).build(level)
 
 
 def _floats(values: FloatArray) -> list[float]:
@@ -62,7 +70,10 @@ def _floats(values: FloatArray) -> list[float]:
 
 
 class _Builder:
-    def __init__(self, tree: ContourTree, height: FloatArray, noise: float) -> None:
+    def __init__(
+        self, tree: ContourTree, height: FloatArray, weight: FloatArray, size: Size, noise: float
+    ) -> None:
+        self.weight, self.size = weight, size
         self.tree, self.noise, self.z = tree, noise, _floats(height)
         self.low, self.high = _floats(tree.low), _floats(tree.high)
         self.rank: list[int] = tree.rank.tolist()
@@ -76,9 +87,29 @@ class _Builder:
         reach = np.maximum(tree.high[inner] - height[above], height[above] - tree.low[inner]) >= noise
         self.matters = np.zeros(len(height), dtype=bool)
         self.matters[inner] = reach
+        forks = np.bincount(above[reach], minlength=len(height)) > 1
+        self._drop_small(np.nonzero(forks)[0].tolist())
         self.element = np.full(len(height), -1, dtype=np.int64)
         self.before: list[int] = [-1]
         self.ends: dict[int, int] = {}
+
+    def _drop_small(self, forks: list[int]) -> None:
+        for fork in forks:
+            branches = sorted(self.onward(fork), key=lambda child: self._beyond(child, self.z[fork]))
+            for branch in branches[:-1]:
+                members = self._few(branch)
+                if members and self.size(members, self.z[fork]) < SMALLEST:
+                    self.matters[branch] = False
+
+    def _few(self, vertex: int) -> list[int]:
+        """The vertices from one on; none where they are clearly not small."""
+        members, total = [vertex], 0.0
+        for member in members:
+            total += self.weight[member]
+            if total > 10.0 * SMALLEST:
+                return []
+            members.extend(self.children(member))
+        return members
 
     def children(self, vertex: int) -> list[int]:
         return self.after[self.begin[vertex] : self.begin[vertex + 1]]
@@ -86,7 +117,7 @@ class _Builder:
     def onward(self, vertex: int) -> list[int]:
         return [child for child in self.children(vertex) if self.matters[child]]
 
-    def build(self, weight: FloatArray, level: float) -> Skeleton:
+    def build(self, level: float) -> Skeleton:
         self.element[self.tree.root] = 0
         reference = [level]
         open_: list[tuple[int, int]] = [(self.tree.root, 0)]
@@ -111,7 +142,7 @@ class _Builder:
                     self.ends[new] = last
                 else:
                     open_.append((last, new))
-        return self._finish(weight, level)
+        return self._finish(level)
 
     def _wall(self, vertex: int, child: int) -> tuple[list[int], bool]:
         """From one fork on to the next one, or to the end."""
@@ -126,13 +157,14 @@ class _Builder:
         return self._to_the_tip(path, 1.0 if rises else -1.0), True
 
     def _to_the_tip(self, path: list[int], sign: float) -> list[int]:
-        """What is left is less high than noise; where there is none it is followed to its very end."""
+        """What is left is small, or less high than noise; where there is none, it is followed to its end."""
         while children := self.children(path[-1]):
             here = self.z[path[-1]]
             reach = [max(self.high[c] - here, here - self.low[c]) for c in children]
             best = int(np.argmax(reach))
             others = reach[:best] + reach[best + 1 :]
-            if max(others, default=0.0) > EXACT or sign * (self.z[children[best]] - here) < -EXACT:
+            noisy = max(others, default=0.0) > EXACT and reach[best] < self.noise
+            if noisy or sign * (self.z[children[best]] - here) < -EXACT:
                 break
             path.append(children[best])
         return path
@@ -140,7 +172,7 @@ class _Builder:
     def _beyond(self, vertex: int, level: float) -> float:
         return max(self.high[vertex] - level, level - self.low[vertex])
 
-    def _finish(self, weight: FloatArray, level: float) -> Skeleton:
+    def _finish(self, level: float) -> Skeleton:
         element, flat, up = self.element.tolist(), list(self.z), self.tree.parent.tolist()
         for vertex in self.tree.order[1:].tolist():
             if element[vertex] < 0:
@@ -152,9 +184,8 @@ class _Builder:
         places = []
         for index, members in enumerate(groups):
             heights = z[members]
-            span = (float(heights.min()), float(heights.max()))
-            own = level if index == 0 else self._level(index, heights, weight[members])
-            places.append(Place(own, span, self.before[index]))
+            own = level if index == 0 else self._level(index, heights, self.weight[members])
+            places.append(Place(own, float(np.abs(heights - own).max()), self.before[index]))
         return Skeleton(tuple(places), where, np.array(flat))
 
     def _level(self, place: int, heights: FloatArray, weight: FloatArray) -> float:

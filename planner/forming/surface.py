@@ -74,6 +74,31 @@ def plan_areas(surface: SheetSurface) -> FloatArray:
     return np.maximum(_plan_areas(surface.vertices, surface.faces), 0.0)
 
 
+class Beyond:
+    """Asked for the plan area [m^2] of what of the faces around some vertices lies beyond a level [m], on the
+    side on which the first of them is."""
+
+    def __init__(self, surface: SheetSurface) -> None:
+        self.surface, self.area = surface, plan_areas(surface)
+        corners = surface.faces.reshape(-1)
+        self.order = np.argsort(corners, kind="stable") // 3
+        self.begin = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(surface.vertices)))])
+
+    def __call__(self, members: list[int], level: float) -> float:
+        """``members``: indices of vertices; one past the last, which closes the surface, has no faces."""
+        height, count = self.surface.vertices[:, 2], len(self.surface.vertices)
+        own = [member for member in members if member < count]
+        if not own:
+            return 0.0
+        faces = np.unique(np.concatenate([self.order[self.begin[m] : self.begin[m + 1]] for m in own]))
+        sign = 1.0 if height[own[0]] >= level else -1.0
+        low, middle, high = np.sort(sign * (height[self.surface.faces[faces]] - level), axis=1).T
+        tip = high**2 / np.maximum((high - low) * (high - middle), 1e-300)
+        base = 1.0 - low**2 / np.maximum((high - low) * (middle - low), 1e-300)
+        share = np.where(low >= 0.0, 1.0, np.where(middle >= 0.0, base, np.where(high > 0.0, tip, 0.0)))
+        return float(np.sum(share * self.area[faces]))
+
+
 def where(point: FloatArray) -> str:
     """A place (2 or 3,) [m] as a person reads it."""
     return "(" + ", ".join(f"{value / MM:.2f}" for value in point) + ") mm"

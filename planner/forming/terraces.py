@@ -108,9 +108,9 @@ def _terrace(begin: float, stop: float, passed: _Passed, start: float, sign: flo
         return Terrace(*(start + sign * level for level in levels))
     depths = np.linspace(begin - cell, stop + cell, 201)
     areas = passed(depths)
-    middle = float(np.clip(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths), begin, stop))
+    middle = float(np.interp(0.5 * (areas[0] + areas[-1]), areas, depths))
     return Terrace(
         start + sign * middle,
-        start + sign * (begin - cell),
-        start + sign * (stop + cell),
+        start + sign * min(begin - cell, middle - 0.1 * cell),
+        start + sign * max(stop + cell, middle + 0.1 * cell),
     )

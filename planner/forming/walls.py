@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 import numpy as np
 
@@ -10,6 +11,10 @@ from planner.forming import terraces
 from planner.forming.skeleton import EXACT, Skeleton
 from planner.forming.surface import SheetSurface, plan_areas
 from planner.forming.values import FloatArray
+
+CLEAR: Final = 1.1
+"""How far from a noisy flat the first level line is, in units of its noise as it shows on the flat itself: of
+the flat's vertices some count as parts of the walls."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,12 +110,10 @@ def _pieces(
     begin, finish = skeleton.places[run.begin], skeleton.places[run.end]
     start, end = begin.level, finish.level
     sign = 1.0 if end > start else -1.0
-    span = begin.span
+    off = begin.off
     if run.begin == 0:
-        rim = surface.vertices[surface.border, 2]
-        span = (min(span[0], float(rim.min())), max(span[1], float(rim.max())))
-    first = (span[1] if sign > 0 else span[0]) + sign * EXACT
-    last = (finish.span[0] if sign > 0 else finish.span[1]) - sign * EXACT
+        off = max(off, float(np.abs(surface.vertices[surface.border, 2] - start).max()))
+    first, last = start + sign * (CLEAR * off + EXACT), end - sign * (CLEAR * finish.off + EXACT)
     corners = height[surface.faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     reached = np.abs(corners - start).max(axis=1) > 0.0
