@@ -83,7 +83,17 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) 
     items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
     named = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
     tasks = ", ".join(f"{arm.name}: {task}" for arm, task in named)
-    return markup.facts([*items, ("tasks", tasks)])
+    return markup.facts([*items, ("tasks", tasks), *_wires(problem)])
+
+
+def _wires(problem: Problem) -> list[tuple[object, object]]:
+    """The wires between two controllers that meet by handshake."""
+    controller = problem.cell.controller
+    if controller.sync != "handshake":
+        return []
+    wires = controller.handshake.wired([arm.name for arm in problem.cell.arms])
+    shown = ", ".join(f"{w.output} of {w.source} to {w.input} of {w.sink}" for w in wires)
+    return [("wires between the controllers", shown)]
 
 
 def _bent(wire: WireJoins) -> list[tuple[object, object]]:

@@ -13,7 +13,7 @@ import pytest
 from planner.handshake import Handshake, PartnerSignals
 from planner.issues import TandemError
 from planner.post import handshake_drift, write
-from planner.post.handshake import meeting_rows
+from planner.post.handshake import meeting_rows, stretched
 from planner.post.steps import build
 from planner.post.write import notes, programs
 from planner.targets import Action
@@ -190,6 +190,23 @@ def test_meetings_are_at_every_so_many_moves_and_at_stops():
     assert np.flatnonzero(meeting_rows(stop, 2)).tolist() == [1, 3, 4, 6, 7]
     assert np.flatnonzero(meeting_rows(stop, 3)).tolist() == [2, 4, 7]
     assert len(meeting_rows(stop[:0], 3)) == 0
+
+
+def test_moves_that_stop_more_often_than_planned_take_the_time_that_takes():
+    """From rest to rest by a cubic: highest speed 1.5 times the mean, highest acceleration 6 d / T^2."""
+    planned, stop = np.full(4, 0.1), np.array([False, True, True, True])
+    slow, still = np.full(4, 0.06), [np.zeros((4, 6))]
+    assert stretched(planned, stop, slow, still) == pytest.approx([0.1] * 4)
+    assert stretched(planned, stop, 2 * slow, still) == pytest.approx([0.16, 0.16, 0.18, 0.18])
+    steps = np.zeros((4, 6))
+    steps[:, 2] = -0.02  # a step of 0.02 times the acceleration allowed
+    got = stretched(planned, stop, slow, [steps])
+    assert got == pytest.approx(np.sqrt([0.08, 0.08, 0.12, 0.12]), abs=1.1e-5)
+    time = np.linspace(0.0, got[3], 2001)
+    share = time / got[3]
+    acceleration = np.gradient(np.gradient(0.02 * (3 * share**2 - 2 * share**3), time), time)
+    assert 0.98 < np.abs(acceleration[2:-2]).max() <= 1.001
+    assert not len(stretched(planned[:0], stop[:0], slow[:0], [steps[:0]]))
 
 
 def test_waits_are_as_long_as_stated():

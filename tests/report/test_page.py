@@ -16,7 +16,7 @@ from planner.cell import robots
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import inputs, output, page, replay3d
+from planner.report import inputs, output, page, replay3d, setup_sheet
 from planner.report.page import Extra
 from planner.verify.result import Proof
 
@@ -221,3 +221,10 @@ def test_report_without_replay_says_why(
     assert caught.value.issues[0].code == "report.replay_failed"
     made = output.files(problem, plan, proof)
     assert "replay.html" not in made and "report.replay_failed" in made["report.html"]
+
+
+def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, plan: Plan) -> None:
+    assert "wires between the controllers" not in str(setup_sheet.sheet(problem, plan))
+    controller = dataclasses.replace(problem.cell.controller, sync="handshake")
+    apart = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
+    assert "doPartner of left to diPartner of right" in str(setup_sheet.sheet(apart, plan))
