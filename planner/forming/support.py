@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 
 from planner.forming.border import border_path
+from planner.forming.clearing import FarFace, clear_tilt, radius_issue
 from planner.forming.contact import Face
 from planner.forming.inserting import insert, shares
 from planner.forming.operation import Forming
@@ -73,6 +74,30 @@ def tool_path(
     return _opposite(one, contact, operation, former, support, thickness)
 
 
+def support_issues(
+    one: Pass,
+    path: ToolPath,
+    operation: Forming,
+    former: FormingHead,
+    support: FormingHead | None,
+    thickness: float,
+) -> tuple[Issue, ...]:
+    """Warnings (forming.support_radius) of a path of two tools opposite each other: where the support is too
+    large to be opposite, and so is turned aside."""
+    if path.support is None or support is None or operation.mode not in ("dsif", "dpif_l"):
+        return ()
+    contact, across = path.contact, path.former - path.support
+    if one.side < 0:
+        one, contact, across = _mirrored(one), _turned_over(contact), across * _MIRROR
+    shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
+    tilt = np.arccos(np.clip(across[:, 2] / np.linalg.norm(across, axis=1), -1.0, 1.0))
+    off = np.where(np.isnan(path.gap), 0.0, np.maximum(contact.angle - shift, 0.0) - tilt)
+    radii = np.array([former.radius, support.radius])
+    gap = np.nan_to_num(path.gap)
+    issue = radius_issue(one, FarFace(one, thickness), contact, off, gap, radii)
+    return () if issue is None else (issue,)
+
+
 def wanted_gap(one: Pass, contact: ContactPath, squeeze: float, thickness: float) -> FloatArray:
     """Gap (N,) [m] at the targets: ``squeeze`` times the sheet's thickness along the normal there."""
     single = thickness * np.cos(contact.angle)
@@ -91,19 +116,22 @@ def _opposite(
     support: FormingHead,
     thickness: float,
 ) -> ToolPath:
-    level = one.start - thickness
+    level, far = one.start - thickness, FarFace(one, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii = former.radius + support.radius
-    for _ in range(_ROUNDS + 1):
+    for left in range(_ROUNDS, -1, -1):
         gap = wanted_gap(one, contact, operation.squeeze, thickness)
         apart = gap + radii
         tilt = np.maximum(contact.angle - shift, 0.0)
         tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
+        squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
+        inner = support.radius - squeezed - operation.gouge_tol_mm * MM
+        tilt = clear_tilt(far, contact, tilt, apart, inner)
         line = leaned(contact.normal, tilt)
         place = contact.centre - apart[:, None] * line
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
         row, share = _refinement(contact.centre - place, air, SHARE * operation.gap_tol_mm * MM)
-        if not len(row):
+        if not len(row) or left == 0:
             break
         contact = insert(contact, former.radius, 1, row, share)
     _draw_back(place, air, one, thickness, support.radius)
