@@ -143,6 +143,7 @@ CODES: Final[dict[str, str]] = {
     "verify.task_list": "a synchronisation point does not name all tasks",
     "verify.sync_order": "the tasks do not pass the same synchronisation points in the same order, each once",
     "verify.handshake": "two controllers that share signals may wait for ever, lose a signal or run apart",
+    "verify.step_apart": "arms that may be one step apart come too near, or their tools' gap is too far off",
     "verify.error_handler": "an error handler is missing, does not switch the power off first, or goes on",
     "verify.motion_settings": "settings make the moves slower than their times say",
     "verify.move_count": "the tasks have different numbers of moves in a synchronised block",

@@ -60,7 +60,7 @@ def looks(context: Context, index: int) -> IntArray:
         return rows
     way = np.zeros(len(rows))
     for task in context.job.tasks:
-        reach = _lever(context, index, task.arm.name)
+        reach = lever(context, index, task.arm.name)
         way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
     along = np.cumsum(way)
     count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
@@ -82,18 +82,15 @@ def measured(
     lower = clearance.at_least(model, q, reach, ignore)
     lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
     doubted = np.flatnonzero(lower < limit)
-    if len(doubted) > MOST_DOUBTED:
-        what = (
-            f"clearance is in doubt at {len(doubted)} of {count} looks, at most {MOST_DOUBTED} are measured"
-        )
-        raise TandemError(
-            Issue("verify.duration", f"{what}; split the job", value=len(doubted), limit=MOST_DOUBTED)
-        )
     asked = _Asked(model, q, reach, ignore, count)
     asked.ask(np.unique(np.linspace(0, count - 1, SHOWN // 4).astype(np.int64)))
     for first in range(0, len(doubted), BATCH):
-        if (asked.distance < limit).sum() > MOST_BROKEN:
+        if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
             break
+        if first >= MOST_DOUBTED:
+            what = f"clearance is in doubt at {len(doubted)} of {count} looks, at most {MOST_DOUBTED} are measured"
+            issue = Issue("verify.duration", f"{what}; split the job", value=len(doubted), limit=MOST_DOUBTED)
+            raise TandemError(issue)
         asked.ask(doubted[first : first + BATCH])
     order = np.argsort(lower, kind="stable")
     for first in range(0, MOST_NEAREST, BATCH):
@@ -134,7 +131,7 @@ class _Asked:
         return look, clearance.LeastClearance(self.distance[look], tuple(self.pair[int(i)] for i in look))
 
 
-def _lever(context: Context, index: int, arm: str) -> FloatArray:
+def lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
     setup = context.setups[index]
     p = robot(setup.cell.arm(arm).robot).opw

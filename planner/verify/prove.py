@@ -19,6 +19,7 @@ from planner.claims import Claim
 from planner.issues import Issue, aggregate
 from planner.problem import Problem
 from planner.verify import (
+    handshake_apart,
     report_series,
     rules_cell,
     rules_data,
@@ -110,6 +111,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kinematics", rules_cell.kinematics),
     ("verify.clearance", rules_cell.bodies),
+    ("verify.step_apart", handshake_apart.step_apart),
     ("verify.wire_clearance", rules_cell.wire_bodies),
     ("verify.surface", rules_surface.surface),
     ("verify.kerf", rules_straight.kerf),
@@ -211,6 +213,8 @@ class Prover:
         yield
         outcome, run.looks, run.clearance = rules_cell.bodies(context, models)
         run.add("verify.clearance", outcome)
+        yield
+        run.add("verify.step_apart", handshake_apart.step_apart(context, models))
         yield
         outcome, run.wire_clearance = rules_cell.wire_bodies(context, models, wires)
         run.add("verify.wire_clearance", outcome)
