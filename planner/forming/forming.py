@@ -46,14 +46,25 @@ def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets
     issues = check(made, setup, paths)
     if has_errors(issues):
         raise TandemError(aggregate(issues))
-    most = int(min(RUN * setup.cell.controller.max_moves, MOST))
-    route = lay_out(made, paths, CLEARANCE, most)
-    return _targets(made, setup, paths, route, issues)
+    return _targets(made, setup, paths, _route(made, setup, paths), issues)
 
 
 def claims(operation: Forming, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    return forming_claims.claims(job(operation, setup, part))
+    made = job(operation, setup, part)
+    if operation.mode != "adsif":
+        return forming_claims.claims(made)
+    route = _route(made, setup, [(one, lay(made, one)) for one in made.passes])
+    return forming_claims.claims(made, _poses(made, route))
+
+
+def _route(made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
+    most = int(min(RUN * setup.cell.controller.max_moves, MOST))
+    return lay_out(made, paths, CLEARANCE, most)
+
+
+def _poses(made: Job, route: Route) -> dict[str, FloatArray]:
+    return {arm: poses(route.centre[arm], route.axis[arm]) for arm in made.operation.arms}
 
 
 def _targets(
@@ -62,10 +73,11 @@ def _targets(
     op = made.operation
     count = len(route.segment)
     forming = np.array([works(label) for label in route.segment])
+    placed = _poses(made, route)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     return Targets(
         arms=op.arms,
-        pose={arm: poses(route.centre[arm], route.axis[arm]) for arm in op.arms},
+        pose=placed,
         frame=dict.fromkeys(op.arms, "stock"),
         freedoms=freedoms(op.arms, op.cone_deg * DEG, count),
         feed=np.where(forming, op.feed_mm_s * MM, AIR_FEED),
@@ -74,7 +86,7 @@ def _targets(
         stop=route.stop,
         segment=route.segment,
         actions=_actions(made, setup, route),
-        claims=forming_claims.claims(made),
+        claims=forming_claims.claims(made, placed if op.mode == "adsif" else None),
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )

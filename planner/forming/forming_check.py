@@ -10,7 +10,10 @@ from planner.catalogue import robot
 from planner.forming.force import ForceEstimate, estimate, payload_issue
 from planner.forming.job import Job
 from planner.forming.passes import pass_issues
+from planner.forming.state import states
+from planner.forming.state_check import clear_issues
 from planner.forming.values import Pass, ToolPath
+from planner.forming_tools import profile
 from planner.issues import Issue
 from planner.problem import Setup
 from planner.sheet_metals import thickness_doubt
@@ -18,8 +21,8 @@ from planner.units import MM
 
 
 def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
-    """All issues of a job: metal, passes, forces."""
-    return [*job.tree.issues, *_metal(job), *_forces(job, setup, paths)]
+    """All issues of a job: metal, passes, forces, tools that would cut into what is formed already."""
+    return [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
 
 
 def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
@@ -32,6 +35,15 @@ def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
         ridge = (op.scallop_mm or 0.0) * MM
         step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
     return estimate(job.sheet.metal, job.thickness, 2.0 * radius, step, walls, op.force_n)
+
+
+def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    tolerance = job.operation.gouge_tol_mm * MM
+    found = states(job.tree, job.mesh, job.passes, job.thickness)
+    for (one, path), state in zip(paths, found, strict=True):
+        arms = tuple(filter(None, (job.former(one), job.supporter(one))))
+        profiles = [profile(job.heads[arm]) for arm in arms]
+        yield from clear_issues(one, path, state, arms, profiles, tolerance)
 
 
 def _metal(job: Job) -> Iterator[Issue]:

@@ -7,9 +7,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FormsInOrder, FormsSheet, SheetState, ToolGap
+from planner.claims import (
+    Claim,
+    FollowsOpposite,
+    FollowsPoses,
+    FormsInOrder,
+    FormsSheet,
+    SheetState,
+    SupportsBorder,
+    ToolGap,
+)
+from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
+from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
 from planner.forming_tools import profile
@@ -20,54 +31,26 @@ FloatArray = NDArray[np.float64]
 
 FLATTEST: Final = 2.0 * DEG
 """Walls flatter than this count as flat: no finite steps leave them without ridges."""
+BORDER: Final = 0.5 * MM
+"""How far a support may be off the border that it runs along."""
+OPPOSITE: Final = 2.0 * MM
+"""How far a source of heat may be off its place opposite the forming ball."""
 
 
-def claims(job: Job) -> tuple[Claim, ...]:
-    """The claims of all passes."""
+def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim, ...]:
+    """The claims of all passes; ``poses`` {arm: (N, 4, 4)} are those of both tools where the part's face does
+    not tell where they are (adsif)."""
+    found = states(job.tree, job.mesh, job.passes, job.thickness)
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in job.passes))]
-    for one in job.passes:
-        out += _of(job, one)
+    for one, state in zip(job.passes, found, strict=True):
+        out.append(_state(job, one, state))
+        if poses is None:
+            out += _of(job, one)
+    if poses is not None:
+        spin = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        tolerance = (0.5 * job.operation.gap_tol_mm * MM, 0.05 * DEG + job.operation.cone_deg * DEG)
+        out += [FollowsPoses(arm, "stock", poses[arm], (spin,), *tolerance) for arm in job.operation.arms]
     return tuple(out)
-
-
-def _of(job: Job, one: Pass) -> list[Claim]:
-    op, arm, other = job.operation, job.former(one), job.supporter(one)
-    radius = job.heads[arm].radius
-    return [
-        FormsSheet(
-            segment(one),
-            arm,
-            one.side,
-            radius,
-            one.vertices,
-            one.faces,
-            one.start,
-            one.end,
-            op.gouge_tol_mm * MM,
-            scallop(job, one) + op.gouge_tol_mm * MM,
-            op.share,
-        ),
-        _state(job, one),
-        *([] if other is None else _support(job, one, arm, other)),
-    ]
-
-
-def _state(job: Job, one: Pass) -> SheetState:
-    none = np.zeros((0, 3))
-    arms = tuple(filter(None, (job.former(one), job.supporter(one))))
-    heads = tuple(profile(job.heads[arm]) for arm in arms)
-    tolerance = job.operation.gouge_tol_mm * MM
-    return SheetState(segment(one), arms, one.side, one.start, none, none, heads, tolerance)
-
-
-def _support(job: Job, one: Pass, arm: str, other: str) -> list[Claim]:
-    op = job.operation
-    if op.mode not in GAPPED:
-        return []
-    vertices, faces, thick = by_corner(one, job.thickness)
-    radii = (job.heads[arm].radius, job.heads[other].radius)
-    gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
-    return [ToolGap(segment(one), (arm, other), one.side, radii, vertices, faces, gap, tolerance)]
 
 
 def scallop(job: Job, one: Pass) -> float:
@@ -84,3 +67,47 @@ def scallop(job: Job, one: Pass) -> float:
     flattest = float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - op.share)))]])
     half = min(0.5 * (op.stepdown_mm or 0.0) * MM / np.sin(max(flattest, FLATTEST)), radius)
     return float(radius - np.sqrt(radius**2 - half**2))
+
+
+def _state(job: Job, one: Pass, state: State) -> SheetState:
+    arms = tuple(filter(None, (job.former(one), job.supporter(one))))
+    heads = tuple(profile(job.heads[arm]) for arm in arms)
+    tolerance = job.operation.gouge_tol_mm * MM
+    return SheetState(segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, tolerance)
+
+
+def _of(job: Job, one: Pass) -> list[Claim]:
+    op, arm, other = job.operation, job.former(one), job.supporter(one)
+    radius, gouge = job.heads[arm].radius, op.gouge_tol_mm * MM
+    ridge = scallop(job, one) + gouge
+    face = (one.vertices, one.faces)
+    out: list[Claim] = [
+        FormsSheet(segment(one), arm, one.side, radius, *face, one.start, one.end, gouge, ridge, op.share)
+    ]
+    if other is None:
+        return out
+    if op.mode in GAPPED:
+        vertices, faces, thick = by_corner(one, job.thickness)
+        gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
+        radii, step = (radius, job.heads[other].radius), op.handshake_gap_mm * MM
+        out.append(
+            ToolGap(
+                segment(one),
+                (arm, other),
+                one.side,
+                radii,
+                vertices,
+                faces,
+                gap,
+                tolerance,
+                handshake=step,
+            )
+        )
+    elif op.mode == "dpif_p":
+        border = border_curve(one, job.heads[other], job.thickness)
+        out.append(SupportsBorder(segment(one), other, border, BORDER))
+    else:
+        away = radius + float(np.median(one.thickness))
+        turn = np.deg2rad(90.0)
+        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, turn))
+    return out
