@@ -1,4 +1,7 @@
-"""The command line: ``tandem plan | check | verify | robots | materials | kerf | align | issues``."""
+"""The command line.
+
+``tandem plan | check | verify | robots | materials | kerf | align | features | issues``
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner import align_commands, kerf_commands
+from planner import align_commands, feature_commands, kerf_commands
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
 
@@ -171,6 +174,16 @@ def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
     """Find the base of a cell's second robot from points that both robots probed."""
     try:
         _print_issues(align_commands.run(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> int:
+    """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
+    try:
+        _print_issues(feature_commands.run(request))
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE
