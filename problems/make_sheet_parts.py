@@ -114,9 +114,9 @@ def nest() -> trimesh.Trimesh:
 
 
 def funnel() -> trimesh.Trimesh:
-    """A funnel of 70 mm whose wall goes from 20 to 33 degrees, 13 mm deep."""
-    angle = np.deg2rad(np.concatenate([np.linspace(0.0, 20.0, 12), np.linspace(20.0, 33.0, 30)[1:]]))
-    run = np.concatenate([np.full(11, 0.5), np.full(29, 0.72)])
+    """A funnel of 70 mm whose wall goes from 20 to 33 degrees, 11 mm deep."""
+    angle = np.deg2rad(np.linspace(20.0, 33.0, 31))
+    run = np.full(30, 0.75)
     inset = np.concatenate([[-8.0, 0.0], np.cumsum(run)])
     height = np.concatenate([[0.0, 0.0], -np.cumsum(run * np.tan(0.5 * (angle[1:] + angle[:-1])))])
     return revolved(35.0, np.stack([inset, height], axis=1), 144)

@@ -18,7 +18,7 @@ from planner.forming.inserting import insert
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass
 from planner.problem import FormingHead
 
-MARGIN: Final = 1e-4
+MARGIN: Final = 4e-4
 """The support keeps so far [m] outside the border, by half of which straight moves may cut its bends."""
 _FINE: Final = 64
 

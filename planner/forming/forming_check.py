@@ -38,12 +38,11 @@ def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
 
 
 def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    tolerance = job.operation.gouge_tol_mm * MM
     found = states(job.tree, job.mesh, job.passes, job.thickness)
     for (one, path), state in zip(paths, found, strict=True):
         arms = tuple(filter(None, (job.former(one), job.supporter(one))))
         profiles = [profile(job.heads[arm]) for arm in arms]
-        yield from clear_issues(one, path, state, arms, profiles, tolerance)
+        yield from clear_issues(one, path, state, arms, profiles, job.pressed)
 
 
 def _metal(job: Job) -> Iterator[Issue]:

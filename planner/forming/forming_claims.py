@@ -72,8 +72,7 @@ def scallop(job: Job, one: Pass) -> float:
 def _state(job: Job, one: Pass, state: State) -> SheetState:
     arms = tuple(filter(None, (job.former(one), job.supporter(one))))
     heads = tuple(profile(job.heads[arm]) for arm in arms)
-    tolerance = job.operation.gouge_tol_mm * MM
-    return SheetState(segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, tolerance)
+    return SheetState(segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, job.pressed)
 
 
 def _of(job: Job, one: Pass) -> list[Claim]:

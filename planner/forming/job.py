@@ -47,6 +47,13 @@ class Job:
         return arm == self.operation.arms[0]
 
     @property
+    def pressed(self) -> float:
+        """How far [m] tools may press into what is formed already or flat: in adsif they press the flat sheet
+        around them by the projection distance, elsewhere only by the stated tolerance."""
+        depth = self.operation.adsif.projection_mm if self.operation.mode == "adsif" else 0.0
+        return (self.operation.gouge_tol_mm + depth) * MM
+
+    @property
     def options(self) -> PathOptions:
         """How paths are laid."""
         op = self.operation
