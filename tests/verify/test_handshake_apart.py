@@ -1,0 +1,120 @@
+"""Two controllers one step apart: bounds against plain trials of instants, and work that is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from planner.cell import clearance
+from planner.claims import HoldsStock, ToolGap
+from planner.verify import handshake_apart, rules_handshake
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from tests.verify import handshake_job, small_job
+
+
+def context(every=1, claims=None, **settings):
+    problem = handshake_job.problem("four_phase", every)
+    problem = dataclasses.replace(problem, settings=dataclasses.replace(problem.settings, **settings))
+    return Context(problem, claims or handshake_job.claims(), handshake_job.programs("four_phase", every, 4))
+
+
+def gap(limit, segment="cut/front"):
+    flat = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    faces = np.array([[0, 1, 2]])
+    return ToolGap(
+        segment, ("left", "right"), 1, (0.01, 0.01), flat, faces, np.zeros(3), 1e-3, handshake=limit
+    )
+
+
+def outcome(here):
+    prover = Prover(here.problem, here.by_operation)
+    return handshake_apart.step_apart(here, lambda index: prover.model(here, index))
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_the_drift_bounds_every_pair_of_instants(every):
+    here = context(every)
+    found = handshake_apart.intervals(here)
+    assert len(found.first) > 5 and (found.last > found.first).all()
+    assert (found.first[1:] == found.last[:-1]).all()
+    bound = handshake_apart.drift(here, found)
+    a, b = (here.motion.tcp[arm][:, :3, 3] for arm in handshake_job.ARMS)
+    for k in range(len(bound)):
+        rows = slice(found.first[k], found.last[k] + 1)
+        step = max(1, (rows.stop - rows.start) // 60)
+        p, q = a[rows][::step], b[rows][::step]
+        apart = np.linalg.norm(p[:, None] - q[None], axis=2)
+        together = np.diag(apart)
+        true = max(np.abs(apart - together[:, None]).max(), np.abs(apart - together[None]).max())
+        assert true <= bound[k] + 1e-9
+        assert bound[k] <= 1.5 * true + 2e-4
+
+
+def test_points_that_go_straight_away_from_each_other():
+    """Both go s along one line in opposite directions: the distance is off by s at most, known in closed
+    form."""
+    s = np.linspace(0.0, 0.002, 13)
+    zero = np.zeros_like(s)
+    a = np.stack([s, zero, zero], axis=-1)[None]
+    b = np.stack([1.0 - s, zero, zero], axis=-1)[None]
+    (bound,) = handshake_apart._change(a, b)
+    assert 0.002 <= bound <= 0.002 * (1.0 + 2.5 / 12.0)
+
+
+def test_a_claim_bounds_the_gap_one_step_apart():
+    free = context(claims={"panel": (gap(0.05),)})
+    result = outcome(free)
+    assert not result.issues and result.limit == pytest.approx(50.0)
+    tight = context(claims={"panel": (gap(1e-5),)})
+    found = outcome(tight).issues
+    assert {issue.code for issue in found} == {"verify.step_apart"}
+    assert all(issue.field == "cut/front" and "gap of the tools" in issue.message for issue in found)
+    other = context(claims={"panel": (gap(1e-5, "cut/none"),)})
+    assert not outcome(other).issues
+
+
+def test_clearance_one_step_apart_against_trials():
+    """What is told is not more than the clearance at any trial of one instant for each arm."""
+    here = context(3)
+    near = outcome(here)
+    assert not near.issues
+    told = float(near.where.split("at least ")[1].split(" ")[0]) * 1e-3
+    model = Prover(here.problem, here.by_operation).model(here)
+    found = handshake_apart.intervals(here)
+    rng = np.random.default_rng(3)
+    k = rng.integers(len(found.first), size=200)
+    rows = [rng.integers(found.first[k], found.last[k] + 1) for _ in range(2)]
+    q = {arm: here.motion.q[arm][row] for arm, row in zip(handshake_job.ARMS, rows, strict=True)}
+    trial = clearance.least(model, q, 0.3, handshake_apart._others(here, model, 0)).distance
+    assert told <= trial.min() + 1e-4
+
+
+def test_arms_too_near_one_step_apart_are_named():
+    found = outcome(context(3, clearance=0.6)).issues
+    assert {issue.code for issue in found} == {"verify.step_apart"}
+    assert all("one step apart" in issue.message for issue in found)
+    assert all({body.split("/")[0] for body in issue.bodies} == {"left", "right"} for issue in found)
+
+
+def test_an_elastic_wire_is_refused():
+    wire = small_job.claims()["panel"][:1]
+    (issue,) = rules_handshake.handshake(context(claims={"panel": wire})).issues
+    assert issue.code == "verify.handshake" and "a wire joins left and right" in issue.message
+
+
+def test_a_block_that_is_held_in_motion_is_refused():
+    here = context()
+    stock = dataclasses.replace(here.problem.stock, held_by="right", grip=np.eye(4))
+    held = dataclasses.replace(here.problem, stock=stock)
+    claims = {"panel": (HoldsStock("right", np.eye(4), 1.0, np.zeros(3)),)}
+    issues = rules_handshake.handshake(Context(held, claims, here.programs)).issues
+    assert any("moves the block it holds" in issue.message for issue in issues)
+
+
+def test_one_controller_has_nothing_to_prove_here():
+    there = Context(small_job.problem(), small_job.claims(), small_job.programs(8))
+    assert rules_handshake.handshake(there).where == "one controller"
+    assert handshake_apart.step_apart(there, lambda index: None).where == "one controller"
