@@ -23,6 +23,8 @@ from planner.units import DEG, MM
 BoolArray = NDArray[np.bool_]
 
 SPACING: Final = 1e-3
+REACHED: Final = 1.5e-4
+"""What the forming ball comes so near [m] to is formed by it, but for what is left."""
 _MOST: Final = 100_000
 _ROUNDS: Final = 9
 _CHUNK: Final = 4000
@@ -33,11 +35,17 @@ SHARE: Final = 0.02
 
 
 class FarFace:
-    """Points of the sheet's far face of a pass formed from above; ``thickness`` [m] of the sheet."""
+    """Points of the sheet's far face of a pass formed from above: those over which the forming ball of
+    ``radius`` [m] comes on its way, and the flat around. Corners too narrow for it are not formed, so what is
+    behind them in the wanted part is not there. ``thickness`` [m] of the sheet."""
 
-    def __init__(self, one: Pass, thickness: float) -> None:
+    def __init__(self, one: Pass, thickness: float, contact: ContactPath, radius: float) -> None:
         pieces, _ = small_pieces(one.vertices[one.faces], SPACING, _MOST)
         near = np.concatenate([pieces.mean(axis=1), one.vertices])
+        apart = cKDTree(_along(contact)).query(near, distance_upper_bound=radius + REACHED)[0]
+        flat = near[:, 2] >= one.start - _ABOVE
+        near, self._short = near[np.isfinite(apart) | flat], np.where(flat, 0.0, apart - radius)
+        self._short = np.maximum(self._short[np.isfinite(self._short)], 0.0)
         self._level = near[:, 2]
         self._points = near - np.array([0.0, 0.0, thickness])
         self._tree = cKDTree(self._points)
@@ -51,7 +59,7 @@ class FarFace:
             most = float(radius[some].max())
             found = cKDTree(place[some]).sparse_distance_matrix(self._tree, most, output_type="ndarray")
             i, j = found["i"], found["j"]
-            hit = (found["v"] < radius[some][i]) & (self._level[j] > above[some][i] + _ABOVE)
+            hit = (found["v"] < radius[some][i] - self._short[j]) & (self._level[j] > above[some][i] + _ABOVE)
             out[start + i[hit]] = True
         return out
 
@@ -70,6 +78,16 @@ class FarFace:
             if fits.any():
                 best = min(best, float((far[fits] ** 2 / (2.0 * ahead[fits])).min()))
         return best
+
+
+def _along(contact: ContactPath) -> FloatArray:
+    """Places of the forming ball's centre on its way, a point's spacing apart."""
+    length = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
+    count = np.where(contact.working[1:], np.maximum(np.ceil(length / SPACING), 1), 1).astype(np.int64)
+    row = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
+    step = contact.centre[row + 1] - contact.centre[row]
+    return np.concatenate([contact.centre[row] + share[:, None] * step, contact.centre[-1:]])
 
 
 def clear_tilt(

@@ -94,7 +94,7 @@ def support_issues(
     off = np.where(np.isnan(path.gap), 0.0, np.maximum(contact.angle - shift, 0.0) - tilt)
     radii = np.array([former.radius, support.radius])
     gap = np.nan_to_num(path.gap)
-    issue = radius_issue(one, FarFace(one, thickness), contact, off, gap, radii)
+    issue = radius_issue(one, FarFace(one, thickness, contact, former.radius), contact, off, gap, radii)
     return () if issue is None else (issue,)
 
 
@@ -116,7 +116,7 @@ def _opposite(
     support: FormingHead,
     thickness: float,
 ) -> ToolPath:
-    level, far = one.start - thickness, FarFace(one, thickness)
+    level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii = former.radius + support.radius
     for left in range(_ROUNDS, -1, -1):
