@@ -116,8 +116,12 @@ def zero_length(context: Context) -> Outcome:
 def error_handler(context: Context) -> Outcome:
     """Every procedure has an error handler that switches the power off first, stops, and does not go on."""
     issues = []
-    signals = sorted({claim.signal for claim in context.contacts})
+    everywhere = sorted({claim.signal for claim in context.contacts})
     for task in context.job.tasks:
+        signals = everywhere
+        if context.job.readings is not None:  # a signal of the other controller cannot be switched here
+            own = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}
+            signals = [signal for signal in everywhere if signal.lower() in own]
         for module in task.modules:
             for procedure in module.procedures:
                 handler = task.handlers.get((module.name, procedure.name))

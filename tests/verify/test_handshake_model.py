@@ -179,6 +179,16 @@ def test_error_handlers_that_touch_the_lines_are_taken_for_arrivals():
     assert kinds(answers) == {"apart"}
 
 
+def test_outputs_that_fall_with_their_controller_need_four_phases():
+    """In four phases both lines are 0 while arms work, so a controller that goes down says nothing new."""
+    for four in (True, False):
+        programs = [
+            [dataclasses.replace(action, resets=((who, 0),)) for action in row]
+            for who, row in enumerate(both(four=four, meetings=4))
+        ]
+        assert kinds(programs) == (set() if four else {"apart"})
+
+
 def test_the_trace_leads_from_the_start_to_the_fault():
     programs = both()
     del programs[FOLLOW][len(start(False)) + 2]  # does not wait until the lead takes its signal back
