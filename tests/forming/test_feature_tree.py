@@ -222,6 +222,41 @@ def test_vertical_walls_have_loops_that_coincide(step: float) -> None:
             assert np.hypot(line[:, 0], line[:, 1]).max() == pytest.approx(radius * MM)
 
 
+def test_a_ridge_of_few_facets_and_one_that_climbs_and_parts() -> None:
+    """A roof over a rectangle, of six facets; and a ridge whose crest dips in its middle."""
+    corners = [(-40, -20, 0), (40, -20, 0), (40, 20, 0), (-40, 20, 0), (-20, 0, 12), (20, 0, 12)]
+    roof = [(0, 1, 5), (0, 5, 4), (1, 2, 5), (2, 3, 4), (2, 4, 5), (3, 0, 4)]
+    tree = build(Mesh(np.array(corners) * MM, np.array(roof)), 1e-3)
+    assert outline(tree) == [(None, "convex", 0.0, 12.0)]
+    (feature,) = tree.features
+    for level, line in zip(feature.levels, feature.contours, strict=True):
+        part = level / (12 * MM)
+        assert area(line) == pytest.approx((80 - 40 * part) * (40 - 40 * part) * MM**2, rel=1e-6, abs=1e-12)
+
+    def height(x: Array, y: Array) -> Array:
+        crest = 8 * MM + 4 * MM * np.clip(np.abs(x) / (20 * MM), 0.0, 1.0)
+        ends = np.clip(40 * MM - np.abs(x), 0.0, 20 * MM) / (20 * MM)
+        return np.asarray(np.clip(crest * ends * (1.0 - np.abs(y) / (20 * MM)), 0.0, None))
+
+    line = np.linspace(-60 * MM, 60 * MM, 121)
+    tree = build(over(np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2), height), 1e-3)
+    assert outline(tree) == [(None, "convex", 0.0, 8.0), (1, "convex", 8.0, 12.0), (1, "convex", 8.0, 12.0)]
+
+
+def test_a_ledge_along_half_of_a_wall_does_no_harm_to_the_contours() -> None:
+    """Its level is a slicing level."""
+
+    def height(x: Array, y: Array) -> Array:
+        z = frustum(x, y, (0.0, 0.0), 50 * MM, 20 * MM, 55.0)
+        return -np.where(x > 0.0, np.minimum(z, np.maximum(10 * MM, z - 12 * MM)), z)
+
+    tree = build(sheet(height, 60 * MM, MM, noise=5e-6), 1e-3)
+    assert tree.features[0].start == pytest.approx(0.0, abs=0.01 * MM)
+    assert min(feature.end for feature in tree.features) == pytest.approx(-20 * MM, abs=0.02 * MM)
+    assert all(feature.kind == "concave" for feature in tree.features)
+    assert all(Polygon(line).is_valid for feature in tree.features for line in feature.contours)
+
+
 def test_a_part_without_flat_around_it() -> None:
     tree = build(revolved([(50 * MM, 0.0), (20 * MM, -30 * MM), (0.0, -30 * MM)]), 1e-3)
     assert outline(tree) == [(None, "concave", 0.0, -30.0)]
