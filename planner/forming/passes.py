@@ -57,7 +57,8 @@ def passes(
     out: list[Pass] = []
     wrong: list[Issue] = []
     for step in order:
-        final = _final(tree, step, mesh, thickness)
+        male = operation.die is not None and operation.die.kind == "male"
+        final = _final(tree, step, mesh, thickness, male)
         angle = steepest(final.vertices, final.faces)
         if angle >= UPRIGHT:
             wrong.append(_upright(step.feature, angle))
@@ -76,9 +77,10 @@ def pass_angles(angle: float, operation: Forming, metal: SheetMetal) -> tuple[fl
     """Wall angles [rad] of the shapes on the way to a feature whose wall is ``angle`` [rad], itself the last.
 
     Where the user gives none, they go up by the operation's step from an angle that one pass may have. In
-    ADSIF the sheet is formed once, so there is one.
+    ADSIF the sheet is formed once, and over a male die there is nothing to hold a shape between, so there is
+    one.
     """
-    if operation.mode == "adsif":
+    if operation.mode == "adsif" or (operation.die is not None and operation.die.kind == "male"):
         return (angle,)
     if operation.passes != "auto":
         return (*(a * DEG for a in operation.passes if a * DEG < angle - ALIKE), angle)
@@ -109,11 +111,17 @@ def pass_issues(
     return tuple(issues)
 
 
-def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float) -> Pass:
+def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float, male: bool) -> Pass:
+    """The last pass over a feature.
+
+    Over a ``male`` die the tool is on the side to which the feature stands out, and goes from its end, where
+    the sheet lies on the die first, outward to its start while the clamp sinks.
+    """
     feature = tree.feature(step.feature)
-    side = -feature.sign
+    side = feature.sign if male else -feature.sign
     rise = step.shift + (thickness if side > 0 else 0.0)
     face = alone(mesh, tree, step.feature, rise)
+    start, end = feature.start + rise, feature.end + rise
     return Pass(
         name=f"f{step.feature}",
         feature=step.feature,
@@ -122,8 +130,8 @@ def _final(tree: FeatureTree, step: OrderStep, mesh: Mesh, thickness: float) -> 
         vertices=face.vertices,
         faces=face.faces,
         thickness=thickness_map(face.vertices, face.faces, thickness),
-        start=feature.start + rise,
-        end=feature.end + rise,
+        start=end if male else start,
+        end=start if male else end,
         region=feature.region,
     )
 
