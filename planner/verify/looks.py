@@ -88,9 +88,9 @@ def measured(
         if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
             break
         if first >= MOST_DOUBTED:
-            what = f"clearance is in doubt at {len(doubted)} of {count} looks, at most {MOST_DOUBTED} are measured"
-            issue = Issue("verify.duration", f"{what}; split the job", value=len(doubted), limit=MOST_DOUBTED)
-            raise TandemError(issue)
+            what = f"clearance is in doubt at {len(doubted)} of {count} looks"
+            what = f"{what}, at most {MOST_DOUBTED} are measured; split the job"
+            raise TandemError(Issue("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED))
         asked.ask(doubted[first : first + BATCH])
     order = np.argsort(lower, kind="stable")
     for first in range(0, MOST_NEAREST, BATCH):

@@ -32,10 +32,10 @@ class Motion:
     """S samples and K nodes (targets) of the whole job.
 
     Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
-    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: (S, 4, 4)} in the world, ``speed`` and ``acceleration``
-    {arm: (S, 6)} by finite differences. Nodes: ``node_sample`` (K,) the sample at which the move ends,
-    ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line`` {arm: (K,)}, ``node_conf_q``
-    {arm: (K, 6)} what confdata alone select (NaN where the arm has no such target).
+    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: (S, 4, 4)} in the world. Nodes: ``node_sample`` (K,) the
+    sample at which the move ends, ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line``
+    {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm has no such
+    target).
     """
 
     time: FloatArray
@@ -43,8 +43,6 @@ class Motion:
     node: IntArray
     q: Mapping[str, FloatArray]
     tcp: Mapping[str, FloatArray]
-    speed: Mapping[str, FloatArray]
-    acceleration: Mapping[str, FloatArray]
     node_sample: IntArray
     node_label: tuple[str, ...]
     node_stop: NDArray[np.bool_]
@@ -58,18 +56,34 @@ class Motion:
     step_time: tuple[tuple[float, int, str, Step], ...]
     faults: tuple[Fault, ...]
 
+    def speed(self, arm: str) -> FloatArray:
+        """Joint speeds (S, 6) [rad/s] of an arm by finite differences; not kept, for long motions have many
+        samples."""
+        return differences(self.time, self.q[arm], 1)
+
+    def acceleration(self, arm: str) -> FloatArray:
+        """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
+        return differences(self.time, self.q[arm], 2)
+
     def labels(self) -> NDArray[np.str_]:
         """Label (S,) of the move under way at each sample."""
         return np.asarray(self.node_label)[self.node]
 
 
-def differences(time: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed and acceleration (S, 6) by central differences on a grid that is nearly even; 0 at the ends."""
-    speed, acceleration = np.zeros_like(q), np.zeros_like(q)
+def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
+    """Speeds (``order`` 1) or accelerations (2) (S, 6) of samples q (S, 6) by central differences on a grid
+    that is nearly even; 0 at the ends."""
+    out = np.zeros_like(q)
     if len(time) < 3:
-        return speed, acceleration
-    step = np.maximum(np.diff(time), 1e-6)[:, None]
-    slope = np.diff(q, axis=0) / step
-    speed[1:-1] = np.where(np.abs(slope[1:]) > np.abs(slope[:-1]), slope[1:], slope[:-1])
-    acceleration[1:-1] = (slope[1:] - slope[:-1]) / (0.5 * (step[1:] + step[:-1]))
-    return speed, acceleration
+        return out
+    step = np.maximum(np.diff(time), 1e-6)
+    between = 0.5 * (step[1:] + step[:-1])
+    for axis in range(q.shape[1]):  # one at a time: what is worked out on the way needs memory
+        slope = np.diff(q[:, axis]) / step
+        after, before = slope[1:], slope[:-1]
+        out[1:-1, axis] = (
+            np.where(np.abs(after) > np.abs(before), after, before)
+            if order == 1
+            else (after - before) / between
+        )
+    return out

@@ -22,7 +22,7 @@ from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.verify import arm_ik, confdata, straight_moves, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
-from planner.verify.motion import Fault, Motion, differences
+from planner.verify.motion import Fault, Motion
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
 from planner.verify.rapid_steps import Step, WaitStep
 
@@ -79,18 +79,12 @@ class _Player:
             self._still()
         p = {key: self._joined(key) for key in list(self.parts)}
         names = [arm.name for arm in self.arms]
-        q = {name: p[f"q/{name}"] for name in names}
-        speed, acceleration = {}, {}
-        for name in names:
-            speed[name], acceleration[name] = differences(p["time"], q[name])
         return Motion(
             time=p["time"],
             stage=p["stage"],
             node=p["node"],
-            q=q,
+            q={name: p[f"q/{name}"] for name in names},
             tcp={name: p[f"tcp/{name}"] for name in names},
-            speed=speed,
-            acceleration=acceleration,
             node_sample=p["node_sample"],
             node_label=tuple(self.labels),
             node_stop=p["node_stop"],

@@ -36,8 +36,8 @@ def series(
     out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels()[rows]}
     for arm, q in motion.q.items():
         out[f"joints/{arm}"] = q[rows]
-        out[f"speed/{arm}"] = _peaks(motion.speed[arm], rows)
-        out[f"acceleration/{arm}"] = _peaks(motion.acceleration[arm], rows)
+        out[f"speed/{arm}"] = _peaks(motion.speed(arm), rows)
+        out[f"acceleration/{arm}"] = _peaks(motion.acceleration(arm), rows)
         way = np.linalg.norm(
             np.diff(motion.tcp[arm][:, :3, 3], axis=0, prepend=motion.tcp[arm][:1, :3, 3]), axis=1
         )

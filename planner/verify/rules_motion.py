@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -189,12 +191,13 @@ def joint_acceleration(context: Context) -> Outcome:
     )
 
 
-def _rates(context: Context, code: str, word: str, rates: object, unit: str) -> Outcome:
+def _rates(context: Context, code: str, word: str, rates: Callable[[str], FloatArray], unit: str) -> Outcome:
     issues, worst, where = [], 0.0, ""
     for task in context.job.tasks:
         machine, arm = robot(task.arm.robot), task.arm.name
         limit = machine.velocity if word == "speed" else machine.acceleration
-        rate = np.abs(rates[arm])  # type: ignore[index]
+        rate = rates(arm)
+        np.abs(rate, out=rate)
         share = rate / limit
         i, joint = np.unravel_index(int(np.argmax(share)), share.shape)
         if share[i, joint] > worst:

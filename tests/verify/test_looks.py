@@ -73,3 +73,12 @@ def test_too_much_in_doubt_is_refused(sweep, few, monkeypatch):
     with pytest.raises(TandemError) as caught:
         looks.measured(model, q, 0.09, 0.1, frozenset())
     assert caught.value.issues[0].code == "verify.duration"
+
+
+def test_where_enough_is_too_near_no_more_is_measured(sweep, few, monkeypatch):
+    model, q, _ = sweep
+    monkeypatch.setattr(looks, "MOST_DOUBTED", 64)
+    monkeypatch.setattr(looks, "MOST_BROKEN", 5)
+    found = looks.measured(model, q, 0.05, 0.1, frozenset())
+    assert (found.least.distance < 0.05).sum() > 5
+    assert len(found.look) < COUNT
