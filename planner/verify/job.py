@@ -202,7 +202,7 @@ def _lone_stages(task: TaskText, asked: set[str]) -> tuple[Stage, ...]:
 
 
 _LABEL = re.compile(
-    r"^(mount|unmount|transit|approach|cut|link|retreat|entry|exit|lead)(?:_([^_].*?))?(?:__\d+)?$", re.I
+    r"^(mount|unmount|transit|approach|cut|form|link|retreat|entry|exit|lead)(?:_([^_].*?))?(?:__\d+)?$", re.I
 )
 
 
