@@ -134,26 +134,22 @@ def make_targets(operation: Posed, setup: Setup, part: Part | None) -> Targets:
         stop=stop,
         segment=segment,
         coupled=operation.coupled,
-        claims=claims(operation, setup, part),
+        claims=_claims(operation, poses),
     )
 
 
 def claims(operation: Posed, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """Each TCP follows the file's poses up to its free axes."""
     rows = _rows(operation)
+    return _claims(operation, {arm: _poses(rows, arm, operation) for arm in operation.arms})
+
+
+def _claims(operation: Posed, poses: Mapping[str, FloatArray]) -> tuple[Claim, ...]:
+    position, angle = operation.position_tol_mm * MM, operation.angle_tol_deg * DEG
     out = []
-    for arm in operation.arms:
+    for arm, pose in poses.items():
         free = tuple(_twist(axis) for axis in operation.free if arm in axis.arms)
-        out.append(
-            FollowsPoses(
-                arm,
-                operation.frame,
-                _poses(rows, arm, operation),
-                free,
-                operation.position_tol_mm * MM,
-                operation.angle_tol_deg * DEG,
-            )
-        )
+        out.append(FollowsPoses(arm, operation.frame, pose, free, position, angle))
     return tuple(out)
 
 

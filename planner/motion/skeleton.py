@@ -42,7 +42,7 @@ ROUNDS: Final = 5
 FAR: Final = 3
 """A spin may go on by so many samples from one target of the skeleton to the next."""
 
-COARSE_SPIN: Final = np.deg2rad(20.0)
+COARSE_SPIN: Final = np.deg2rad(30.0)
 COARSE_SLIDES: Final = 3
 """Samples of all freedoms, where full turns alone have no path."""
 

@@ -30,6 +30,9 @@ corners."""
 
 GRID_PER_KNOT: Final = 2
 LEAST_GRID: Final = 100
+MANY_PIECES: Final = 500
+MANY_GRID: Final = 24
+"""Least grids of a piece: where there are very many pieces, each is a short way that needs few points."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +66,10 @@ class TimingError(ArithmeticError):
 
 def clock(path: JointPath, limits: Limits) -> Clock:
     """Times of all targets, at rest at stops. Raises :class:`TimingError`."""
-    pieces = [_piece(piece.spline, piece.knots, limits, piece.first, piece.last) for piece in path.pieces]
+    least = LEAST_GRID if len(path.pieces) <= MANY_PIECES else MANY_GRID
+    pieces = [
+        _piece(piece.spline, piece.knots, limits, piece.first, piece.last, least) for piece in path.pieces
+    ]
     time = np.zeros(path.count)
     speeds, accelerations = [0.0], [0.0]
     for piece, (at, profile, _) in zip(path.pieces, pieces, strict=True):
@@ -102,12 +108,12 @@ class Profile:
 
 
 def _piece(
-    spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int
+    spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int = LEAST_GRID
 ) -> tuple[FloatArray, Profile, str]:
     """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``."""
     steps = np.diff(knots)
     top = RESERVE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
-    grid = _grid(spline.x)
+    grid = _grid(spline.x, least)
     at = np.searchsorted(knots, grid, side="right") - 1
     inner = np.clip(at, 0, len(steps) - 1)
     bound = top[inner]
@@ -121,9 +127,9 @@ def _piece(
     return np.interp(knots, grid, profile.time), profile, used
 
 
-def _grid(breaks: FloatArray) -> FloatArray:
-    """Grid points: the spline's own knots and points between them, at least 100 intervals in all."""
-    per = max(GRID_PER_KNOT, int(np.ceil(LEAST_GRID / (len(breaks) - 1))))
+def _grid(breaks: FloatArray, least: int) -> FloatArray:
+    """Grid points: the spline's own knots and points between them, at least ``least`` intervals in all."""
+    per = max(GRID_PER_KNOT, int(np.ceil(least / (len(breaks) - 1))))
     share = np.arange(per) / per
     inner = breaks[:-1, None] + share * np.diff(breaks)[:, None]
     return np.append(inner.ravel(), breaks[-1])
