@@ -27,8 +27,9 @@ TOUCH: Final = 1e-6
 """The ball may cut in by so much [m]; places so near to the nearest one are touched as well."""
 ON_FACE: Final = 3e-6
 """A place of contact so near [m] to the mesh counts as on it: facets are chords of a smooth face."""
-_ROUNDS: Final = 40
+_ROUNDS: Final = 30
 _PAIRS: Final = 200_000
+_MOST_PAIRS: Final = 3_000_000
 _PIECES: Final = 150_000
 
 
@@ -63,7 +64,7 @@ class Face:
         self._offset = np.einsum("fd,fd->f", self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
         # small and large faces apart, so that the large ones do not widen the search among the small ones
-        self._trees: list[tuple[cKDTree, IntArray, float]] = []
+        self._trees: list[tuple[cKDTree, IntArray, FloatArray]] = []
         rank = np.clip(np.ceil(np.log2(np.maximum(edge / (0.05 * radius), 1e-9))), 0, 4).astype(np.int64)
         for one in np.unique(rank):
             members = np.flatnonzero(rank == one)
@@ -75,8 +76,8 @@ class Face:
             if not len(pieces):
                 continue
             middle = pieces.mean(axis=1)
-            reach = float(np.linalg.norm(pieces - middle[:, None], axis=2).max())
-            self._trees.append((cKDTree(middle), members[owner], reach))
+            size = np.linalg.norm(pieces - middle[:, None], axis=2).max(axis=1)
+            self._trees.append((cKDTree(middle), members[owner], size))
 
     def normal_at(self, face: IntArray, weights: FloatArray) -> FloatArray:
         """Unit normals (N, 3), smooth over the facets, at places of ``face`` (N,) by their barycentric
@@ -90,14 +91,17 @@ class Face:
         place, face = np.empty_like(points), np.zeros(len(points), dtype=np.int64)
         share = np.zeros((len(points), 3))
         bound = np.full(len(points), np.inf)
-        for tree, _, _ in self._trees:
-            bound = np.minimum(bound, tree.query(points)[0])
+        for tree, owner, _ in self._trees:
+            f = owner[tree.query(points)[1]]
+            foot = np.einsum("nk,nkd->nd", closest_on_triangles(points, *self._ends(f)), self._corners[f])
+            bound = np.minimum(bound, np.linalg.norm(points - foot, axis=1))
+        bound += 1e-9
         order = np.argsort(bound, kind="stable")  # so that each chunk asks no wider than it needs
         for start in range(0, len(points), 4000):
             rows = order[start : start + 4000]
             some = points[rows]
             best = np.full(len(rows), np.inf)
-            for i, f in self._pairs(some, float(bound[rows].max())):
+            for i, f in self._pairs(some, bound[rows]):
                 weights = closest_on_triangles(some[i], *self._ends(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
                 apart = np.linalg.norm(some[i] - foot, axis=1)
@@ -113,13 +117,19 @@ class Face:
         and a little may be given as infinite."""
         return self._deepest(centres, None)[0]
 
+    def pushed(self, wanted: FloatArray, normal: FloatArray) -> FloatArray:
+        """How far (N,) [m] a ball put to the ``wanted`` places (N, 3) is pushed aside at once; less than
+        1 um is nothing."""
+        distance, _, _ = self._deepest(wanted + self.radius * normal, None)
+        return np.maximum(self.radius - distance, 0.0)
+
     def clear(self, wanted: FloatArray, normal: FloatArray) -> Contact:
         """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it
         cuts in nowhere."""
         radius = self.radius
         first = wanted + radius * normal
         centre = first.copy()
-        active = np.arange(len(centre))
+        active, clear = np.arange(len(centre)), np.ones(len(centre), dtype=np.bool_)
         for _ in range(_ROUNDS):
             distance, _, away = self._deepest(centre[active], None)
             deep = distance < radius - TOUCH
@@ -127,7 +137,9 @@ class Face:
             if not len(active):
                 break
             centre[active] += (radius - distance[deep] + 0.2 * TOUCH)[:, None] * away[deep]
-        clear = np.ones(len(centre), dtype=np.bool_)
+            lost = np.linalg.norm(centre[active] - first[active], axis=1) > 2.0 * radius
+            clear[active[lost]] = False
+            active = active[~lost]
         clear[active] = False
         offset = centre - wanted
         apart = np.linalg.norm(offset, axis=1)
@@ -166,7 +178,7 @@ class Face:
         for start in range(0, len(centres), 4000):
             some = centres[start : start + 4000]
             kept = []
-            for i, f in self._pairs(some, reach):
+            for i, f in self._pairs(some, np.full(len(some), reach)):
                 height = np.einsum("nd,nd->n", some[i], self.normals[f]) - self._offset[f]
                 near = np.abs(height) < reach  # the plane is as far off as that at least
                 i, f, height = i[near], f[near], height[near]
@@ -198,14 +210,25 @@ class Face:
         corners = self._corners[face]
         return corners[:, 0], corners[:, 1], corners[:, 2]
 
-    def _pairs(self, points: FloatArray, reach: float) -> Iterator[tuple[IntArray, IntArray]]:
-        """Indices of points and of faces that may be as near as ``reach`` to each other, in chunks."""
+    def _pairs(self, points: FloatArray, reach: FloatArray) -> Iterator[tuple[IntArray, IntArray]]:
+        """Indices of points and of faces that may be as near as ``reach`` (N,) to each other, in chunks."""
         mine = cKDTree(points)
-        for tree, owner, size in self._trees:
-            found = mine.sparse_distance_matrix(tree, reach + size, output_type="ndarray")
+        most = [float(reach.max()) + float(size.max()) for _, _, size in self._trees]
+        many = sum(
+            int(mine.count_neighbors(tree, far)) for (tree, _, _), far in zip(self._trees, most, strict=True)
+        )
+        if many > _MOST_PAIRS and len(points) > 1:  # a large ball on a fine mesh
+            half = len(points) // 2
+            for first, part in ((0, slice(None, half)), (half, slice(half, None))):
+                for i, f in self._pairs(points[part], reach[part]):
+                    yield i + first, f
+            return
+        for (tree, owner, size), far in zip(self._trees, most, strict=True):
+            found = mine.sparse_distance_matrix(tree, far, output_type="ndarray")
+            found = found[found["v"] <= reach[found["i"]] + size[found["j"]]]
             for start in range(0, len(found), _PAIRS):
                 part = found[start : start + _PAIRS]
-                yield part["i"].astype(np.int64), owner[part["j"]]
+                yield part["i"], owner[part["j"]]
 
 
 def _first_least(group: IntArray, value: FloatArray) -> IntArray:

@@ -146,9 +146,11 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
         )
     elif options.scallop is not None and not options.scallop < radius:
         wrong.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")
-    for name in ("tangent_angle", "chord", "longest", "lift", "missed"):
-        if not getattr(options, name) > 0.0:
-            wrong.append(f"{name} is {getattr(options, name):.4g}, it must be above 0")
+    wrong += [
+        f"{name} is {getattr(options, name):.4g}, it must be above 0"
+        for name in ("tangent_angle", "chord", "longest", "lift", "missed")
+        if not getattr(options, name) > 0.0
+    ]
     if not radius > 0.0:
         wrong.append(f"the ball's radius is {1e3 * radius:.4g} mm, it must be above 0")
     if not depth > 2.0 * EDGE:

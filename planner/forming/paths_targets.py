@@ -30,6 +30,7 @@ _CLOSED: Final = 3e-4
 """Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
 and the ball goes from end to end."""
 _SPARE: Final = 0.9
+_FIRST: Final = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +61,9 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
     def put(at: FloatArray) -> Targets:
         return _put(at, curve, face, creases, options.missed, name)
 
-    found = put(_spread(curve, face.radius, options))
+    at = _spread(curve, face.radius, options)
+    put(at[:: -(-len(at) // _FIRST)])  # a tool that is far too large is told soon
+    found = put(at)
     found = _corners(found, put)
     found = _halved(found, put, face, options)
     return _apart(found)

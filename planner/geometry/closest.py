@@ -73,7 +73,7 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
             mine, weights=normals[other // 3, axis] * angle[other], minlength=len(total)
         )
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
-    return total.reshape(-1, 3, 3)
+    return np.asarray(total.reshape(-1, 3, 3))
 
 
 def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArray, IntArray]:
