@@ -48,7 +48,7 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
     """The part in the sheet's frame; ``pose`` (4, 4) is the file's frame there, None to lay it in the middle.
 
     Raises ``TandemError``: issues of files, ``forming.closed_mesh``, ``forming.inside_out``,
-    ``forming.not_flat``, ``part.stock_too_small``.
+    ``forming.border``, ``part.stock_too_small``.
     """
     sheet = stock.sheet
     if sheet is None:
@@ -130,7 +130,7 @@ def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, path: Path) -> None:
     hint = (
         "let the part run out into the sheet's plane (frame: find looks for it), or fill a hole in the mesh"
     )
-    raise TandemError(Issue("forming.not_flat", what, file=str(path), hint=hint))
+    raise TandemError(Issue("forming.border", what, file=str(path), hint=hint))
 
 
 def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:

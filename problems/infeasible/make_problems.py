@@ -169,6 +169,99 @@ def faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     return out
 
 
+def revolved(profile: list[list[float]], around: int = 48) -> str:
+    """An OBJ file of a surface of revolution, [radius, height] from its rim to its axis."""
+    turn = 2.0 * np.pi * np.arange(around) / around
+    lines = [
+        f"v {r * np.cos(t):.4f} {r * np.sin(t):.4f} {z:.4f}" for r, z in profile[:-1] for t in turn.tolist()
+    ]
+    lines.append(f"v 0 0 {profile[-1][1]:.4f}")
+    last = len(profile) - 2
+    for ring in range(last):
+        for k in range(around):
+            a, b = 1 + ring * around + k, 1 + ring * around + (k + 1) % around
+            lines += [f"f {a} {b} {a + around}", f"f {b} {b + around} {a + around}"]
+    for k in range(around):
+        a, b = 1 + last * around + k, 1 + last * around + (k + 1) % around
+        lines.append(f"f {a} {b} {last * around + around + 1}")
+    return "\n".join(lines) + "\n"
+
+
+def rounded(angle: float, fillet: float = 9.0, up: bool = False) -> list[list[float]]:
+    """A dish of 100 mm, 16 mm deep, with walls of an angle [deg] and rounded edges."""
+    turn = np.linspace(0.0, np.deg2rad(angle), 9)
+    edge = np.stack([fillet * np.sin(turn), fillet * (np.cos(turn) - 1.0)], axis=1)
+    low = edge[-1] + max(16.0 - 2.0 * abs(edge[-1, 1]), 0.1) * np.array([1.0 / np.tan(turn[-1]), -1.0])
+    line = np.concatenate(
+        [[[-6.0, 0.0]], edge, (low + edge[-1]) - edge[::-1], [[50.0, low[1] + edge[-1, 1]]]]
+    )
+    return [[50.0 - x, -z if up else z] for x, z in line.tolist()]
+
+
+def sheet(name: str) -> dict[str, Any]:
+    """A problem of sheet forming without fault but for its part."""
+    return {
+        "tandem": 1,
+        "name": name,
+        "cell": "../cells/irb140_ball.yaml",
+        "sheet": {"size_mm": [200, 200], "thickness_mm": 1, "metal": "aa1100_o", "opening_mm": 140},
+        "part": {"sheet_mesh": {"file": f"{name}.obj", "unit": "mm", "face": "bottom"}},
+        "operations": [
+            {"name": "dish", "process": "forming", "arms": ["robot"], "mode": "spif", "stepdown_mm": 1}
+        ],
+    }
+
+
+def sheet_faults() -> dict[str, tuple[dict[str, Any], str, list[str]]]:
+    """Problems of sheet forming by name with their mesh and the codes that they must give."""
+    out: dict[str, tuple[dict[str, Any], str, list[str]]] = {}
+
+    def add(name: str, code: str, profile: list[list[float]], mesh: str = "") -> dict[str, Any]:
+        out[name] = (sheet(name), mesh or revolved(profile), [code])
+        return out[name][0]
+
+    good = rounded(40.0)
+    add(
+        "sheet_undercut",
+        "forming.undercut",
+        [[56, 0], [50, 0], [45, -8], [46, -9], [40, -14], [20, -15], [0, -15]],
+    )
+    add("sheet_upright_wall", "forming.wall_angle", [[56, 0], [50, 0], [49.95, -15], [20, -15], [0, -15]])
+    add("sheet_tool_too_big", "forming.tool_radius", rounded(40.0, 3.0))
+    add("sheet_goes_up", "forming.side", rounded(40.0, up=True))
+    add("sheet_part_too_wide", "part.stock_too_small", [[1.6 * r, z] for r, z in good])
+    add("sheet_wrong_unit", "mesh.unit", [[0.001 * r, 0.001 * z] for r, z in good])
+    add("sheet_flat", "forming.flat", [[r, 0.0] for r, _ in good])
+    add("sheet_rim_not_flat", "forming.border", [[56, 3], *good[1:]])
+    add(
+        "sheet_closed_mesh",
+        "forming.closed_mesh",
+        [[0.01, 0], *good[1:]],
+        revolved(good) + closing(len(good)),
+    )
+    lines = revolved(good).splitlines()
+    flip = [k for k, line in enumerate(lines) if line.startswith("f ")][::3]
+    for k in flip:
+        lines[k] = "f " + " ".join(reversed(lines[k].split()[1:]))
+    add("sheet_inside_out", "forming.inside_out", good, "\n".join(lines) + "\n")
+    hole = "\n".join(revolved(good).splitlines()[:-48]) + "\n"
+    add("sheet_hole", "forming.border", good, hole)
+    problem = add("sheet_other_metal", "forming.unknown_metal", good)
+    problem["sheet"]["metal"] = "unobtainium"
+    problem = add("sheet_adsif_steep", "forming.adsif_range", rounded(50.0))
+    problem["cell"] = "../cells/irb6640_irb4400_small_tools.yaml"
+    problem["sheet"]["metal"] = "aa5754_o"
+    problem["operations"][0] |= {"arms": ["left", "right"], "mode": "adsif"}
+    return out
+
+
+def closing(rings: int, around: int = 48) -> str:
+    """Faces that close a surface of revolution along its rim, from a point above."""
+    centre = (rings - 1) * around + 2
+    faces = [f"f {1 + (k + 1) % around} {1 + k} {centre}" for k in range(around)]
+    return "v 0 0 20\n" + "\n".join(faces) + "\n"
+
+
 def main() -> None:
     """Write all files beside this one."""
     folder = Path(__file__).parent
@@ -178,6 +271,13 @@ def main() -> None:
         (folder / f"{name}.yaml").write_text(
             "# Written by make_problems.py. This problem cannot be solved.\n" + text
         )
+        expect[f"{name}.yaml"] = codes
+    for name, (problem, mesh, codes) in sheet_faults().items():
+        text = yaml.safe_dump(problem, sort_keys=False, default_flow_style=None, width=110)
+        (folder / f"{name}.yaml").write_text(
+            "# Written by make_problems.py. This problem cannot be solved.\n" + text
+        )
+        (folder / f"{name}.obj").write_text(mesh)
         expect[f"{name}.yaml"] = codes
     for name, text in airfoils().items():
         (folder / name).write_text(text)
