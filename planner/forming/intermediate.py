@@ -24,7 +24,7 @@ LEVELS: Final = 80
 STEP: Final = (0.2e-3, 1e-3)
 """Contours over the depth, and bounds [m] of their distance."""
 _SLIGHT: Final = 1e-6
-_ROUND: Final = 2e-6
+_ROUND: Final = 5e-7
 _LAST: Final = (0.5, 0.2, 0.05)
 
 
