@@ -20,7 +20,7 @@ from py_opw_kinematics import KinematicModel, Robot
 from scipy.spatial.transform import RigidTransform
 
 from bench import motion_bows
-from bench.motion_jobs import arc_wire, block, box, s_curve, two_arms
+from bench.motion_jobs import arc_wire, block, box, s_curve, spiral_pair, two_arms
 from planner.catalogue import robot
 from planner.cell import plant
 from planner.cell.robots import forward
@@ -52,7 +52,7 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> tuple[dict[str, An
 
 def run() -> list[dict[str, Any]]:
     """All measurements of motion."""
-    return [inverse(), *jobs(), one_arm(), *bows(), placement()]
+    return [inverse(), *jobs(), one_arm(), many_targets(), *bows(), placement()]
 
 
 def inverse() -> dict[str, Any]:
@@ -133,6 +133,23 @@ def one_arm() -> dict[str, Any]:
         "Tesseract Descartes in a trial: 2.9-8.1 s with collisions"
     )
     return {"name": "one arm, 400 poses, 36 spins, whole", **row}
+
+
+def many_targets() -> dict[str, Any]:
+    """25,000 targets of two arms with balls on both sides of a spiral, a free spin for each."""
+    cell, targets = spiral_pair(25_000, loops=156)
+    away = from_parts(np.eye(3), np.array([0.0, 3.0, 0.0]))
+    model = plant.build(cell, block((0.01, 0.01, 0.01), away), away)
+    settings = Settings(clearance=0.0005)
+
+    def work() -> Any:
+        return plan_operation("spiral", cell, targets, settings, away, model)
+
+    row, plan = timed(work, repeats=1)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    stages = ", ".join(f"{name} {took:.1f}" for name, took in plan.metrics["stages"].items())
+    row["note"] += f"; {stages} s wall; peak {peak:.2f} GB; {plan.metrics['collision_checks']} checks"
+    return {"name": "two arms, 25,000 targets, a spin each, whole", **row}
 
 
 def bows() -> list[dict[str, Any]]:
