@@ -276,6 +276,15 @@ class SheetState:
 
 
 @dataclasses.dataclass(frozen=True)
+class FormingFeed:
+    """In ``segment`` the TCPs of ``arms`` move no faster than ``upper`` [m/s]."""
+
+    segment: str
+    arms: tuple[str, ...]
+    upper: float
+
+
+@dataclasses.dataclass(frozen=True)
 class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 
@@ -298,5 +307,6 @@ Claim = (
     | SupportsBorder
     | FollowsOpposite
     | SheetState
+    | FormingFeed
     | FormsInOrder
 )

@@ -11,6 +11,7 @@ from planner.claims import (
     Claim,
     FollowsOpposite,
     FollowsPoses,
+    FormingFeed,
     FormsInOrder,
     FormsSheet,
     SheetState,
@@ -44,6 +45,7 @@ def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim,
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in job.passes))]
     for one, state in zip(job.passes, found, strict=True):
         out.append(_state(job, one, state))
+        out.append(FormingFeed(segment(one), job.operation.arms, job.operation.feed_mm_s * MM))
         if poses is None:
             out += _of(job, one)
     if poses is not None:

@@ -23,6 +23,9 @@ from planner.verify import (
     report_series,
     rules_cell,
     rules_data,
+    rules_forming,
+    rules_forming_sheet,
+    rules_forming_two,
     rules_frames,
     rules_handshake,
     rules_motion,
@@ -36,6 +39,7 @@ from planner.verify import (
     rules_wire,
 )
 from planner.verify.context import Context, Outcome
+from planner.verify.forming_state import Forming
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.wire import Wire
 from planner.verify.wire import wires as all_wires
@@ -117,6 +121,16 @@ OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kerf", rules_straight.kerf),
     ("verify.ridge", rules_surface.ridges),
 )
+FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
+    ("verify.feature_order", rules_forming.feature_order),
+    ("verify.forming_feed", rules_forming.feed),
+    ("verify.gouge", rules_forming.gouge),
+    ("verify.gap", rules_forming_two.gap),
+    ("verify.border", rules_forming_two.border),
+    ("verify.opposite", rules_forming_two.opposite),
+    ("verify.sheet", rules_forming_sheet.sheet),
+)
+FORMED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.formed", rules_forming.formed),)
 
 NEEDED = (
     "verify.setup",
@@ -129,13 +143,13 @@ NEEDED = (
 """What must hold for a motion to follow from the text."""
 
 RULES: tuple[str, ...] = tuple(
-    code for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS) for code, _ in table
+    code for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, WIRE, OTHERS) for code, _ in table
 )
 """Codes of all rules."""
 
 TITLES: Mapping[str, str] = {
     code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
-    for table in (TEXT, TASKS, STAGES, MOTION, WIRE, OTHERS)
+    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, WIRE, OTHERS)
     for code, rule in table
 }
 """What each rule asks, by code."""
@@ -194,6 +208,13 @@ class Prover:
         yield from self._physics(context, run)
 
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
+        forming = Forming(context)
+        for form_code, form_rule in FORMING:
+            run.add(form_code, form_rule(context, forming))
+            yield
+        outcome, formed = rules_forming.formed(context, forming)
+        run.add("verify.formed", outcome)
+        yield
         wires = all_wires(context)
         run.wires = wires
         for code, rule in WIRE:
@@ -207,7 +228,7 @@ class Prover:
         yield
         run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield
-        run.faces = rules_surface.with_end_error(context, wires, run.faces)
+        run.faces = (*rules_surface.with_end_error(context, wires, run.faces), *formed)
         models = functools.cache(functools.partial(self.model, context))
         run.add("verify.kinematics", rules_cell.kinematics(context, models))
         yield

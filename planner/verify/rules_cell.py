@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -126,17 +127,22 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts, the
     heads of forming tools and the sheet between them where they form it."""
     claims = context.setup_claims[index]
-    arms = list(claims.straight)
+    arms = [arm.name for arm in context.setups[index].cell.arms]
+    arms = [arm for arm in arms if arm in claims.straight or claims.forms(arm)]
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels()[rows]
+    forms = np.stack([np.isin(labels, list(claims.forms(arm))) for arm in arms], axis=1)
     cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)))) for arm in arms], axis=1)
+    flags = np.concatenate([forms, cuts & ~forms], axis=1)
     out = []
-    for flags in np.unique(cuts, axis=0):
-        touching = frozenset(
-            frozenset((f"{arm}/edge", "stock")) for arm, cut in zip(arms, flags, strict=True) if cut
-        )
-        out.append((rows[(cuts == flags).all(axis=1)], touching))
+    for flag in np.unique(flags, axis=0):
+        form, cut = flag[: len(arms)], flag[len(arms) :]
+        own = [arm for arm, one, other in zip(arms, form, cut, strict=True) if one or other]
+        heads = [arm for arm, one in zip(arms, form, strict=True) if one]
+        touching = {frozenset((f"{arm}/edge", "stock")) for arm in own}
+        touching |= {frozenset((f"{a}/edge", f"{b}/edge")) for a, b in itertools.combinations(heads, 2)}
+        out.append((rows[(flags == flag).all(axis=1)], frozenset(touching)))
     return out
 
 

@@ -19,6 +19,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+FORMING_WAYS = ("", "_in", "_out")
+"""What a forming segment's own moves, the way down onto the sheet and the way off it add to its name."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Asked:
     """A question to the operator in the straight way of a task: stage, task, and place among its steps."""
@@ -118,9 +122,11 @@ class SetupClaims:
         return tuple(c for group in self.groups for c in group if isinstance(c, ContactOnlyIn))
 
     def forms(self, arm: str) -> frozenset[str]:
-        """Segments in which the head of the tool of ``arm`` may touch the sheet."""
-        groups = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
-        return frozenset(claim.segment.lower() for claim in groups if arm in claim.arms)
+        """Segments in which the head of the tool of ``arm`` may touch the sheet: those that state what it
+        then meets, with their ways in and out."""
+        claims = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
+        names = [claim.segment.lower() for claim in claims if arm in claim.arms]
+        return frozenset(name + way for name in names for way in FORMING_WAYS)
 
     def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:
         """Segments in which the wire of ``arms`` may be in the foam: claimed, with a feed, by an operation

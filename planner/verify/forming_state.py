@@ -1,0 +1,89 @@
+"""What the rules on forming share: the claims of a proof by segment, tracks and faces, each worked out
+once."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState
+from planner.verify.context import Context
+from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_track import Pieces, Track, pieces, track
+from planner.verify.setups import FORMING_WAYS
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SPARE = 0.1
+"""The straight pieces of a track are off it by this share of the tolerance at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Formed:
+    """The face of a pass and the way of its tools; ``knots`` (K + 1,) rows of the track where its pieces
+    meet, ``near`` what of the face is nearest to the forming ball there."""
+
+    claim: FormsSheet
+    setup: int
+    track: Track
+    pieces: Pieces
+    knots: IntArray
+    face: Face
+
+    @cached_property
+    def near(self) -> Nearest:
+        """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
+        return self.face.nearest(self.track.centre[self.knots, 0], TIED)
+
+
+TIED = 5e-6
+"""Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
+
+
+class Forming:
+    """The forming of one proof."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
+            (index, claim)
+            for index, setup in enumerate(context.setup_claims)
+            for group in setup.groups
+            for claim in group
+        )
+
+    @cached_property
+    def formed(self) -> tuple[Formed, ...]:
+        """All passes that are claimed, with the forming arm first and the others behind it."""
+        return tuple(
+            self._formed(claim, index) for index, claim in self.by_setup if isinstance(claim, FormsSheet)
+        )
+
+    def of(self, segment: str) -> Formed | None:
+        """The pass of a segment, None where its tools follow poses without a face."""
+        return next((one for one in self.formed if one.claim.segment.lower() == segment.lower()), None)
+
+    @cached_property
+    def states(self) -> tuple[tuple[int, SheetState], ...]:
+        """All claims of what tools meet, with their setups."""
+        return tuple((index, claim) for index, claim in self.by_setup if isinstance(claim, SheetState))
+
+    @cached_property
+    def labels(self) -> frozenset[str]:
+        """Labels of all moves that claims allow: of faces, and of tools that follow stated poses instead."""
+        led = {claim.arm for _, claim in self.by_setup if isinstance(claim, FollowsPoses)}
+        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet)]
+        names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
+        return frozenset(name.lower() + way for name in names for way in FORMING_WAYS)
+
+    def _formed(self, claim: FormsSheet, index: int) -> Formed:
+        arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
+        arms = [arm for arm in arms if arm in self.context.motion.tcp]
+        way = track(self.context, claim.segment, index, (claim.arm, *arms))
+        parts = pieces(way, SPARE * claim.tolerance)
+        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        return Formed(claim, index, way, parts, knots, Face(claim.vertices, claim.faces, claim.radius))

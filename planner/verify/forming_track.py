@@ -1,0 +1,135 @@
+"""Where forming tools are while they form: their centres and axes in the sheet's frame, and the same way as
+few straight pieces from which it is off by no more than a stated bound."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.rigid import inverse
+from planner.verify.context import Context
+from planner.verify.setups import FORMING_WAYS
+from planner.verify.speed import during
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_BLOCK = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """T samples of the arms ``arms`` in one segment and its ways in and out.
+
+    ``rows`` (T,) samples of the motion; ``centre``, ``axis`` (T, A, 3) the TCPs [m] and their z axes in the
+    sheet's frame; ``own`` (T,): the move under way forms, and is no way in or out; ``joined`` (T - 1,): the
+    next row is the next sample.
+    """
+
+    arms: tuple[str, ...]
+    rows: IntArray
+    centre: FloatArray
+    axis: FloatArray
+    own: BoolArray
+    joined: BoolArray
+
+
+def track(context: Context, segment: str, index: int, arms: tuple[str, ...]) -> Track:
+    """The track of a segment in setup ``index``; no rows where the programs have none, or an arm is
+    missing."""
+    motion = context.motion
+    labels = np.asarray([label.lower() for label in motion.node_label])
+    own = np.isin(labels, [segment.lower()])
+    chosen = np.isin(labels, [segment.lower() + way for way in FORMING_WAYS])
+    rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
+    if any(arm not in motion.tcp for arm in arms):
+        rows = rows[:0]
+    back = inverse(context.stock_poses(index, rows[:1])) if len(rows) else np.zeros((0, 4, 4))
+    if len(rows) and context.holder(index) is not None:
+        back = inverse(context.stock_poses(index, rows))
+    centre, axis = np.zeros((2, len(rows), len(arms), 3))
+    for k, arm in enumerate(arms):
+        if len(rows):
+            tcp = motion.tcp[arm][rows]
+            centre[:, k] = np.einsum(
+                "sij,sj->si", np.broadcast_to(back[:, :3, :3], (len(rows), 3, 3)), tcp[:, :3, 3]
+            )
+            centre[:, k] += back[:, :3, 3]
+            axis[:, k] = np.einsum(
+                "sij,sj->si", np.broadcast_to(back[:, :3, :3], (len(rows), 3, 3)), tcp[:, :3, 2]
+            )
+    return Track(arms, rows, centre, axis, own[motion.node[rows]], np.diff(rows) == 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """K straight pieces of a track: from row ``first`` to row ``last`` (K,) of it, with ``off`` (K,) [m], how
+    far the way between them is off the straight one at most, both arms at one share of their pieces."""
+
+    first: IntArray
+    last: IntArray
+    off: FloatArray
+
+
+def pieces(way: Track, within: float) -> Pieces:
+    """The track in straight pieces that are off it by ``within`` [m] at most at its samples. Between samples
+    the motion bends by what its second differences tell."""
+    count = len(way.rows)
+    if count < 2:
+        none = np.zeros(0, dtype=np.int64)
+        return Pieces(none, none, np.zeros(0))
+    cut = np.flatnonzero(~way.joined)
+    starts, ends = np.concatenate([[0], cut + 1]), np.concatenate([cut, [count - 1]])
+    first = np.concatenate([np.arange(a, b, _BLOCK) for a, b in zip(starts, ends, strict=True)])
+    to = np.repeat(ends, [len(range(a, b, _BLOCK)) for a, b in zip(starts, ends, strict=True)])
+    last = np.minimum(first + _BLOCK, to)
+    done_first, done_last = [], []
+    while len(first):
+        good = (last - first == 1) | (_off(way.centre, first, last) <= within)
+        done_first.append(first[good])
+        done_last.append(last[good])
+        first, last = first[~good], last[~good]
+        middle = (first + last) // 2
+        first, last = np.concatenate([first, middle]), np.concatenate([middle, last])
+    first, last = np.concatenate(done_first), np.concatenate(done_last)
+    order = np.argsort(first)
+    first, last = first[order], last[order]
+    bend = np.append(_bend(way), 0.0)
+    most = np.maximum.reduceat(bend, first) if len(first) else np.zeros(0)
+    return Pieces(first, last, within + most)
+
+
+def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """How far (K,) [m] the rows between two are off the straight way between these."""
+    out = np.zeros(len(first))
+    for some in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
+        if not len(some):
+            continue
+        span = int((last[some] - first[some]).max())
+        rows = np.minimum(first[some, None] + np.arange(span + 1), last[some, None])
+        start = centre[first[some]][:, None]
+        way = centre[last[some]][:, None] - start
+        rest = centre[rows] - start
+        square = np.maximum((way * way).sum(axis=(2, 3)), 1e-30)
+        share = np.clip((rest * way).sum(axis=(2, 3)) / square, 0.0, 1.0)
+        out[some] = np.linalg.norm(rest - share[..., None, None] * way, axis=3).max(axis=(1, 2))
+    return out
+
+
+def _bend(way: Track) -> FloatArray:
+    """How far (T - 1,) [m] the motion between two samples may be off the straight way: with second
+    differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
+    bend makes a quarter of that."""
+    step = np.diff(way.centre, axis=0)
+    length = np.linalg.norm(step, axis=2, keepdims=True)
+    along = step / np.maximum(length, 1e-12)
+    second = np.diff(step, axis=0)
+    second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
+    turn = np.zeros((len(step) + 1, step.shape[1]))
+    turn[1:-1] = np.linalg.norm(second, axis=2)
+    turn[1:-1][~(way.joined[1:] & way.joined[:-1])] = 0.0
+    a, b = turn[:-1], turn[1:]
+    return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1))

@@ -1,0 +1,256 @@
+"""Rules on the forming tool: gouges, what is formed, the order of the features, the feed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.claims import FormingFeed, FormsInOrder
+from planner.geometry.closest import small_pieces
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_node, at_sample
+from planner.verify.forming_state import Formed, Forming
+from planner.verify.result import CutFace
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+NONE = "nothing is formed"
+SHOWN = 50
+"""Issues of one rule and segment at most."""
+LIFTED = 0.1
+"""Share of the way within a forming segment on which the ball may be off the face: steps between loops."""
+LEVEL = 1e-5
+"""Triangles all of whose corners are so near to a level [m] are flat there."""
+FEED_SLACK = 1.05
+"""The replay's ramps and corners may pass the feed by this factor."""
+_SAMPLES = 40_000
+_STEP = 0.002
+_NEIGHBOURS = 16
+
+
+def gouge(context: Context, forming: Forming) -> Outcome:
+    """At every instant, also on its ways to and from the sheet, the forming ball is on its side of the face
+    it forms and of the flat beyond, and cuts into neither by more than the tolerance."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for one in forming.formed:
+        claim = one.claim
+        if not len(one.pieces.first):
+            continue
+        need = claim.radius - claim.tolerance
+        at_knots = claim.side * one.near.signed
+        first, last = (np.searchsorted(one.knots, rows) for rows in (one.pieces.first, one.pieces.last))
+        start, end = (one.track.centre[one.knots[rows], 0] for rows in (first, last))
+        off = one.pieces.off
+        between = one.face.least(start, end, np.minimum(need + off, claim.radius))
+        room = np.minimum(np.minimum(at_knots[first], at_knots[last]), between - off)
+        deep = claim.radius - room
+        k = int(np.argmax(deep))
+        if deep[k] - claim.tolerance > worst:
+            worst, limit, where = float(deep[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+        for i in spread(deep > claim.tolerance):
+            what = (
+                f"in {claim.segment} the ball cuts {mm(deep[i]):.3f} mm into the face or the flat sheet; "
+                f"allowed: {mm(claim.tolerance):g} mm"
+            )
+            measure = (mm(float(deep[i])), mm(claim.tolerance), "mm")
+            row = int(one.track.rows[one.pieces.last[i]])
+            issues.append(at_sample("verify.gouge", what, context.motion, claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, ...]]:
+    """The forming ball reaches all of a face but a stated share, within the scallop, is off it for no more
+    than a tenth of its way, and nothing is formed that is not claimed."""
+    issues = _unclaimed(context, forming)
+    faces: list[CutFace] = []
+    for one in forming.formed:
+        claim = one.claim
+        face = envelope(one)
+        faces.append(face)
+        if face.share < claim.share:
+            what = (
+                f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within "
+                f"{mm(claim.scallop):g} mm; wanted: {100 * claim.share:g} %"
+            )
+            issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
+        lifted = _lifted(one)
+        if lifted > LIFTED:
+            what = (
+                f"the ball is off the face for {100 * lifted:.1f} % of its way in {claim.segment}; "
+                f"allowed: {100 * LIFTED:g} %"
+            )
+            issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED))
+    if not faces:
+        return Outcome(tuple(issues), where=NONE), ()
+    worst = min(faces, key=lambda face: face.share - face.wanted_share)
+    share, wanted = 100 * worst.share, 100 * worst.wanted_share
+    return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.segment), tuple(faces)
+
+
+def envelope(one: Formed) -> CutFace:
+    """What the swept ball leaves of the walls of a face: how far it stays off (positive) or cuts in at their
+    places; of flat parts nothing is said."""
+    claim = one.claim
+    corners = claim.vertices[claim.faces]
+    level = corners[:, :, 2]
+    flat = [(np.abs(level - z) < LEVEL).all(axis=1) for z in (claim.start, claim.end)]
+    walls = corners[~(flat[0] | flat[1])]
+    area = 0.5 * np.linalg.norm(np.cross(walls[:, 1] - walls[:, 0], walls[:, 2] - walls[:, 0]), axis=1)
+    size = min(_STEP, float(np.sqrt(area.sum() / _SAMPLES)) * 2.0)
+    parts, _ = small_pieces(walls, max(size, 1e-4), 4 * _SAMPLES)
+    area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+    points = parts.mean(axis=1)
+    off = _swept(one, points) - claim.radius
+    share = float(area[off <= claim.scallop].sum() / max(float(area.sum()), 1e-30))
+    known = np.isfinite(off)
+    rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / max(float(area[known].sum()), 1e-30)))
+    largest = float(np.abs(off[known]).max(initial=0.0))
+    return CutFace(
+        claim.segment,
+        points,
+        np.where(known, off, np.nan),
+        area,
+        claim.scallop,
+        share,
+        claim.share,
+        rms,
+        largest,
+    )
+
+
+def _swept(one: Formed, points: FloatArray) -> FloatArray:
+    """How near (N,) [m] the ball's centre comes to points (N, 3) while it forms; infinite if never."""
+    use = one.track.own[one.pieces.last]
+    start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]
+    if not len(start):
+        return np.full(len(points), np.inf)
+    count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / _STEP).astype(np.int64), 1)
+    which = np.repeat(np.arange(len(start)), count)
+    step = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
+    way = end - start
+    a = start[which] + step[:, None] * way[which]
+    b = a + way[which] / count[which][:, None]
+    near = np.asarray(cKDTree(0.5 * (a + b)).query(points, k=min(_NEIGHBOURS, len(a)))[1])
+    near = near.reshape(len(points), -1)
+    best = np.full(len(points), np.inf)
+    for column in near.T:
+        along, rest = b[column] - a[column], points - a[column]
+        share = np.einsum("nd,nd->n", rest, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-30)
+        apart = np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+        best = np.minimum(best, apart)
+    return best
+
+
+def _lifted(one: Formed) -> float:
+    """Share of the way within a segment at whose ends the ball is off the face by more than the scallop."""
+    claim = one.claim
+    use = one.track.own[one.pieces.last]
+    first, last = one.pieces.first[use], one.pieces.last[use]
+    way = np.linalg.norm(one.track.centre[last, 0] - one.track.centre[first, 0], axis=1)
+    off = one.near.apart > claim.radius + claim.scallop + claim.tolerance
+    up = off[np.searchsorted(one.knots, first)] & off[np.searchsorted(one.knots, last)]
+    return float(way[up].sum() / max(float(way.sum()), 1e-12)) if len(way) else 1.0
+
+
+def _unclaimed(context: Context, forming: Forming) -> list[Issue]:
+    """Moves of segments that form, of which nothing is claimed."""
+    motion = context.motion
+    arm = context.job.tasks[0].arm.name
+    issues = []
+    seen: set[str] = set()
+    for node, label in enumerate(motion.node_label):
+        name = label.lower()
+        if name.split("/")[0] == "form" and name not in forming.labels and name not in seen:
+            seen.add(name)
+            what = f"the programs form in {label}, of which the problem claims nothing"
+            issues.append(at_node("verify.formed", what, motion, arm, node))
+    return issues
+
+
+def feature_order(context: Context, forming: Forming) -> Outcome:
+    """The segments that form the sheet come in the order that is claimed, each once, with its own ways in
+    and out, and all of them."""
+    motion = context.motion
+    arm = context.job.tasks[0].arm.name
+    issues: list[Issue] = []
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormsInOrder)]
+    labels = [label.lower() for label in motion.node_label]
+    setups = context.spans.of_stage[motion.node_stage]
+    for index in range(len(context.setups)):
+        wanted = [name.lower() for where, claim in claims if where == index for name in claim.segments]
+        found: list[tuple[str, int]] = []
+        for node in np.flatnonzero(setups == index).tolist():
+            if labels[node].split("/")[0] == "form" and (not found or found[-1][0] != labels[node]):
+                found.append((labels[node], node))
+            elif labels[node].split("/")[0] != "form" and found and found[-1][0]:
+                found.append(("", node))
+        there = [(name, node) for name, node in found if name]
+        full = [name + way for name in wanted for way in ("_in", "", "_out")]
+        full = [name for name in full if name in {name for name, _ in there} or name in wanted]
+        for k, (name, node) in enumerate(there):
+            if k >= len(full) or name != full[k]:
+                known = "" if k >= len(full) else f"; {full[k]} comes first"
+                what = f"{name} comes in the place {k + 1} of what is formed{known}"
+                issues.append(at_node("verify.feature_order", what, motion, arm, node))
+                break
+        else:
+            issues += [
+                Issue("verify.feature_order", f"{name} is never formed", field=name)
+                for name in full[len(there) :]
+                if name in wanted
+            ]
+    return Outcome(tuple(issues), where="" if claims else NONE)
+
+
+def feed(context: Context, forming: Forming) -> Outcome:
+    """While they form, and on the ways in and out, tools move no faster on the sheet than they may."""
+    motion = context.motion
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    labels = np.asarray([label.lower() for label in motion.node_label])
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormingFeed)]
+    for index, claim in claims:
+        chosen = labels == claim.segment.lower()
+        rows = np.flatnonzero(chosen[motion.node] & (context.sample_setup == index))
+        rows = rows[rows > 0]
+        rows = rows[motion.stage[rows] == motion.stage[rows - 1]]
+        for arm in claim.arms:
+            if arm not in motion.tcp or not len(rows):
+                continue
+            way = np.linalg.norm(motion.tcp[arm][rows, :3, 3] - motion.tcp[arm][rows - 1, :3, 3], axis=1)
+            speed = way / np.maximum(motion.time[rows] - motion.time[rows - 1], 1e-6)
+            if speed.max() / claim.upper > worst:
+                worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"
+            for k in spread(speed > FEED_SLACK * claim.upper):
+                what = (
+                    f"{arm} moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; allowed: {mm(claim.upper):g}"
+                )
+                measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
+                issues.append(at_sample("verify.forming_feed", what, motion, arm, int(rows[k]), measure))
+    fed = {claim.segment.lower() for _, claim in claims}
+    issues += [
+        Issue("verify.forming_feed", f"{one.claim.segment} has no feed", field=one.claim.segment)
+        for one in forming.formed
+        if one.claim.segment.lower() not in fed
+    ]
+    if not claims:
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+def spread(bad: BoolArray) -> IntArray:
+    """The first of each run of rows that are bad, and no more than are worth telling."""
+    rows = np.flatnonzero(bad)
+    first = rows[np.diff(rows, prepend=-2) > 1]
+    return first[:SHOWN]
+
+
+def _of_face(code: str, what: str, segment: str, value: float, limit: float) -> Issue:
+    return Issue(code, what, field=segment, value=100 * value, limit=100 * limit, unit="%")

@@ -1,0 +1,255 @@
+"""Rules on two forming tools in one sheet: their gap, the support of a border, the tool that follows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import FollowsOpposite, SupportsBorder, ToolGap
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_sample
+from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_state import SPARE, TIED, Forming
+from planner.verify.forming_track import Track, pieces, track
+from planner.verify.rules_forming import NONE, SHOWN, spread
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+INSIDE = 1e-4
+"""Straight moves between targets may cut a bent border by so much [m]."""
+
+
+def gap(context: Context, forming: Forming) -> Outcome:
+    """At and between targets the gap between two forming tools is what the sheet between them is wanted to be
+    thick, and they face each other as wanted; of two controllers, whichever is a step ahead."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for index, claim in forming.by_setup:
+        if not isinstance(claim, ToolGap):
+            continue
+        way = track(context, claim.segment, index, claim.arms)
+        parts = pieces(way, SPARE * claim.tolerance)
+        own = way.own[parts.last]
+        first, last, off = parts.first[own], parts.last[own], parts.off[own]
+        if not len(first):
+            what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
+            issues.append(Issue("verify.gap", what, field=claim.segment))
+            continue
+        knots = np.unique(np.concatenate([first, last]))
+        face = Face(claim.vertices, claim.faces, claim.radii[0])
+        found = face.nearest(way.centre[knots, 0], TIED)
+        low, high = face.value(found, claim.gap)
+        one, two = np.searchsorted(knots, first), np.searchsorted(knots, last)
+        least, most = _between(way, first, last)
+        both = sum(claim.radii)
+        # within a piece the wanted gap is between those at its ends
+        wide = most - both - np.maximum(high[one], high[two])
+        narrow = np.minimum(low[one], low[two]) - (least - both)
+        error = np.maximum(wide, narrow) + 2.0 * off
+        k = int(np.argmax(error))
+        if error[k] - claim.tolerance > worst:
+            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+        for i in spread(error > claim.tolerance):
+            way_off = "wide" if wide[i] >= narrow[i] else "narrow"
+            what = f"the gap is {mm(error[i]):.3f} mm too {way_off} in {claim.segment}"
+            what += f"; allowed: {mm(claim.tolerance):g} mm"
+            measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
+            row = int(way.rows[last[i]])
+            issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
+        issues += _facing(context, claim, way, knots, found)
+        issues += _a_step_apart(context, claim, way, knots, low, high)
+    if limit is None:
+        return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NONE)
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Least and largest distance (K,) [m] of both centres within the straight pieces from one row to
+    another."""
+    one = way.centre[first, 0] - way.centre[first, 1]
+    two = way.centre[last, 0] - way.centre[last, 1]
+    turn = two - one
+    share = -np.einsum("nd,nd->n", one, turn) / np.maximum(np.einsum("nd,nd->n", turn, turn), 1e-30)
+    least = np.linalg.norm(one + np.clip(share, 0.0, 1.0)[:, None] * turn, axis=1)
+    return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
+
+
+def _facing(context: Context, claim: ToolGap, way: Track, knots: IntArray, found: Nearest) -> list[Issue]:
+    """Knots at which the line of the centres is not turned against the face's normal as wanted: of all places
+    that the ball touches, one has to fit."""
+    between = way.centre[knots, 0] - way.centre[knots, 1]
+    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
+    normal = way.centre[knots, 0][found.row] - found.tied
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    angle = np.arccos(np.clip(np.einsum("nd,nd->n", between[found.row], normal), -1.0, 1.0))
+    off = np.full(len(knots), np.inf)
+    np.minimum.at(off, found.row, np.abs(angle - claim.shift))
+    issues = []
+    for k in spread(off > claim.turn):
+        what = (
+            f"in {claim.segment} the line of the tools is {np.rad2deg(off[k]):.2f} deg off the wanted "
+            f"{np.rad2deg(claim.shift):g} deg to the face's normal; allowed: {np.rad2deg(claim.turn):g} deg"
+        )
+        measure = (float(np.rad2deg(off[k])), float(np.rad2deg(claim.turn)), "deg")
+        row = int(way.rows[knots[k]])
+        issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
+    return issues
+
+
+def _a_step_apart(
+    context: Context, claim: ToolGap, way: Track, knots: IntArray, low: FloatArray, high: FloatArray
+) -> list[Issue]:
+    """Where two controllers meet only now and then: the gap for all instants of one arm and of the other
+    between two meetings."""
+    issues: list[Issue] = []
+    if context.problem.cell.controller.sync != "handshake":
+        return issues
+    both = sum(claim.radii)
+    for rows in _intervals(context, way, knots):
+        former, other = way.centre[knots[rows], 0], way.centre[knots[rows], 1]
+        apart = np.linalg.norm(former[:, None] - other[None], axis=2) - both
+        error = np.maximum(apart - high[rows, None], low[rows, None] - apart).max(axis=1)
+        k = int(np.argmax(error))
+        if error[k] > claim.handshake and len(issues) < SHOWN:
+            what = (
+                f"with one arm ahead in {claim.segment} the gap is {mm(error[k]):.3f} mm off; "
+                f"allowed between meetings: {mm(claim.handshake):g} mm"
+            )
+            measure = (mm(float(error[k])), mm(claim.handshake), "mm")
+            row = int(way.rows[knots[rows[k]]])
+            issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
+    return issues
+
+
+def _intervals(context: Context, way: Track, knots: IntArray) -> Iterator[IntArray]:
+    """Rows of the knots between one meeting of two controllers and the next, both included."""
+    motion = context.motion
+    node = motion.node[way.rows[knots]]
+    stage = motion.node_stage[node]
+    for number in np.unique(stage):
+        here = np.flatnonzero(stage == number)
+        own = np.flatnonzero(motion.node_stage == number)
+        ends = np.asarray(context.job.stages[number].ends, dtype=np.int64)
+        interval = np.searchsorted(ends, node[here] - own[0])
+        for part in np.split(here, np.flatnonzero(np.diff(interval)) + 1):
+            yield part if part[0] == here[0] else np.concatenate([[part[0] - 1], part])
+
+
+def border(context: Context, forming: Forming) -> Outcome:
+    """The tool that supports a border stays on it within the tolerance, and never cuts across it."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for index, claim in forming.by_setup:
+        if not isinstance(claim, SupportsBorder):
+            continue
+        way = track(context, claim.segment, index, (claim.arm,))
+        parts = pieces(way, min(SPARE * claim.tolerance, 0.1 * INSIDE))
+        rows = np.unique(np.concatenate([parts.first[way.own[parts.last]], parts.last[way.own[parts.last]]]))
+        if not len(rows):
+            what = f"{claim.arm} never supports the border of {claim.segment}"
+            issues.append(Issue("verify.border", what, field=claim.segment))
+            continue
+        points = _dense(way.centre[rows, 0])
+        which = np.minimum(
+            np.searchsorted(points[1], np.arange(len(points[0])), side="right") - 1, len(rows) - 1
+        )
+        off, inside = _off_border(points[0], claim.border)
+        slack = float(parts.off.max(initial=0.0))
+        for wrong, limit_here, what in (
+            (off + slack, claim.tolerance, "off the border"),
+            (np.where(inside, off, 0.0) - slack, INSIDE, "inside of the border"),
+        ):
+            k = int(np.argmax(wrong))
+            if (wrong[k] - limit_here) > worst:
+                worst, limit, where = float(wrong[k] - limit_here), mm(limit_here), claim.segment
+            for i in spread(wrong > limit_here):
+                told = f"{claim.arm} is {mm(wrong[i]):.3f} mm {what} of {claim.segment}"
+                measure = (mm(float(wrong[i])), mm(limit_here), "mm")
+                row = int(way.rows[rows[which[i]]])
+                issues.append(at_sample("verify.border", told, context.motion, claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where="no border is supported")
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+STEP = 0.002
+
+
+def _dense(points: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Points of the chain (N, 3) no more than 2 mm apart, and where each of the chain's own is among them."""
+    way = np.diff(points, axis=0)
+    count = np.maximum(np.ceil(np.linalg.norm(way, axis=1) / STEP).astype(np.int64), 1)
+    first = np.concatenate([[0], np.cumsum(count)])
+    which = np.repeat(np.arange(len(way)), count)
+    share = (np.arange(len(which)) - first[which]) / count[which]
+    return np.concatenate([points[which] + share[:, None] * way[which], points[-1:]]), first
+
+
+def _off_border(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.ndarray]:
+    """Distances (N,) [m] of points (N, 3) from a closed curve (K, 3), and whether they are inside of it as
+    seen along z."""
+    a = border
+    b = np.roll(border, -1, axis=0)
+    off, inside = np.empty(len(points)), np.zeros(len(points), dtype=np.bool_)
+    along = b - a
+    square = np.maximum(np.einsum("kd,kd->k", along, along), 1e-30)
+    for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(a) // 2_000_000)):
+        rest = points[rows, None] - a[None]
+        share = np.clip(np.einsum("nkd,kd->nk", rest, along) / square, 0.0, 1.0)
+        off[rows] = np.linalg.norm(rest - share[..., None] * along[None], axis=2).min(axis=1)
+        y = points[rows, 1, None]
+        spans = (a[None, :, 1] > y) != (b[None, :, 1] > y)
+        down = np.where(spans, b[:, 1] - a[:, 1], 1.0)
+        x = a[None, :, 0] + (y - a[None, :, 1]) / down * (b[None, :, 0] - a[None, :, 0])
+        inside[rows] = (np.sum(spans & (points[rows, 0, None] < x), axis=1) % 2).astype(np.bool_)
+    return off, inside
+
+
+def opposite(context: Context, forming: Forming) -> Outcome:
+    """A tool that follows the forming one across the sheet is at the wanted distance, along the face's
+    normal."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for index, claim in forming.by_setup:
+        if not isinstance(claim, FollowsOpposite):
+            continue
+        way = track(context, claim.segment, index, claim.arms)
+        parts = pieces(way, SPARE * claim.tolerance)
+        own = way.own[parts.last]
+        first, last, off = parts.first[own], parts.last[own], parts.off[own]
+        if not len(first):
+            what = f"{' and '.join(claim.arms)} never work on {claim.segment} together"
+            issues.append(Issue("verify.opposite", what, field=claim.segment))
+            continue
+        least, most = _between(way, first, last)
+        error = np.maximum(most - claim.distance, claim.distance - least) + 2.0 * off
+        k = int(np.argmax(error))
+        if error[k] - claim.tolerance > worst:
+            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+        for i in spread(error > claim.tolerance):
+            what = f"{claim.arms[1]} is {mm(error[i]):.3f} mm off its distance in {claim.segment}"
+            measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
+            row = int(way.rows[last[i]])
+            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+        knots = np.unique(np.concatenate([first, last]))
+        face = Face(claim.vertices, claim.faces, 0.01)
+        found = face.nearest(way.centre[knots, 0], TIED)
+        between = way.centre[knots, 0] - way.centre[knots, 1]
+        between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
+        normal = way.centre[knots, 0][found.row] - found.tied
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        angle = np.arccos(np.clip(np.einsum("nd,nd->n", between[found.row], normal), -1.0, 1.0))
+        turned = np.full(len(knots), np.inf)
+        np.minimum.at(turned, found.row, angle)
+        for i in spread(turned > claim.turn):
+            what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
+            measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")
+            row = int(way.rows[knots[i]])
+            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where="no tool follows another")
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
