@@ -186,7 +186,26 @@ class _Builder:
             heights = z[members]
             own = level if index == 0 else self._level(index, heights, self.weight[members])
             places.append(Place(own, float(np.abs(heights - own).max()), self.before[index]))
-        return Skeleton(tuple(places), where, np.array(flat))
+        smooth = np.array(flat)
+        return Skeleton(tuple(self._with_noise(places, where, z, smooth)), where, smooth)
+
+    def _with_noise(
+        self, places: list[Place], element: IntArray, z: FloatArray, smooth: FloatArray
+    ) -> list[Place]:
+        """The places with the noise of those of their vertices that hang on the walls beside them."""
+        bump = np.abs(z - smooth)
+        bumpy = np.nonzero((bump > 0.0) & (bump < self.noise))[0]
+        if len(bumpy) == 0:
+            return places
+        most, z, smooth = float(bump[bumpy].max()), z[bumpy], smooth[bumpy]
+        to = element[bumpy] // 2
+        on_wall, since = element[bumpy] % 2 == 1, np.array(self.before)[to]
+        found = []
+        for index, place in enumerate(places):
+            near = on_wall & ((to == index) | (since == index)) & (np.abs(smooth - place.level) <= most)
+            off = float(np.abs(z[near] - place.level).max(initial=0.0))
+            found.append(dataclasses.replace(place, off=max(place.off, off)))
+        return found
 
     def _level(self, place: int, heights: FloatArray, weight: FloatArray) -> float:
         if place in self.ends and np.ptp(heights) <= EXACT:
