@@ -65,6 +65,7 @@ class Job:
             chord=op.chord_mm * MM,
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
+            longest=op.longest_mm * MM,
         )
 
 

@@ -81,6 +81,9 @@ class Forming(Strict):
     chord_mm: Annotated[
         float, Field(ge=0.002, le=1, description="how far straight moves may be off the path")
     ] = 0.05
+    longest_mm: Annotated[
+        float, Field(ge=0.2, le=200, description="longest move; two controllers drift apart by no more")
+    ] = 20.0
     seam_deg: Annotated[Angle, Field(description="where loops begin, about the feature's middle")] = 0.0
     direction: Literal["ccw", "cw"] = "ccw"
     feature_step_mm: Annotated[
