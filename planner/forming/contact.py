@@ -123,14 +123,14 @@ class Face:
         distance, _, _ = self._deepest(wanted + self.radius * normal, None)
         return np.maximum(self.radius - distance, 0.0)
 
-    def clear(self, wanted: FloatArray, normal: FloatArray) -> Contact:
+    def clear(self, wanted: FloatArray, normal: FloatArray, rounds: int = _ROUNDS) -> Contact:
         """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it
-        cuts in nowhere."""
+        cuts in nowhere, up to so many ``rounds``."""
         radius = self.radius
         first = wanted + radius * normal
         centre = first.copy()
         active, clear = np.arange(len(centre)), np.ones(len(centre), dtype=np.bool_)
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             distance, _, away = self._deepest(centre[active], None)
             deep = distance < radius - TOUCH
             active = active[deep]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.forming.contact import CREASE, Contact, Face
+from planner.forming.contact import CREASE, TOUCH, Contact, Face
 from planner.forming.paths_slices import Loop
-from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 PUSHED: Final = 2e-5
@@ -125,20 +125,30 @@ def lowest_reached(
             continue
         good, bad = float(levels[k - 1]), float(levels[k])
         best: list[Loop] = []
-        while good - bad > 5e-6:
+        # so that the ball is still at the wall, not lifted off it by the floor
+        most = min(max(TOUCH, 1.5 * min(_pushed(loop, face) for loop in reached[k - 1])), PUSHED)
+        while good - bad > TOUCH:
             middle = 0.5 * (good + bad)
-            found = [loop for loop in sliced(np.array([middle]))[0] if _reached(loop, face, creases)]
+            found = [loop for loop in sliced(np.array([middle]))[0] if _reached(loop, face, creases, most)]
             good, bad = (middle, bad) if found else (good, middle)
             best = found or best
         reached[k] = best
     return reached
 
 
-def _reached(loop: Loop, face: Face, creases: Creases) -> bool:
-    rows = np.unique(np.linspace(0, len(loop.point) - 1, _SAMPLES).astype(np.int64))
-    if not creases.near(loop.point[rows]).all():
-        return True
-    return bool((face.pushed(loop.point[rows], loop.normal[rows]) <= PUSHED).any())
+def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED) -> bool:
+    rows = _sample(loop)
+    return not creases.near(loop.point[rows]).all() or _pushed(loop, face) <= most
+
+
+def _pushed(loop: Loop, face: Face) -> float:
+    """By how much [m] a ball is pushed aside at a loop's best place."""
+    rows = _sample(loop)
+    return float(face.pushed(loop.point[rows], loop.normal[rows]).min())
+
+
+def _sample(loop: Loop) -> IntArray:
+    return np.unique(np.linspace(0, len(loop.point) - 1, _SAMPLES).astype(np.int64))
 
 
 def refuse(
@@ -148,15 +158,26 @@ def refuse(
     largest ball that fits them all."""
     order = np.argsort(-gap)
     rows = order[:: -(-len(order) // _WORST)]
-    low, high = 0.0, face.radius
+    low = 0.0
     box = np.stack([wanted[:, :2].min(axis=0), wanted[:, :2].max(axis=0)])
     around = Face(face.mesh, face.radius, box).mesh
-    for _ in range(10):
-        middle = 0.5 * (low + high)
-        smaller = Face(TriangleMesh(around.vertices, around.faces), middle, box)
-        deep = smaller.pushed(wanted[rows], normal[rows])
-        fits = bool((deep <= Creases(smaller).allowed(wanted[rows], missed)).all())
-        low, high = (middle, high) if fits else (low, middle)
+
+    def fits(radius: float, quick: bool) -> bool:
+        smaller = Face(around, radius, box)
+        allowed = Creases(smaller).allowed(wanted[rows], missed)
+        if quick:
+            return bool((smaller.pushed(wanted[rows], normal[rows]) <= allowed).all())
+        few = slice(None, None, 3)
+        contact = smaller.clear(wanted[rows][few], normal[rows][few], rounds=8)
+        kept = contact.clear | (contact.pushed < 0.2 * radius)  # or soon would be
+        return bool((kept & (contact.gap <= allowed[few])).all())
+
+    # a ball that is hardly pushed at all fits: a bound soon found; what counts is how far it stays off
+    for quick in (True, False):
+        high = face.radius
+        for _ in range(7):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if fits(middle, quick) else (low, middle)
     at = 1e3 * wanted[order[0]]
     return TandemError(
         Issue(
