@@ -18,11 +18,11 @@ from planner.geometry.nearness import Nearness
 from planner.issues import Issue, Severity
 from planner.units import DEG, MM
 
-SPACING: Final = 2e-3
+SPACING: Final = 3e-3
 FAR: Final = 0.5e-3
 """A full die farther [m] from the part than this does not support it there."""
 SHARE: Final = 0.02
-_MOST: Final = 60_000
+_MOST: Final = 20_000
 _FLATTEST: Final = 2.0 * DEG
 
 

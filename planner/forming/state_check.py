@@ -15,9 +15,9 @@ from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
 from planner.issues import Issue
 from planner.units import MM
 
-SAMPLE: Final = 1e-3
-"""Places along the way of a tool are so far apart [m] at most."""
-_CHUNK: Final = 2000
+FINE: Final = 2e-5
+"""Between two places that are looked at a point may be deeper in a tool by so much [m] than at either."""
+_PAIRS: Final = 2_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +67,7 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
     # spheres along the axis that hold the tool, to find the points that are near
     along = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / wide)), 1) + 1)
     reach = float(np.hypot(wide, 0.5 * (along[1] - along[0])))
-    at, centre, way = _sampled(place, axis)
+    at, centre, way = _sampled(place, axis, float(np.sqrt(8.0 * wide * FINE)))
     # what no sphere of any place comes near is left out at once
     box = (points >= (centre.min(axis=0) - back[-1] - wide)) & (
         points <= centre.max(axis=0) + back[-1] + wide
@@ -77,8 +77,9 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
         return None
     tree = cKDTree(points)
     best: Cut | None = None
-    for start in range(0, len(centre), _CHUNK):
-        c, a = centre[start : start + _CHUNK], way[start : start + _CHUNK]
+    chunk = min(max(_PAIRS // len(points), 20), 2000)
+    for start in range(0, len(centre), chunk):
+        c, a = centre[start : start + chunk], way[start : start + chunk]
         spheres = (c[:, None] - along[None, :, None] * a[:, None]).reshape(-1, 3)
         near = np.isfinite(tree.query(spheres, distance_upper_bound=reach)[0])
         if not near.any():
@@ -93,10 +94,10 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
     return best
 
 
-def _sampled(place: FloatArray, axis: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Target, place and axis at targets and between them, but none where the tool has hardly moved on."""
+def _sampled(place: FloatArray, axis: FloatArray, spacing: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Target, place and axis at targets and between them, ``spacing`` [m] apart."""
     length = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    count = np.maximum(np.ceil(length / SAMPLE), 1).astype(np.int64)
+    count = np.maximum(np.ceil(2.0 * length / spacing), 1).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)) / count[row]
     row, share = np.append(row, len(place) - 1), np.append(share, 0.0)
@@ -106,7 +107,7 @@ def _sampled(place: FloatArray, axis: FloatArray) -> tuple[IntArray, FloatArray,
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
     turned = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    step = np.floor(2.0 * travelled / SAMPLE + turned / 0.02)
+    step = np.floor(2.0 * travelled / spacing + turned / 0.02)
     kept = np.concatenate([[True], step[1:] != step[:-1]])
     return row[kept], centre[kept], way[kept]
 
