@@ -30,7 +30,7 @@ _CLOSED: Final = 3e-4
 """Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
 and the ball goes from end to end."""
 _SPARE: Final = 0.9
-_FIRST: Final = 100
+_FIRST: Final = 40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,12 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
         return _put(at, curve, face, creases, options.missed, name)
 
     at = _spread(curve, face.radius, options)
-    put(at[:: -(-len(at) // _FIRST)])  # a tool that is far too large is told soon
+    # a tool that is far too large is told soon, by a few places
+    wanted, normal = places(curve, face, at[:: -(-len(at) // _FIRST)])
+    contact = face.clear(wanted, normal, rounds=3)
+    narrow = (contact.gap > 0.02 * face.radius) & ~creases.near(wanted)
+    if narrow.any():
+        raise refuse(name, face, wanted[narrow], normal[narrow], contact.gap[narrow], options.missed)
     found = put(at)
     found = _corners(found, put)
     found = _halved(found, put, face, options)

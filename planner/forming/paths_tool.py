@@ -20,7 +20,7 @@ BoolArray = NDArray[np.bool_]
 PUSHED: Final = 2e-5
 """A ball that a crease pushes aside by more than this [m] does not reach its place."""
 _SAMPLES: Final = 32
-_WORST: Final = 24
+_WORST: Final = 12
 _STEEPEST: Final = np.radians(85.0)
 
 
@@ -167,15 +167,15 @@ def refuse(
         allowed = Creases(smaller).allowed(wanted[rows], missed)
         if quick:
             return bool((smaller.pushed(wanted[rows], normal[rows]) <= allowed).all())
-        few = slice(None, None, 3)
-        contact = smaller.clear(wanted[rows][few], normal[rows][few], rounds=8)
+        few = slice(None, None, 2)
+        contact = smaller.clear(wanted[rows][few], normal[rows][few], rounds=5)
         kept = contact.clear | (contact.pushed < 0.2 * radius)  # or soon would be
         return bool((kept & (contact.gap <= allowed[few])).all())
 
     # a ball that is hardly pushed at all fits: a bound soon found; what counts is how far it stays off
     for quick in (True, False):
         high = face.radius
-        for _ in range(7):
+        for _ in range(7 if quick else 6):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if fits(middle, quick) else (low, middle)
     at = 1e3 * wanted[order[0]]
