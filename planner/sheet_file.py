@@ -104,8 +104,9 @@ def _clamp(spec: SheetFile, size: FloatArray) -> tuple[Shape, ...]:
             outward = np.array([along[1], -along[0]])
             middle = 0.5 * (a + b) + 0.5 * c.width_mm * MM * outward
             turn = np.stack([np.append(along, 0), np.append(-outward, 0), [0.0, 0.0, 1.0]], axis=1)
+            over = 2.0 * c.width_mm * MM * float(np.tan(np.pi / len(outline)))  # so that bars meet outside
             bar = (
-                float(np.linalg.norm(b - a)) + (2.0 * c.width_mm * MM if len(outline) == 4 else 0.0),
+                float(np.linalg.norm(b - a)) + over,
                 c.width_mm * MM,
                 float(high - low),
             )

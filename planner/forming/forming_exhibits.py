@@ -122,7 +122,7 @@ def _paths(paths: Laid) -> dict[str, Any]:
         loops = np.split(path.contact.point, ends)
         step = max(1, int(np.ceil(len(loops) * len(paths) / SHOWN)))
         curves += [loop for loop in loops[::step] if len(loop) > 1]
-    return {"kind": "sections", "title": "Path of the contact (some of its loops)", "curves": curves}
+    return {"kind": "paths", "title": "Path of the contact (some of its loops)", "curves": curves}
 
 
 def _gap(job: Job, paths: Laid) -> dict[str, Any]:

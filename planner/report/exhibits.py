@@ -5,6 +5,7 @@ An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``
 ``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` alike, optional;
               ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn in space within the
               block, and laid over one another in their planes.
+``paths``     ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in their order.
 ``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,),
               ``x`` if its own}; optional ``limits``: sequence of {``name``, ``value``}, ``equal``: one scale.
 ``table``     ``columns``: names; ``rows``: sequence of sequences.
@@ -80,6 +81,13 @@ def _items(items: Sequence[Any]) -> list[tuple[Any, Any]]:
         shown = markup.text(value)
         out.append((name, Raw(f"{shown} {markup.text(unit)}" if unit else shown)))
     return out
+
+
+def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+    curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
+    order = np.arange(len(curves), dtype=np.float64)
+    drawn = sections.in_space(curves, order, block) + sections.colour_key(order, "in order")
+    return markup.figure(exhibit["title"], drawn, exhibit.get("note", ""))
 
 
 def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
@@ -173,6 +181,7 @@ def _text(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
 
 
 _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Raw]]] = {
+    "paths": _paths,
     "sections": _sections,
     "curve": _curve,
     "table": _table,

@@ -23,6 +23,7 @@ GOOD = {
         "value": np.arange(4.0),
     },
     "straight": {"kind": "sections", "title": "s", "curves": (CURVES[0],)},
+    "paths": {"kind": "paths", "title": "p", "curves": (CURVES[0], CURVES[1][:5])},
     "curve": {
         "kind": "curve",
         "title": "b",
@@ -65,7 +66,7 @@ def test_every_kind_is_drawn_in_order() -> None:
     figures, issues = exhibits.draw(GOOD, BLOCK)
     assert issues == []
     titles = [re.search(r"<figcaption>(\w)</figcaption>", figure) for figure in figures]
-    assert [t.group(1) for t in titles if t] == list("asbcdfghij")
+    assert [t.group(1) for t in titles if t] == list("aspbcdfghij")
     assert exhibits.setup_items(GOOD)[0][0] == "cold length"
 
 
