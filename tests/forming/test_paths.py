@@ -191,7 +191,7 @@ def test_tool_larger_than_a_fillet_is_refused_with_the_largest_that_fits() -> No
 
 def test_tool_larger_than_the_dish_is_refused() -> None:
     with pytest.raises(TandemError) as caught:
-        make_path(bowl(0.02, 0.012, count=120, walls=80), 0.024, PathOptions(stepdown=2e-3))
+        make_path(bowl(0.02, 0.012, count=72, walls=60), 0.024, PathOptions(stepdown=2e-3))
     (issue,) = caught.value.issues
     assert issue.code == "forming.tool_radius"
     assert 18.0 < (issue.limit or 0.0) < 20.2  # facets take a little
