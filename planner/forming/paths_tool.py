@@ -137,18 +137,24 @@ def lowest_reached(
 
 
 def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED) -> bool:
-    rows = _sample(loop)
-    return not creases.near(loop.point[rows]).all() or _pushed(loop, face) <= most
+    return not creases.near(_sample(loop)[0]).all() or _pushed(loop, face) <= most
 
 
 def _pushed(loop: Loop, face: Face) -> float:
     """By how much [m] a ball is pushed aside at a loop's best place."""
-    rows = _sample(loop)
-    return float(face.pushed(loop.point[rows], loop.normal[rows]).min())
+    return float(face.pushed(*_sample(loop)).min())
 
 
-def _sample(loop: Loop) -> IntArray:
-    return np.unique(np.linspace(0, len(loop.point) - 1, _SAMPLES).astype(np.int64))
+def _sample(loop: Loop) -> tuple[FloatArray, FloatArray]:
+    """Places (K, 3) of a loop, evenly along it, and unit normals there: on large facets its rows are at
+    creases only."""
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
+    wanted = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * at[-1]
+    row = np.clip(np.searchsorted(at, wanted, side="right") - 1, 0, len(at) - 2)
+    share = ((wanted - at[row]) / np.maximum(at[row + 1] - at[row], 1e-12))[:, None]
+    normal = (1.0 - share) * loop.normal[row] + share * loop.normal[row + 1]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    return (1.0 - share) * loop.point[row] + share * loop.point[row + 1], normal
 
 
 def refuse(
