@@ -119,7 +119,8 @@ def radius_issue(
     forming ball and the support."""
     deep = one.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
     wrong = deep & (off > TURNED) & contact.working
-    share = float(wrong.sum()) / max(int(deep.sum()), 1)
+    way = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
+    share = float(way[wrong].sum()) / max(float(way[deep].sum()), 1e-9)
     if share <= SHARE:
         return None
     touch = contact.centre[wrong] - (radii[0] + gap[wrong])[:, None] * contact.normal[wrong]

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from planner.forming.feature_surface import joined, plan_areas, polygons, triangulated, with_ring
 from planner.forming.slicing import slice_levels
@@ -20,9 +21,14 @@ from planner.forming.surface import SheetSurface
 from planner.forming.values import FloatArray, IntArray
 from planner.problem import Mesh
 
+BoolArray = NDArray[np.bool_]
+
 LEVELS: Final = 80
 STEP: Final = (0.2e-3, 1e-3)
 """Contours over the depth, and bounds [m] of their distance."""
+PLAIN: Final = 5e-3
+"""Contours of the mesh are at most so far apart [m] in height where only the angle limits the shape."""
+_SAME: Final = 1e-7
 _SLIGHT: Final = 1e-6
 _ROUND: Final = 5e-7
 _LAST: Final = (0.5, 0.2, 0.05)
@@ -31,13 +37,15 @@ _LAST: Final = (0.5, 0.2, 0.05)
 @dataclasses.dataclass(frozen=True, eq=False)
 class Limited:
     """A shape with walls of at most ``angle`` [rad]: what is deeper than ``depth`` (L,) [m], ascending from
-    0, is ``area``, L polygons in plan [m]."""
+    0, is ``area``, L polygons in plan [m]. ``ring`` (L,): levels whose outlines the mesh needs; between them
+    the shape is plane across."""
 
     angle: float
     depth: FloatArray
     area: tuple[Any, ...]
+    ring: BoolArray
 
-    def holds_back(self, points: FloatArray, depth: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def holds_back(self, points: FloatArray, depth: FloatArray) -> BoolArray:
         """Where (N,) the shape at ``points`` (N, 2) [m] is not as deep as ``depth`` (N,) [m]: on its own
         walls, of its own angle."""
         # half a level is what the contours leave open
@@ -69,23 +77,33 @@ def depth_areas(face: Mesh, side: int, start: float, end: float) -> tuple[FloatA
 
 def limited(depth: FloatArray, areas: tuple[Any, ...], angle: float) -> Limited:
     """The shape between for a feature of ``areas`` deeper than ``depth`` (L,) [m]."""
-    kept = [areas[0]]
+    kept, plain = [areas[0]], [False]
     for one, two, area in zip(depth[:-1], depth[1:], areas[1:], strict=True):
         shrunk = kept[-1].buffer(-(two - one) / np.tan(angle), join_style="round", quad_segs=8)
-        kept.append(shrunk.intersection(area).simplify(_ROUND))
-    return Limited(angle, depth, tuple(kept))
+        both = shrunk.intersection(area)
+        plain.append(shrunk.area - both.area <= _SAME * shrunk.area)
+        kept.append(both.simplify(_ROUND))
+    pieces = [len(polygons(area)) for area in kept]
+    ring, last = np.ones(len(depth), dtype=np.bool_), 0
+    for k in range(1, len(depth) - 1):
+        same = plain[k] and plain[k + 1] and pieces[last] == pieces[k] == pieces[k + 1]
+        ring[k] = not same or depth[k + 1] - depth[last] > PLAIN
+        last = k if ring[k] else last
+    return Limited(angle, depth, tuple(kept), ring)
 
 
 def face_of(shape: Limited, side: int, start: float) -> Mesh:
     """The face of a shape, with normals up and a ring of flat at ``start`` [m] around it."""
     mesh: Mesh | None = None
-    for k, area in enumerate(shape.area):
+    rings = np.flatnonzero(shape.ring).tolist()
+    for k, then in zip(rings, [*rings[1:], None], strict=True):
+        area = shape.area[k]
         if area.is_empty:
             break
-        after = shape.area[k + 1] if k + 1 < len(shape.area) else shapely.Polygon()
+        after = shapely.Polygon() if then is None else shape.area[then]
         points, faces = triangulated(polygons(area.difference(after)))
         deeper = _among(points, shapely.get_coordinates(after))
-        depth = np.where(deeper, shape.depth[min(k + 1, len(shape.depth) - 1)], shape.depth[k])
+        depth = np.where(deeper, shape.depth[-1 if then is None else then], shape.depth[k])
         strip = Mesh(np.column_stack([points, start - side * depth]), faces)
         mesh = (
             strip
@@ -102,7 +120,7 @@ def face_of(shape: Limited, side: int, start: float) -> Mesh:
     return with_ring(Mesh(mesh.vertices, mesh.faces[keep]), start)
 
 
-def _among(points: FloatArray, others: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _among(points: FloatArray, others: FloatArray) -> BoolArray:
     """Which points (N, 2) are exactly one of ``others``."""
     known = set(map(tuple, others.tolist()))
     return np.array([tuple(point) in known for point in points.tolist()], dtype=np.bool_)
