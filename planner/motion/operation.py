@@ -234,11 +234,10 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        found = scene.least(targets, q, np.arange(targets.count), REPORTED_REACH)
-        worst = found.worst()
-        out["clearance_mm"] = float(found.distance[worst]) / MM
-        out["clearance_pair"] = list(found.pair[worst])
-        out["clearance_index"] = worst
+        distance, pair, index = scene.nearest(targets, q, REPORTED_REACH)
+        out["clearance_mm"] = distance / MM
+        out["clearance_pair"] = list(pair)
+        out["clearance_index"] = index
         out.update(_edge_margin(scene, targets, q))
     return out
 

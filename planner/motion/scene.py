@@ -25,10 +25,12 @@ IndexArray = NDArray[np.intp]
 SKIP_ENDS = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
 
-"""The kind of segment in which an edge may touch the stock."""
-
 HELD = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
+
+
+LOOKS = 64
+"""Targets that are asked for their least distance at a time, nearest bounds first."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,6 +143,29 @@ class Scene:
             for row, names in zip(rows, found.pair, strict=True):
                 pair[row] = names
         return LeastClearance(distance, tuple(pair))
+
+    def nearest(
+        self, targets: Targets, q: Mapping[str, FloatArray], reach: float
+    ) -> tuple[float, tuple[str, str], int]:
+        """The least distance [m] between bodies over all targets, if within ``reach`` [m], its pair and its
+        target; exact, though only targets are looked at whose cheap lower bounds leave room for less."""
+        best, pair, where = reach, ("", ""), 0
+        if self.model is None:
+            return best, pair, where
+        for ignore, rows in self.by_kind(targets, np.arange(targets.count)):
+            part = {arm: v[rows] for arm, v in q.items()}
+            lower = clearance.at_least(self.model, part, reach, ignore)
+            order = np.argsort(lower, kind="stable")
+            for start in range(0, len(order), LOOKS):
+                some = order[start : start + LOOKS]
+                some = some[lower[some] < best]
+                if not len(some):
+                    break
+                found = clearance.least(self.model, {arm: v[some] for arm, v in part.items()}, best, ignore)
+                k = found.worst()
+                if found.distance[k] < best:
+                    best, pair, where = float(found.distance[k]), found.pair[k], int(rows[some[k]])
+        return best, pair, where
 
     def between(
         self,
