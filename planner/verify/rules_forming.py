@@ -210,7 +210,7 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
 
 
 def feed(context: Context, forming: Forming) -> Outcome:
-    """While they form, and on the ways in and out, tools move no faster on the sheet than they may."""
+    """While they form, the TCPs of all tools move no faster than they may."""
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
