@@ -200,6 +200,7 @@ CODES: Final[dict[str, str]] = {
     "verify.border": "a support leaves the border of what is formed, or cuts across it",
     "verify.opposite": "a tool that follows a forming one across the sheet is not opposite of it",
     "verify.sheet": "a forming tool runs into what is formed already, or through the sheet",
+    "verify.holder": "the signal of a clamp that sinks is not pulsed with the level that is formed",
     "verify.feature_order": "the segments that form a sheet are not those claimed, each once and in order",
     "verify.forming_feed": "a tool moves faster on the sheet than it may",
     "verify.ridge": "a ridge or groove stands out of the cut surface",
@@ -214,6 +215,8 @@ CODES: Final[dict[str, str]] = {
     "forming.support_tool": "a mode of forming has not the tool that it needs",
     "forming.die_gouge": "a die would cut into the wanted part",
     "forming.die_far": "a full die is too far from the wanted part",
+    "forming.holder": "a die and the holder of its sheet do not go together",
+    "forming.holder_step": "a clamp that sinks by steps cannot follow the tool, or ends off the part's rim",
     "forming.clear": "a tool cuts into a part of the sheet that is formed already",
     # sheet metals, forces, trials and tables of forming
     "forming.unknown_metal": "a sheet metal that is not built in",
