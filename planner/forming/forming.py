@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim
-from planner.forming import forming_claims
+from planner.forming import forming_claims, holder
 from planner.forming.forming_check import check
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
-from planner.forming.job import Job, job
+from planner.forming.job import Job, job, segment
 from planner.forming.laid import lay
 from planner.forming.operation import Forming
 from planner.forming.route import Route, lay_out
@@ -42,6 +42,9 @@ MOST: Final = 4000
 def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
     made = job(operation, setup, part)
+    refused = list(holder.issues(made))
+    if refused:
+        raise TandemError(refused)
     paths = [(one, lay(made, one)) for one in made.passes]
     issues = check(made, setup, paths)
     if has_errors(issues):
@@ -74,6 +77,7 @@ def _targets(
     count = len(route.segment)
     forming = np.array([works(label) for label in route.segment])
     placed = _poses(made, route)
+    actions = _actions(made, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     return Targets(
         arms=op.arms,
@@ -83,21 +87,38 @@ def _targets(
         feed=np.where(forming, op.feed_mm_s * MM, AIR_FEED),
         feed_min=np.zeros(count),
         travel=np.concatenate([[0.0], np.max(steps, axis=0)]),
-        stop=route.stop,
+        stop=_stops(route, actions),
         segment=route.segment,
-        actions=_actions(made, setup, route),
+        actions=actions,
         claims=forming_claims.claims(made, placed if op.mode == "adsif" else None),
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )
 
 
-def _actions(made: Job, setup: Setup, route: Route) -> tuple[Action, ...]:
+def _stops(route: Route, actions: Sequence[Action]) -> NDArray[np.bool_]:
+    """Where tools stop: as the route says and where something happens. While a holder sinks it is there that
+    programs are split, so that no stops of the route come near to those."""
+    stop = route.stop.copy()
+    pulses = np.unique([action.at for action in actions if action.kind == "on"]).astype(np.int64)
+    if len(pulses) and np.diff(pulses, prepend=pulses[0]).max() <= MOST // 4:
+        stop[pulses[0] : pulses[-1]] = False
+    stop[[action.at for action in actions]] = True
+    return stop
+
+
+def _actions(
+    made: Job, setup: Setup, route: Route, paths: Sequence[tuple[Pass, ToolPath]]
+) -> tuple[Action, ...]:
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     sheet = f"Sheet {size[0]:g} x {size[1]:g} x {size[2]:g} mm, {made.sheet.metal.name}"
-    out = [
-        Action(0, "message", sheet),
-        Action(0, "confirm", "Sheet clamped and greased, nobody in the cell?"),
-    ]
+    out = [Action(0, "message", sheet)]
+    one, path = paths[0]
+    if holder.sinks(made):
+        high = abs(one.start - one.end) / MM
+        out.append(Action(0, "confirm", f"Blank holder {high:.2f} mm above its end, flat sheet on the die?"))
+    out.append(Action(0, "confirm", "Sheet clamped and greased, nobody in the cell?"))
+    first = route.segment.index(f"{segment(one)}_in")
+    out += holder.actions(made, one, path, first)
     return (*out, Action(len(route.segment) - 1, "confirm", "Tools off the sheet, take the part out?"))
