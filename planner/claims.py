@@ -285,6 +285,27 @@ class FormingFeed:
 
 
 @dataclasses.dataclass(frozen=True)
+class SinksHolder:
+    """While ``segment`` is formed, the clamp sinks by ``step`` [m] at each pulse of ``signal``, from the
+    level z ``start`` of the flat sheet to that of ``end``, or as near above it as whole steps come.
+
+    The clamp is within one step of the lowest level (``side`` +1, the highest for -1) that the tip of the
+    ball of ``arm``, of radius ``radius`` [m] about its TCP, has reached. A pulse is on and then off for
+    ``pulse`` [s] at least. The signal is switched at no other time.
+    """
+
+    segment: str
+    arm: str
+    side: int
+    radius: float
+    signal: str
+    start: float
+    end: float
+    step: float
+    pulse: float
+
+
+@dataclasses.dataclass(frozen=True)
 class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 
@@ -308,5 +329,6 @@ Claim = (
     | FollowsOpposite
     | SheetState
     | FormingFeed
+    | SinksHolder
     | FormsInOrder
 )

@@ -275,6 +275,14 @@ class Operation(Protocol):
         """The block as the next operation finds it."""
 
 
+@runtime_checkable
+class Fixed(Protocol):
+    """An operation that brings fixtures of its own."""
+
+    def with_fixtures(self, stock: Stock, part: Part | None) -> Stock:
+        """The stock with bodies of fixtures, by which bodies of the cell keep clear."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins

@@ -21,7 +21,7 @@ from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
-from planner.problem import Cell, Change, Operation, Problem, Settings
+from planner.problem import Cell, Change, Fixed, Operation, Problem, Settings
 from planner.schema import Name, Strict
 from planner.sheet_file import SheetFile
 from planner.stock_file import Choice, SetupFile, StockFile
@@ -127,6 +127,8 @@ def read(path: Path, models: OperationModels) -> Problem:
         try:
             part = part_file.build(spec.part, path.parent, stock)
             stock = part_sheet_file.with_formed(stock, part)
+            for operation in operations:
+                stock = operation.with_fixtures(stock, part) if isinstance(operation, Fixed) else stock
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
     if spec is None or cell is None or stock is None or issues:

@@ -122,6 +122,33 @@ def funnel() -> trimesh.Trimesh:
     return revolved(35.0, np.stack([inset, height], axis=1), 144)
 
 
+def domed(outer: float, depth: float, ball: float, fillet: float) -> FloatArray:
+    """Inset and height (K, 2) [mm] of a dome of height ``depth`` on a circle: a cap of a ball of radius
+    ``ball`` whose foot runs out into the flat with a radius ``fillet``, from ``outer`` outside of the circle
+    to the top's middle; the circle is where the fillet begins."""
+    a = np.arccos((ball + fillet - depth) / (ball + fillet))
+    turn = np.linspace(0.0, a, 12)
+    foot = np.stack([fillet * np.sin(turn), fillet * (1.0 - np.cos(turn))], axis=1)
+    turn = np.linspace(a, 0.0, 40)[1:]
+    inset = (ball + fillet) * np.sin(a) - ball * np.sin(turn)
+    cap = np.stack([inset, depth - ball * (1.0 - np.cos(turn))], axis=1)
+    return np.concatenate([[[-outer, 0.0]], foot, cap])
+
+
+def dome() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
+    """The lower face of a dome of 25 mm, and a male die for it, a solid on a foot of its own."""
+    ball, fillet, depth, around = 60.0, 10.0, 25.0, 144
+    radius = float(np.sqrt((ball + fillet) ** 2 - (ball + fillet - depth) ** 2))
+    profile = domed(8.0, depth, ball, fillet)
+    line = np.stack([radius - profile[:, 0], profile[:, 1]], axis=1)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = [np.column_stack([r * circle, np.full(around, z)]) for r, z in line[:-1]]
+    foot = np.array([[0.0, -50.0], [line[0, 0], -50.0]])
+    die = trimesh.creation.revolve(np.concatenate([foot, line]), sections=around)
+    return stitched(np.array(rings), np.array([0.0, 0.0, depth])), die
+
+
 if __name__ == "__main__":
     revolved(203.2, rounded_wall(22.0, 165.0, 60.0, 12.0, 50), 288).export(HERE / "cone_dpif_l" / "cone.ply")
     revolved(55.0, rounded_wall(11.0, 25.0, 45.0, 8.0, 16), 144).export(HERE / "cone_spif" / "cone.ply")
@@ -130,3 +157,6 @@ if __name__ == "__main__":
     )
     nest().export(HERE / "multi_feature" / "nest.ply")
     funnel().export(HERE / "funnel_adsif" / "funnel.ply")
+    part, die = dome()
+    part.export(HERE / "dome_tpif" / "dome.ply")
+    die.export(HERE / "dome_tpif" / "die.ply")

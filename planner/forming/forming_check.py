@@ -7,6 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from planner.catalogue import robot
+from planner.forming import holder
+from planner.forming.die import die_issues
+from planner.forming.die_body import die_mesh
 from planner.forming.force import ForceEstimate, estimate, payload_issue
 from planner.forming.job import Job
 from planner.forming.passes import pass_issues
@@ -21,8 +24,10 @@ from planner.units import MM
 
 
 def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
-    """All issues of a job: metal, passes, forces, tools that would cut into what is formed already."""
-    return [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
+    """All issues of a job: metal, passes, forces, the die and its holder, tools that would cut into what is
+    formed already."""
+    out = [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
+    return [*out, *_die(job), *holder.step_issues(job, paths)]
 
 
 def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
@@ -43,6 +48,14 @@ def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
         arms = tuple(filter(None, (job.former(one), job.supporter(one))))
         profiles = [profile(job.heads[arm]) for arm in arms]
         yield from clear_issues(one, path, state, arms, profiles, job.pressed)
+
+
+def _die(job: Job) -> Iterator[Issue]:
+    die = job.operation.die
+    if die is not None:
+        final = {one.feature: one for one in job.passes}  # shapes in between stand off the die
+        tolerance = job.operation.gouge_tol_mm * MM
+        yield from die_issues(tuple(final.values()), die, die_mesh(die), job.thickness, tolerance)
 
 
 def _metal(job: Job) -> Iterator[Issue]:

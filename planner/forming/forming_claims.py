@@ -18,6 +18,7 @@ from planner.claims import (
     SupportsBorder,
     ToolGap,
 )
+from planner.forming import holder
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
@@ -43,6 +44,9 @@ def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim,
     not tell where they are (adsif)."""
     found = states(job.tree, job.mesh, job.passes, job.thickness)
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in job.passes))]
+    sinking = holder.claim(job)
+    if sinking is not None:
+        out.append(sinking)
     for one, state in zip(job.passes, found, strict=True):
         out.append(_state(job, one, state))
         out.append(FormingFeed(segment(one), job.operation.arms, job.operation.feed_mm_s * MM))

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Final
+
+import numpy as np
+
 from planner.forming.adsif_path import adsif_tool_path
 from planner.forming.job import Job
 from planner.forming.paths import make_path
 from planner.forming.support import tool_path
-from planner.forming.values import Pass, ToolPath
+from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.units import MM
+
+SHORTEST: Final = 0.006
+"""Moves take so long [s] at least at the stated feed; controllers plan none that are much shorter."""
+TOP: Final = 5.0 * MM
+"""Loops about the top of a male die that are no wider than this may be left out."""
 
 
 def lay(job: Job, one: Pass) -> ToolPath:
@@ -16,4 +27,21 @@ def lay(job: Job, one: Pass) -> ToolPath:
     if op.mode == "adsif" and other is not None:
         return adsif_tool_path(one, op, former, job.heads[other], job.thickness, job.sheet.metal)
     contact = make_path(one, former.radius, job.options)
+    if job.tree.feature(one.feature).sign == one.side:
+        contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
     return tool_path(one, contact, op, former, None if other is None else job.heads[other], job.thickness)
+
+
+def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:
+    """A path over a male die without its beginning, where loops about the die's top, on which the sheet lies
+    flat already, have moves of less than ``shortest`` [m]."""
+    away = np.linalg.norm(path.centre - path.centre[0], axis=1)
+    short = np.linalg.norm(np.diff(path.centre, axis=0), axis=1) < shortest
+    rows = np.flatnonzero(short & (np.maximum.accumulate(away)[1:] <= TOP))
+    if not len(rows):
+        return path
+    first = int(rows[-1]) + 1
+    kept = {field.name: getattr(path, field.name)[first:].copy() for field in dataclasses.fields(path)}
+    kept["loop"] -= kept["loop"][0]
+    kept["working"][0] = False
+    return ContactPath(**kept)

@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from planner.problem import Stock
+from planner.forming.die_body import with_die
+from planner.problem import Part, Stock
 from planner.schema import Angle, Name, Strict, Unit
 
 Mode = Literal["spif", "tpif", "dsif", "dpif_l", "dpif_p", "adsif", "heat"]
@@ -46,7 +47,9 @@ class Adsif(Strict):
 class Die(Strict):
     """The fixed die of ``tpif``: a mesh in the sheet's frame, on the side of the sheet away from the tool.
 
-    ``holder``: the blank holder is fixed, or sinks by a step when ``signal`` is pulsed.
+    ``kind``: a female die holds the sheet's rim and has the part's far face in it; its ``holder`` is fixed. A
+    male one stands up in the part; its blank holder is sinking, from the die's top to the level of the part's
+    rim, by ``step_mm`` (none: the operation's step) whenever ``signal`` is pulsed.
     """
 
     file: Annotated[Path, AfterValidator(_from_the_problem_file)]
@@ -55,6 +58,9 @@ class Die(Strict):
     full: Annotated[bool, Field(description="the die has the whole part's shape")] = True
     holder: Literal["fixed", "sinking"] = "fixed"
     signal: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")] = "doBlankHolder"
+    step_mm: Annotated[
+        float | None, Field(ge=0.02, le=20, description="by which the holder sinks at each pulse")
+    ] = None
 
 
 class Forming(Strict):
@@ -139,6 +145,9 @@ class Forming(Strict):
             raise ValueError(f"mode {self.mode} needs {need}")
         if (self.die is not None) != (self.mode == "tpif"):
             raise ValueError("a die belongs to mode tpif, and tpif needs one")
+        sinking = self.die is not None and self.die.holder == "sinking"
+        if self.die is not None and sinking and self.die.step_mm is None and self.stepdown_mm is None:
+            raise ValueError("die: the holder's step_mm is needed where scallop_mm sets the tool's steps")
         if (self.stepdown_mm is None) == (self.scallop_mm is None):
             raise ValueError("give either stepdown_mm or scallop_mm, one of them")
         if isinstance(self.passes, tuple) and (
@@ -150,3 +159,7 @@ class Forming(Strict):
     def leaves(self, stock: Stock) -> Stock:
         """The sheet as it stays clamped: what stands out of it is part of its solids from the beginning."""
         return stock
+
+    def with_fixtures(self, stock: Stock, part: Part | None) -> Stock:
+        """The sheet with the die behind it, and all over the heights at which a clamp that sinks has it."""
+        return stock if self.die is None else with_die(self.die, 1 if self.side == "top" else -1, stock, part)

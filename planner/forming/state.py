@@ -71,6 +71,9 @@ def _state(
     tree: FeatureTree, mesh: Mesh, one: Pass, done: Sequence[int], sunk: float, thickness: float
 ) -> State:
     inside = shapely.Polygon(one.region[:, :2]).buffer(0.0)
+    if tree.feature(one.feature).sign == one.side:  # over a male die the flat around sinks with the tool
+        flat = _grid(inside.buffer(RIM), one.start - (thickness if one.side > 0 else 0.0))
+        return _split(_both(flat + np.array([0.0, 0.0, sunk]), thickness), sunk != 0.0)
     low, high = one.region[:, :2].min(axis=0) - REACH, one.region[:, :2].max(axis=0) + REACH
     inner = set(descendants(tree, one.feature))
     others = [number for number in done if number not in inner]
@@ -132,11 +135,21 @@ def _flat_around(tree: FeatureTree, one: Pass, done: Sequence[int], inside: Any)
             return np.zeros((0, 3))
         parent = tree.feature(parent).parent
     around = around.difference(shapely.union_all(taken)) if taken else around
-    low_x, low_y, high_x, high_y = around.bounds
+    return _grid(around, tree.level)
+
+
+def _grid(area: Any, level: float) -> FloatArray:
+    """Points (P, 3) [m] of the flat at ``level`` over an area in plan."""
+    low_x, low_y, high_x, high_y = area.bounds
     x, y = np.meshgrid(np.arange(low_x, high_x, FLAT_SPACING), np.arange(low_y, high_y, FLAT_SPACING))
     points = np.column_stack([x.ravel(), y.ravel()])
-    points = points[shapely.contains_xy(around, points[:, 0], points[:, 1])]
-    return np.column_stack([points, np.full(len(points), tree.level)])
+    points = points[shapely.contains_xy(area, points[:, 0], points[:, 1])]
+    return np.column_stack([points, np.full(len(points), level)])
+
+
+def _split(points: FloatArray, still: bool) -> State:
+    """The state of points that all stand still, or all move with the tool."""
+    return State(points, points[:0]) if still else State(points[:0], points)
 
 
 def _both(points: FloatArray, thickness: float) -> FloatArray:

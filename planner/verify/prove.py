@@ -28,6 +28,7 @@ from planner.verify import (
     rules_forming_two,
     rules_frames,
     rules_handshake,
+    rules_holder,
     rules_motion,
     rules_part,
     rules_power,
@@ -129,6 +130,7 @@ FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
     ("verify.border", rules_forming_two.border),
     ("verify.opposite", rules_forming_two.opposite),
     ("verify.sheet", rules_forming_sheet.sheet),
+    ("verify.holder", rules_holder.holder),
 )
 FORMED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.formed", rules_forming.formed),)
 
