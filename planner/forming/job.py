@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Final
 
 from planner.forming import feature_order, feature_tree
 from planner.forming.feature_order import OrderStep
@@ -14,6 +15,9 @@ from planner.forming.values import Pass
 from planner.issues import Issue, TandemError
 from planner.problem import FormingHead, Mesh, Part, Setup, Sheet
 from planner.units import DEG, MM
+
+NAMED: Final = 5
+"""Features that a message names at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,10 +52,13 @@ class Job:
 
     @property
     def pressed(self) -> float:
-        """How far [m] tools may press into what is formed already or flat: in adsif they press the flat sheet
-        around them by the projection distance, elsewhere only by the stated tolerance."""
-        depth = self.operation.adsif.projection_mm if self.operation.mode == "adsif" else 0.0
-        return (self.operation.gouge_tol_mm + depth) * MM
+        """How far [m] tools may press into what is formed already or flat, besides the stated tolerance: in
+        adsif they press the flat sheet around them by the projection distance, else by what they squeeze."""
+        op = self.operation
+        depth = op.adsif.projection_mm * MM if op.mode == "adsif" else 0.0
+        if op.mode in ("dsif", "dpif_l"):
+            depth = max(1.0 - op.squeeze, 0.0) * self.thickness
+        return op.gouge_tol_mm * MM + depth
 
     @property
     def options(self) -> PathOptions:
@@ -120,10 +127,21 @@ def _require_sides(op: Forming, made: tuple[Pass, ...]) -> None:
     balls = {op.side} if len(op.arms) == 1 else balls
     wrong = [one for one in made if ("top" if one.side > 0 else "bottom") not in balls]
     if wrong:
-        way = "down and needs a tool above" if wrong[0].side > 0 else "up and needs a tool below"
-        names = ", ".join(sorted({f"feature {one.feature}" for one in wrong}))
+        one = len({one.feature for one in wrong}) == 1
+        way = f"down and need{'s' * one} a tool above"
+        if wrong[0].side < 0:
+            way = f"up and need{'s' * one} a tool below"
+        names = _named(sorted({one.feature for one in wrong}))
         remedy = (
             "turn the part or the sheet over, or take two arms in mode dsif, whose tools swap their roles"
         )
-        what = f"{op.name}: {names} goes {way} the sheet, where no ball works; {remedy}"
+        what = f"{op.name}: {names} {way} the sheet, where no ball works; {remedy}"
         raise TandemError(Issue("forming.side", what, field="operations.mode"))
+
+
+def _named(features: list[int]) -> str:
+    """Features as a message names them, the first few of many."""
+    if len(features) == 1:
+        return f"feature {features[0]} goes"
+    shown = ", ".join(str(number) for number in features[:NAMED])
+    return f"{len(features)} features ({shown}{', ...' if len(features) > NAMED else ''}) go"
