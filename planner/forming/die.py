@@ -21,6 +21,8 @@ from planner.units import DEG, MM
 SPACING: Final = 3e-3
 FAR: Final = 0.5e-3
 """A full die farther [m] from the part than this does not support it there."""
+BEYOND: Final = 10e-3
+"""A die that stands out so far [m] over the whole part is in a wrong unit or place; no more is asked."""
 SHARE: Final = 0.02
 _MOST: Final = 20_000
 _FLATTEST: Final = 2.0 * DEG
@@ -38,8 +40,9 @@ def die_issues(
     for one in passes:
         shift = np.array([0.0, 0.0, -one.side * thickness])
         far = TriangleMesh(one.vertices + shift, one.faces)
-        out += _gouge(one, far, points, tolerance)
-        if die.full:
+        deep = _gouge(one, far, points, tolerance)
+        out += deep
+        if die.full and not deep:
             out += _away(one, far, mesh)
     return tuple(out)
 
@@ -49,10 +52,12 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
     points = points[shapely.contains_xy(inside, points[:, 0], points[:, 1])]
     if not len(points):
         return []
-    distance, face = Nearness(far, SPACING).distance(points)
-    normals = face_normals(far)[face]
-    ahead = one.side * np.einsum("nd,nd->n", points - far.vertices[far.faces[face, 0]], normals)
-    depth = np.where(ahead > 0.0, distance, 0.0)
+    depth = one.side * points[:, 2] - float((one.side * far.vertices[:, 2]).max())
+    if depth.max() <= BEYOND:
+        distance, face = Nearness(far, SPACING).distance(points)
+        normals = face_normals(far)[face]
+        ahead = one.side * np.einsum("nd,nd->n", points - far.vertices[far.faces[face, 0]], normals)
+        depth = np.where(ahead > 0.0, distance, 0.0)
     k = int(np.argmax(depth))
     if depth[k] <= tolerance:
         return []
