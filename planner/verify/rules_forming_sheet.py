@@ -78,8 +78,8 @@ def _all(one: Formed | None, way: Track, state: SheetState, number: int) -> list
     if len(state.carried):
         out.append(whole.into(state.carried, centre, axis, _sunk(way, state), state.tolerance))
     if one is not None:
-        # the ball of the forming tool is held against its face elsewhere, exactly
-        face = _Head(profile, 0.0) if former else whole
+        # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
+        face = _Head(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
         out.append(face.into(_places(one), centre, axis, still, state.tolerance))
     if one is not None and not former:
         # on its own side of the face, and of the flat sheet around it
@@ -129,23 +129,31 @@ class _Head:
         if not len(points):
             return np.zeros(0), np.zeros(0, dtype=np.int64)
         tree = cKDTree(points)
-        doubt = np.zeros(len(centre), dtype=np.bool_)
-        for back, size in self.balls:
+        doubt = np.zeros((len(self.balls), len(centre)), dtype=np.bool_)
+        for own, (back, size) in zip(doubt, self.balls, strict=True):
             middle = centre - back * axis
             middle[:, 2] -= rise
-            doubt |= _near(tree, middle, size - need)
-        rows = np.flatnonzero(doubt)
+            own |= _near(tree, middle, size - need)
+        rows = np.flatnonzero(doubt.any(axis=0))
         rows = rows[_thinned(centre[rows] - 0.5 * self.back[-1] * axis[rows], rise[rows])]
-        return self._depth(tree, points, centre[rows], axis[rows], rise[rows]), rows
+        return self._depth(tree, points, centre[rows], axis[rows], rise[rows], doubt[:, rows]), rows
 
     def _depth(
-        self, tree: cKDTree, points: FloatArray, centre: FloatArray, axis: FloatArray, rise: FloatArray
+        self,
+        tree: cKDTree,
+        points: FloatArray,
+        centre: FloatArray,
+        axis: FloatArray,
+        rise: FloatArray,
+        doubt: BoolArray,
     ) -> FloatArray:
+        """``doubt`` (K, R): the rows at which a point may be in each of the balls that cover the tool."""
         deep = np.full(len(centre), -np.inf)
-        for back, size in self.balls:
+        for own, (back, size) in zip(doubt, self.balls, strict=True):
             middle = centre - back * axis
             middle[:, 2] -= rise
-            for rows in np.array_split(np.arange(len(centre)), max(1, len(centre) // 2000)):
+            open_ = np.flatnonzero(own)
+            for rows in np.array_split(open_, max(1, len(open_) // 2000)):
                 if not len(rows):
                     continue
                 found = np.atleast_1d(tree.query_ball_point(middle[rows], size, return_sorted=False))
