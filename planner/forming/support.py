@@ -23,6 +23,7 @@ from planner.forming.clearing import FarFace, clear_tilt, radius_issue
 from planner.forming.contact import Face
 from planner.forming.inserting import insert, shares
 from planner.forming.operation import Forming
+from planner.forming.steady import steady_below, steady_normals
 from planner.forming.thickness import thickness_map
 from planner.forming.tilt import axes, below_flat, leaned, nozzle_below_flat
 from planner.forming.values import ContactPath, FloatArray, Pass, ToolPath
@@ -122,12 +123,16 @@ def _opposite(
     for left in range(_ROUNDS, -1, -1):
         gap = wanted_gap(one, contact, operation.squeeze, thickness)
         apart = gap + radii
-        tilt = np.maximum(contact.angle - shift, 0.0)
+        # the face's own normals hop from facet to facet, and the support far from it would hop along
+        normal = steady_normals(contact.normal, contact.centre)
+        steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
+        tilt = np.maximum(steep - shift, 0.0)
         tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
         squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
         inner = support.radius - squeezed - operation.gouge_tol_mm * MM
-        tilt = clear_tilt(far, contact, tilt, apart, inner)
-        line = leaned(contact.normal, tilt)
+        opposite = dataclasses.replace(contact, normal=normal)
+        tilt = steady_below(clear_tilt(far, opposite, tilt, apart, inner), contact.centre)
+        line = leaned(normal, tilt)
         place = contact.centre - apart[:, None] * line
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
         row, share = _refinement(contact.centre - place, air, SHARE * operation.gap_tol_mm * MM)
@@ -140,7 +145,7 @@ def _opposite(
         former=contact.centre,
         axis=axes(contact.normal, lean),
         support=place,
-        support_axis=leaned(contact.normal, np.minimum(tilt, lean)),
+        support_axis=leaned(normal, np.minimum(tilt, lean)),
         gap=np.where(air, np.nan, gap),
         contact=contact,
     )

@@ -40,3 +40,14 @@ def nozzle_below_flat(height: FloatArray, level: float, standoff: float, radius:
     long = np.hypot(standoff, radius)
     most = np.arccos(np.clip((height - level) / long, -1.0, 1.0)) - np.arctan2(radius, standoff)
     return np.asarray(np.maximum(most, 0.0))
+
+
+def turned_at_most(one: FloatArray, two: FloatArray, most: float) -> FloatArray:
+    """Unit vectors ``two`` (N, 3) where they are within ``most`` [rad] of unit vectors ``one`` (N, 3), else
+    those so far from ``one`` toward them."""
+    angle = np.arccos(np.clip(np.einsum("nd,nd->n", one, two), -1.0, 1.0))
+    across = two - np.einsum("nd,nd->n", one, two)[:, None] * one
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    across = across / np.maximum(length, 1e-12)
+    part = np.minimum(angle, most)[:, None]
+    return np.asarray(np.cos(part) * one + np.sin(part) * across)
