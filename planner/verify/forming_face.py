@@ -6,12 +6,14 @@ All distances are exact for the triangles. The face goes on flat beyond its bord
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.geometry.closest import closest_on_triangles, small_pieces
+from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
+from planner.geometry.mesh import TriangleMesh
 from planner.verify.forming_tree import Tree
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +22,8 @@ BoolArray = NDArray[np.bool_]
 
 SAME = 1e-7
 """Places whose distances differ by less [m] are equally near."""
+CREASE = np.deg2rad(20.0)
+"""Triangles that turn by more than this over an edge meet in a crease."""
 _SMALLEST = 0.003
 _MOST = 150_000
 _CHUNK = 10_000
@@ -59,6 +63,15 @@ class Face:
         pieces, self._owner = small_pieces(self.corners, max(_SMALLEST, 0.25 * scale), _MOST)
         self._seeds = cKDTree(pieces.mean(axis=1))
         self._tree = Tree(self.corners)
+
+    @cached_property
+    def smooth(self) -> FloatArray:
+        """Normals (F, 3, 3) at the corners of the triangles, smooth but over creases. ``faces`` may part at
+        creases: places count, not numbers."""
+        _, one = np.unique(self.vertices.round(9), axis=0, return_inverse=True)
+        first = np.zeros(int(one.max()) + 1, dtype=np.int64)
+        first[one.ravel()] = np.arange(len(self.vertices))
+        return corner_normals(TriangleMesh(self.vertices, first[one.ravel()[self.faces]]), CREASE)
 
     def nearest(self, points: FloatArray, within: float = SAME) -> Nearest:
         """The nearest places of the face to points (N, 3) [m], and those that are farther by ``within`` [m]

@@ -84,8 +84,17 @@ def _all(one: Formed | None, way: Track, state: SheetState, number: int) -> list
     if one is not None and not former:
         # on its own side of the face, and of the flat sheet around it
         ball = max(-float(profile[0, 0]), 0.0)
-        found = one.face.nearest(centre[one.knots])
-        out.append((ball + state.side * found.signed, one.knots))
+        room = -state.side * one.face.nearest(centre[one.knots]).signed
+        out.append((ball - room, one.knots))
+        first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
+        step = np.linalg.norm(centre[last] - centre[first], axis=1)
+        least = 0.5 * (
+            room[np.searchsorted(one.knots, first)] + room[np.searchsorted(one.knots, last)] - step
+        )
+        doubt = np.flatnonzero(least - off < ball - state.tolerance)
+        need = ball - state.tolerance + off[doubt]
+        between = one.face.least(centre[first[doubt]], centre[last[doubt]], need) - off[doubt]
+        out.append((ball - between, last[doubt]))
     return out
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from planner.claims import FollowsOpposite, SupportsBorder, ToolGap
 from planner.issues import Issue
@@ -60,7 +61,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
             measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
             row = int(way.rows[last[i]])
             issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-        issues += _facing(context, claim, way, knots, found)
+        issues += _facing(context, claim, way, knots, face, found)
         issues += _a_step_apart(context, claim, way, knots, low, high)
     if limit is None:
         return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NONE)
@@ -78,16 +79,11 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
     return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
 
 
-def _facing(context: Context, claim: ToolGap, way: Track, knots: IntArray, found: Nearest) -> list[Issue]:
-    """Knots at which the line of the centres is not turned against the face's normal as wanted: of all places
-    that the ball touches, one has to fit."""
-    between = way.centre[knots, 0] - way.centre[knots, 1]
-    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
-    normal = way.centre[knots, 0][found.row] - found.tied
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    angle = np.arccos(np.clip(np.einsum("nd,nd->n", between[found.row], normal), -1.0, 1.0))
-    off = np.full(len(knots), np.inf)
-    np.minimum.at(off, found.row, np.abs(angle - claim.shift))
+def _facing(
+    context: Context, claim: ToolGap, way: Track, knots: IntArray, face: Face, found: Nearest
+) -> list[Issue]:
+    """Knots at which the line of the centres is not turned against the face's normal as wanted."""
+    off = _turned(way, knots, face, found, claim.side, claim.shift)
     issues = []
     for k in spread(off > claim.turn):
         what = (
@@ -98,6 +94,22 @@ def _facing(context: Context, claim: ToolGap, way: Track, knots: IntArray, found
         row = int(way.rows[knots[k]])
         issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
     return issues
+
+
+def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, wanted: float) -> FloatArray:
+    """How far (K,) [rad] the line of the centres is off the ``wanted`` angle to the face's normal. Of all
+    places that the ball touches, one has to fit: by the way from there to the ball's centre, or by the normal
+    of the smooth face that the facets stand for, whose own normals flicker."""
+    between = way.centre[knots, 0] - way.centre[knots, 1]
+    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
+    off = np.full(len(knots), np.inf)
+    smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
+    for normal in (way.centre[knots, 0][found.row] - found.tied, smooth):
+        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+        cosine = np.einsum("nd,nd->n", between[found.row], normal) / length
+        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+        np.minimum.at(off, found.row, np.abs(angle - wanted))
+    return off
 
 
 def _a_step_apart(
@@ -177,6 +189,7 @@ def border(context: Context, forming: Forming) -> Outcome:
 
 
 STEP = 0.002
+_MARKS = 4
 
 
 def _dense(points: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -197,16 +210,29 @@ def _off_border(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.
     off, inside = np.empty(len(points)), np.zeros(len(points), dtype=np.bool_)
     along = b - a
     square = np.maximum(np.einsum("kd,kd->k", along, along), 1e-30)
+    marks, owner = _marks(a, b)
+    near = np.asarray(cKDTree(marks).query(points, k=min(_MARKS, len(marks)))[1]).reshape(len(points), -1)
+    off[:] = np.inf
+    for column in owner[near].T:
+        rest = points - a[column]
+        share = np.clip(np.einsum("nd,nd->n", rest, along[column]) / square[column], 0.0, 1.0)
+        off = np.minimum(off, np.linalg.norm(rest - share[:, None] * along[column], axis=1))
     for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(a) // 2_000_000)):
-        rest = points[rows, None] - a[None]
-        share = np.clip(np.einsum("nkd,kd->nk", rest, along) / square, 0.0, 1.0)
-        off[rows] = np.linalg.norm(rest - share[..., None] * along[None], axis=2).min(axis=1)
         y = points[rows, 1, None]
         spans = (a[None, :, 1] > y) != (b[None, :, 1] > y)
         down = np.where(spans, b[:, 1] - a[:, 1], 1.0)
         x = a[None, :, 0] + (y - a[None, :, 1]) / down * (b[None, :, 0] - a[None, :, 0])
         inside[rows] = (np.sum(spans & (points[rows, 0, None] < x), axis=1) % 2).astype(np.bool_)
     return off, inside
+
+
+def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Middles (M, 3) of pieces of straight edges from ``a`` to ``b`` (K, 3), at most ``STEP`` long, and the
+    edge (M,) of each. The nearest of a few of them tells a distance that is never too small."""
+    count = np.maximum(np.ceil(np.linalg.norm(b - a, axis=1) / STEP).astype(np.int64), 1)
+    owner = np.repeat(np.arange(len(a)), count)
+    share = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
+    return a[owner] + share[:, None] * (b - a)[owner], owner
 
 
 def opposite(context: Context, forming: Forming) -> Outcome:
@@ -238,13 +264,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
         knots = np.unique(np.concatenate([first, last]))
         face = Face(claim.vertices, claim.faces, 0.01)
         found = face.nearest(way.centre[knots, 0], TIED)
-        between = way.centre[knots, 0] - way.centre[knots, 1]
-        between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
-        normal = way.centre[knots, 0][found.row] - found.tied
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        angle = np.arccos(np.clip(np.einsum("nd,nd->n", between[found.row], normal), -1.0, 1.0))
-        turned = np.full(len(knots), np.inf)
-        np.minimum.at(turned, found.row, angle)
+        turned = _turned(way, knots, face, found, claim.side, 0.0)
         for i in spread(turned > claim.turn):
             what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
             measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")

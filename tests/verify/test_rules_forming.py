@@ -60,10 +60,12 @@ def both_deep(rng, texts):
 
 @mutant("verify.gouge")
 def a_turn_outwards(rng, texts):
-    """Both tools too far out on a part of a turn."""
+    """Both tools too far out on a part of a turn near the rim, where the wall is steep."""
     rows = segment(texts, "form_f1")
-    for k in rows[20:40]:
-        texts = moved(texts, k, [0.0, 2.5e3 * job.TOLERANCE * np.sign(rng.normal()), 0.0])
+    first = int(rng.integers(10, 120))
+    for k in rows[first : first + 10]:
+        ray = job.spiral(72)[k - rows[0] + 1] * [1.0, 1.0, 0.0]
+        texts = moved(texts, k, 5e3 * job.TOLERANCE * ray / np.linalg.norm(ray))
     return texts
 
 
