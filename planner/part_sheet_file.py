@@ -13,7 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planner.geometry.mesh import TriangleMesh, read_mesh
+from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh
 from planner.geometry.rigid import transform
 from planner.issues import Issue, TandemError
 from planner.problem import Formed, Mesh, Part, Shape, Sheet, Stock
@@ -25,6 +25,8 @@ IntArray = NDArray[np.int64]
 
 FLAT: Final = 0.2 * MM
 """How far the edge of the mesh may be off the flat sheet around it [m]."""
+ACROSS: Final = 0.9
+"""Cosine beyond which a plane's normal is too near to the file's x axis to turn the sheet by that."""
 TURNED: Final = 0.05
 """Share of the area of faces that may look the other way before a mesh counts as inside out."""
 
@@ -34,7 +36,7 @@ class SheetMeshFile(Strict):
 
     ``face`` says which: the sheet's top one, its lower one or the middle of its thickness. ``frame``: "sheet"
     where the file's z = 0 is the flat sheet's face of that kind and z its normal up; "find" where the flat is
-    found from the mesh's own edge, its side with the larger part of the normals being the top.
+    found from the mesh's own edge: the part goes ``down`` from it or up, its x being the file's.
     """
 
     file: FileName
@@ -47,8 +49,8 @@ class SheetMeshFile(Strict):
 def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | None) -> Part:
     """The part in the sheet's frame; ``pose`` (4, 4) is the file's frame there, None to lay it in the middle.
 
-    Raises ``TandemError``: issues of files, ``forming.closed_mesh``, ``forming.inside_out``,
-    ``forming.border``, ``part.stock_too_small``.
+    Raises ``TandemError``: issues of files, ``mesh.non_manifold``, ``mesh.pieces``, ``forming.closed_mesh``,
+    ``forming.inside_out``, ``forming.border``, ``forming.flat``, ``part.stock_too_small``.
     """
     sheet = stock.sheet
     if sheet is None:
@@ -56,6 +58,10 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
         raise TandemError(Issue("problem.field", what, field="part.sheet_mesh"))
     path = folder / spec.file
     mesh = read_mesh(path, LENGTH_UNITS[spec.unit])
+    wrong = check_surface(mesh, "part.sheet_mesh.file", str(path))
+    wrong = [issue for issue in wrong if issue.code in ("mesh.non_manifold", "mesh.pieces")]
+    if wrong:
+        raise TandemError(wrong)
     rim = border(mesh.faces)
     if not len(rim):
         what = f"{path}: the mesh is closed; give one face of the sheet as an open surface"
@@ -89,15 +95,18 @@ def border(faces: IntArray) -> IntArray:
 
 
 def _levelled(mesh: TriangleMesh, rim: IntArray, down: bool) -> TriangleMesh:
-    """The mesh turned so that the plane of its edge is z = 0 and the part lies below it, or above."""
+    """The mesh turned so that the plane of its edge is z = 0 and the part lies below it, or above; the
+    file's x axis, or y where the plane is across x, stays the direction of the sheet's x."""
     points = mesh.vertices[np.unique(rim)]
     centre = points.mean(axis=0)
-    _, _, axes = np.linalg.svd(points - centre, full_matrices=False)
-    turn = axes * np.sign(np.linalg.det(axes))
-    out = (mesh.vertices - centre) @ turn.T
-    if (out[np.argmax(np.abs(out[:, 2])), 2] < 0.0) != down:
-        out = out * np.array([1.0, -1.0, -1.0])
-    return TriangleMesh(out, mesh.faces)
+    up = np.linalg.svd(points - centre, full_matrices=False)[2][2]
+    height = (mesh.vertices - centre) @ up
+    if (height[np.argmax(np.abs(height))] < 0.0) != down:
+        up = -up
+    first = np.eye(3)[0 if abs(up[0]) < ACROSS else 1]
+    x = first - (first @ up) * up
+    x /= np.linalg.norm(x)
+    return TriangleMesh((mesh.vertices - centre) @ np.array([x, np.cross(up, x), up]).T, mesh.faces)
 
 
 def _turned_up(mesh: TriangleMesh, path: Path) -> TriangleMesh:
