@@ -19,7 +19,7 @@ from planner.forming.forming_check import check
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
 from planner.forming.job import Job, job, segment
-from planner.forming.laid import lay
+from planner.forming.laid import SHORTEST, lay
 from planner.forming.operation import Forming
 from planner.forming.route import Route, lay_out
 from planner.forming.values import Pass, ToolPath
@@ -79,14 +79,16 @@ def _targets(
     placed = _poses(made, route)
     actions = _actions(made, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
+    travel = np.concatenate([[0.0], np.max(steps, axis=0)])
+    feed = np.where(forming, op.feed_mm_s * MM, AIR_FEED)
     return Targets(
         arms=op.arms,
         pose=placed,
         frame=dict.fromkeys(op.arms, "stock"),
         freedoms=freedoms(op.arms, op.cone_deg * DEG, count),
-        feed=np.where(forming, op.feed_mm_s * MM, AIR_FEED),
+        feed=np.where(travel > 0.0, np.minimum(feed, travel / SHORTEST), feed),
         feed_min=np.zeros(count),
-        travel=np.concatenate([[0.0], np.max(steps, axis=0)]),
+        travel=travel,
         stop=_stops(route, actions),
         segment=route.segment,
         actions=actions,
