@@ -25,7 +25,9 @@ GRAIN = 0.002
 """Faces are asked at places so near to each other [m]."""
 LOOKED = 0.001
 """Where bounds do not settle it, tools are looked at whenever they have moved so far [m]."""
-_BLOCK = 64
+ROUGH = 0.15
+"""Bounds by the nearest place may be too near by this share."""
+_BLOCK = 32
 _PLACES = 60_000
 
 
@@ -195,7 +197,7 @@ class _Head:
 def _cover(back: FloatArray, radius: FloatArray) -> list[tuple[float, float]]:
     """Balls (place behind the TCP, radius) [m] that hold a body of revolution."""
     size = max(float(radius.max()), 1e-3)
-    edges = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / (0.5 * size))), 1) + 1)
+    edges = np.linspace(back[0], back[-1], max(int(np.ceil((back[-1] - back[0]) / size)), 1) + 1)
     out = []
     for low, high in itertools.pairwise(edges):
         inner = (back >= low) & (back <= high)
@@ -216,8 +218,10 @@ def _near(tree: cKDTree, middle: FloatArray, size: float) -> BoolArray:
         look = (first + last) // 2
         reach = np.maximum(way[last] - way[look], way[look] - way[first]) + size
         most = float(reach.max(initial=0.0))
-        far = np.asarray(tree.query(middle[look], distance_upper_bound=most + 1e-9)[0])
-        open_ = far < reach
+        # many places are about as near in the middle of a dish: the nearest but for a share is enough
+        bound = (1.0 + ROUGH) * most + 1e-9
+        far = np.asarray(tree.query(middle[look], eps=ROUGH, distance_upper_bound=bound)[0])
+        open_ = far < (1.0 + ROUGH) * reach
         small = open_ & ((way[last] - way[first] <= LOOKED) | (last == first))
         mark = np.zeros(count + 1, dtype=np.int64)
         np.add.at(mark, first[small], 1)
