@@ -1,0 +1,201 @@
+"""Sheets and their parts in problem files: what is read, and what each refusal says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+
+from planner import pipeline
+from planner.issues import Severity
+from planner.problem import Mesh, Problem
+from planner.units import DEG, MM
+from tests import small_forming
+from tests.refusals import change, codes, refused
+
+SHEET_FIELDS = [
+    ("sheet.size_mm", [160], "size_mm"),
+    ("sheet.size_mm", [160, -1], "size_mm"),
+    ("sheet.size_mm", ["a", 160], "size_mm"),
+    ("sheet.thickness_mm", 0, "thickness_mm"),
+    ("sheet.thickness_mm", 21, "thickness_mm"),
+    ("sheet.thickness_mm", "thin", "thickness_mm"),
+    ("sheet.opening_mm", 0, "opening_mm"),
+    ("sheet.opening_mm", [100], "opening_mm"),
+    ("sheet.opening_mm", 161, "sheet"),
+    ("sheet.opening_mm", [100, 161], "sheet"),
+    ("sheet.stand", "leaning", "stand"),
+    ("sheet.place", "here", "place"),
+    ("sheet.clamp.width_mm", 0, "width_mm"),
+    ("sheet.colour", "red", "colour"),
+    ("part.sheet_mesh.unit", "inch", "unit"),
+    ("part.sheet_mesh.face", "left", "face"),
+    ("part.sheet_mesh.frame", "world", "frame"),
+    ("part.sheet_mesh.down", "yes please", "down"),
+    ("part.sheet_mesh.file", "", "file"),
+    ("operations.0.arms", ["robot", "robot"], "operations"),
+    ("operations.0.mode", "dsif", "operations"),
+    ("operations.0.stepdown_mm", 0, "stepdown_mm"),
+    ("operations.0.scallop_mm", 0.01, "operations"),
+    ("operations.0.passes", [40, 20], "operations"),
+    ("operations.0.squeeze", 2, "squeeze"),
+    ("operations.0.path", "zigzag", "path"),
+    ("operations.0.repeats", 1.5, "repeats"),
+    ("cell.arms.0.tool.radius_mm", 0, "radius_mm"),
+]
+Edit = Callable[[Mesh], Mesh]
+
+
+def load(folder: Path, part: Mesh | None = None, **fields: Any) -> Problem:
+    data = small_forming.problem()
+    for name, value in fields.items():
+        data = change(data, name.replace("__", "."), value)
+    return pipeline.load(small_forming.write(folder, data, part))
+
+
+def formed(problem: Problem) -> Mesh:
+    assert problem.part is not None
+    assert problem.part.formed is not None
+    return problem.part.formed.mesh
+
+
+@pytest.mark.parametrize(("field", "value", "named"), SHEET_FIELDS)
+def test_a_wrong_field_is_refused_by_its_name(tmp_path: Path, field: str, value: Any, named: str) -> None:
+    data = change(small_forming.problem(), field, value)
+    issues = refused(small_forming.write(tmp_path, data))
+    assert codes(issues) == {"problem.field"}
+    assert any(named in str(issue.field) for issue in issues)
+    assert all(issue.line for issue in issues)
+
+
+def test_the_sheet_is_clamped_around_its_opening(tmp_path: Path) -> None:
+    stock = load(tmp_path).stock
+    assert stock.sheet is not None
+    np.testing.assert_allclose(stock.size, [0.16, 0.16, 0.001])
+    np.testing.assert_allclose(np.linalg.norm(stock.sheet.opening, axis=1), 0.05)
+    opening = shapely.Polygon(stock.sheet.opening)
+    for bar in stock.support:
+        half = 0.5 * np.array(bar.size)
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        world = corners @ bar.pose[:3, :3].T + bar.pose[:3, 3]
+        hull = shapely.MultiPoint(world[:, :2]).convex_hull
+        # bars are straight: the middle of each reaches in by the sagitta of 16 chords
+        assert hull.intersection(opening.buffer(-0.05 * (1.0 - np.cos(np.pi / 16)) - 1e-6)).area < 1e-12
+        assert (world[:, 2] >= 0.001 - 1e-12).all() or (world[:, 2] <= 1e-12).all()
+    assert {round(float(z), 6) for bar in stock.support for z in bar.size[2:]} == {0.01, 0.06}
+
+
+def test_an_upright_sheet_stands_with_its_y_up(tmp_path: Path) -> None:
+    attitude = load(tmp_path, sheet__stand="upright").stock.attitude
+    np.testing.assert_allclose(attitude[:, 1], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(load(tmp_path).stock.attitude, np.eye(3))
+
+
+def test_a_part_in_any_frame_is_found_with_its_x_kept(tmp_path: Path) -> None:
+    part = small_forming.dish()
+    oval = Mesh(part.vertices * [1.0, 0.8, 1.0], part.faces)
+    wanted = formed(load(tmp_path, oval)).vertices
+    turn = trimesh.transformations.rotation_matrix(25.0 * DEG, [0.0, 1.0, 0.0])
+    moved = Mesh(trimesh.transform_points(oval.vertices, turn) + np.array([0.3, -0.2, 0.5]), oval.faces)
+    found = formed(load(tmp_path, moved, part__sheet_mesh__frame="find")).vertices
+    np.testing.assert_allclose(found, wanted, atol=2e-6)
+    assert codes(refused(small_forming.write(tmp_path, small_forming.problem(), moved))) == {"forming.border"}
+
+
+def test_normals_of_either_side_and_a_soup_of_triangles_give_the_same_part(tmp_path: Path) -> None:
+    part = small_forming.dish()
+    wanted = formed(load(tmp_path)).vertices
+    turned = formed(load(tmp_path, Mesh(part.vertices, part.faces[:, ::-1])))
+    np.testing.assert_allclose(turned.vertices, wanted)
+    corners = turned.vertices[turned.faces]
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
+    soup = Mesh(part.vertices[part.faces].reshape(-1, 3), np.arange(3 * len(part.faces)).reshape(-1, 3))
+    assert len(formed(load(tmp_path, soup)).vertices) == len(wanted)
+
+
+def _without(part: Mesh, away: float) -> Mesh:
+    middle = part.vertices[part.faces].mean(axis=1)
+    return Mesh(part.vertices, part.faces[np.linalg.norm(middle[:, :2], axis=1) > away])
+
+
+def _two(part: Mesh) -> Mesh:
+    vertices = np.concatenate([0.4 * part.vertices + [0.02, 0, 0], 0.4 * part.vertices - [0.02, 0, 0]])
+    return Mesh(vertices, np.concatenate([part.faces, part.faces + len(part.vertices)]))
+
+
+def _scaled(scale: float) -> Edit:
+    return lambda part: Mesh(part.vertices * scale, part.faces)
+
+
+def _moved(vertex: int, value: float) -> Edit:
+    def edit(part: Mesh) -> Mesh:
+        vertices = part.vertices.copy()
+        vertices[vertex, 2] = value
+        return Mesh(vertices, part.faces)
+
+    return edit
+
+
+def _some_turned(part: Mesh) -> Mesh:
+    faces = part.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    return Mesh(part.vertices, faces)
+
+
+MESHES: dict[str, tuple[Edit, str, str]] = {
+    "0.07 mm": (_scaled(1e-3), "mesh.unit", "unit"),
+    "70 m": (_scaled(1e3), "mesh.unit", "unit"),
+    "five times too large": (_scaled(5.0), "part.stock_too_small", "larger sheet"),
+    "flat": (lambda part: Mesh(part.vertices * [1, 1, 0.01], part.faces), "forming.flat", "unit"),
+    "hole in the floor": (lambda part: _without(part, 0.01), "forming.border", "hole"),
+    "rim 3 mm up": (_moved(0, 0.003), "forming.border", "allowed"),
+    "not a number": (_moved(50, np.nan), "problem.not_finite", "repair"),
+    "infinite": (_moved(50, np.inf), "problem.not_finite", "repair"),
+    "two pieces": (_two, "mesh.pieces", "1 is wanted"),
+    "faces given twice": (
+        lambda part: Mesh(part.vertices, np.concatenate([part.faces, part.faces[:200]])),
+        "mesh.non_manifold",
+        "delete",
+    ),
+    "faces turned at random": (_some_turned, "forming.inside_out", "orient"),
+    "one triangle": (lambda part: Mesh(np.eye(3) * 0.02, np.array([[0, 1, 2]])), "forming.border", "allowed"),
+    "no faces": (lambda part: Mesh(part.vertices, part.faces[:0]), "mesh.empty", "export"),
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_a_mesh_that_is_no_part_is_named_with_the_remedy(tmp_path: Path, name: str) -> None:
+    edit, code, said = MESHES[name]
+    path = small_forming.write(tmp_path, small_forming.problem(), edit(small_forming.dish()))
+    (issue, *more) = refused(path)
+    assert not more
+    assert (issue.code, issue.severity) == (code, Severity.ERROR)
+    assert said in f"{issue.message} {issue.hint}"
+
+
+def test_a_closed_mesh_is_refused(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(2, 20.0 * MM)
+    path = small_forming.write(tmp_path, small_forming.problem(), Mesh(ball.vertices, ball.faces))
+    assert codes(refused(path)) == {"forming.closed_mesh"}
+
+
+def test_a_part_moved_out_of_the_opening_is_refused_with_the_place(tmp_path: Path) -> None:
+    data = change(small_forming.problem(), "part.in_stock", {"xyz_mm": [30, 0, 0]})
+    (issue,) = refused(small_forming.write(tmp_path, data))
+    assert issue.code == "part.stock_too_small"
+    assert issue.field == "sheet.opening_mm"
+
+
+def test_solids_hold_all_that_stands_out_of_the_sheet(tmp_path: Path) -> None:
+    problem = load(tmp_path)
+    assert problem.stock.sheet is not None
+    (solid,) = problem.stock.sheet.formed
+    hull = trimesh.Trimesh(solid.vertices, solid.faces)
+    below = formed(problem).vertices
+    below = below[below[:, 2] < -0.2 * MM]
+    assert (trimesh.proximity.signed_distance(hull, below) > -1e-9).all()
