@@ -9,11 +9,11 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 import shapely
-import trimesh
 from numpy.typing import NDArray
 from pydantic import Field
 
 from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh
+from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import transform
 from planner.issues import Issue, TandemError
 from planner.problem import Formed, Mesh, Part, Shape, Sheet, Stock
@@ -180,6 +180,6 @@ def _solids(mesh: Mesh, thickness: float) -> list[Shape]:
         used = np.isin(mesh.faces, np.flatnonzero(side * mesh.vertices[:, 2] > FLAT)).any(axis=1)
         points = mesh.vertices[np.unique(mesh.faces[used])]
         both = np.concatenate([points, points + rise])
-        hull = trimesh.convex.convex_hull(both)
-        out.append(Shape("mesh", (), np.eye(4), np.asarray(hull.vertices), np.asarray(hull.faces)))
+        hull = outer_hull(both)
+        out.append(Shape("mesh", (), np.eye(4), hull.vertices, hull.faces))
     return out

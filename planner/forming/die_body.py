@@ -16,9 +16,9 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from planner.geometry.mesh import TriangleMesh, read_mesh
+from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import from_rpy
 from planner.problem import Part, Shape, Stock
 from planner.units import LENGTH_UNITS
@@ -38,8 +38,8 @@ def with_die(die: Die, side: int, stock: Stock, part: Part | None) -> Stock:
     if stock.sheet is None:
         return stock
     mesh = die_mesh(die)
-    hull = trimesh.convex.convex_hull(mesh.vertices)
-    solids = [Shape("mesh", (), np.eye(4), np.asarray(hull.vertices), np.asarray(hull.faces))]
+    hull = outer_hull(mesh.vertices)
+    solids = [Shape("mesh", (), np.eye(4), hull.vertices, hull.faces)]
     support = stock.support
     if die.holder == "sinking" and part is not None and part.formed is not None:
         sunk = max(float((side * part.formed.mesh.vertices[:, 2]).max()), 0.0)

@@ -1,5 +1,4 @@
-"""Steady directions along a path: the contact hops over the facets of a mesh, and a supporting tool far from it
-would follow as jerks."""
+"""Steady directions along a path: the contact hops over facets, and a tool far from it would jerk."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d, uniform_filter1d
 
-from planner.forming.tilt import turned_at_most
+from planner.forming.tilt import leaned, turned_at_most
 from planner.forming.values import FloatArray
 from planner.units import DEG
 
@@ -26,11 +25,13 @@ def steady_normals(normal: FloatArray, centre: FloatArray, most: float = 2.5 * D
     if len(grid) < 3:
         return normal
     even = np.stack([np.interp(grid, at, normal[:, k]) for k in range(3)], axis=1)
-    even = gaussian_filter1d(even, WIDTH / _step(grid), axis=0, mode="nearest")
+    width = WIDTH / _step(grid)
+    even = gaussian_filter1d(even, width, axis=0, mode="nearest")
     mean = np.stack([np.interp(at, grid, even[:, k]) for k in range(3)], axis=1)
-    length = np.linalg.norm(mean, axis=1, keepdims=True)
-    mean = np.where(length > 0.1, mean / np.maximum(length, 1e-12), normal)
-    return turned_at_most(normal, mean, most)
+    # the mean of directions around a curve is less steep than they are, so steepness has a mean of its own
+    steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
+    steep = np.interp(at, grid, gaussian_filter1d(np.interp(grid, at, steep), width, mode="nearest"))
+    return turned_at_most(normal, leaned(mean, steep), most)
 
 
 def steady_below(value: FloatArray, centre: FloatArray) -> FloatArray:
