@@ -33,6 +33,9 @@ FloatArray = NDArray[np.float64]
 
 FLATTEST: Final = 2.0 * DEG
 """Walls flatter than this count as flat: no finite steps leave them without ridges."""
+SPARE: Final = 4.0 * DEG
+"""The line of two tools is between the face's normal and the vertical, to which the support is turned where
+it would cut into the flat or where a shift is stated, and off that by this much at most."""
 BORDER: Final = 0.5 * MM
 """How far a support may be off the border that it runs along."""
 OPPOSITE: Final = 2.0 * MM
@@ -105,6 +108,7 @@ def _of(job: Job, one: Pass) -> list[Claim]:
                 faces,
                 gap,
                 tolerance,
+                turn=SPARE,
                 handshake=step,
             )
         )
