@@ -207,9 +207,9 @@ class ToolGap:
 
     The wanted gap [m] at an instant is that of the place of the face ``vertices``, ``faces`` that is nearest
     to the forming ball, ``gap`` (V,) being known at the vertices; it holds within ``tolerance`` [m] at and
-    between targets. ``shift`` [rad]: the angle between the line of the balls' centres and the face's normal
-    there, and ``turn`` [rad] by how much that may be off. ``handshake`` [m]: how far the gap may be off where
-    two controllers are one step apart.
+    between targets. The line of the balls' centres lies between the face's normal there and the vertical,
+    toward which a support is turned beside the flat or by a shift, within ``turn`` [rad]. ``handshake`` [m]:
+    how far the gap may be off where two controllers are one step apart.
     """
 
     segment: str
@@ -220,7 +220,6 @@ class ToolGap:
     faces: NDArray[np.int64]
     gap: NDArray[np.float64]
     tolerance: float
-    shift: float = 0.0
     turn: float = np.deg2rad(1.0)
     handshake: float = 1e-3
 

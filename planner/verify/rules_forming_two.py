@@ -82,13 +82,13 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
 def _facing(
     context: Context, claim: ToolGap, way: Track, knots: IntArray, face: Face, found: Nearest
 ) -> list[Issue]:
-    """Knots at which the line of the centres is not turned against the face's normal as wanted."""
-    off = _turned(way, knots, face, found, claim.side, claim.shift)
+    """Knots at which the line of the centres does not lie between the face's normal and the vertical."""
+    off = _turned(way, knots, face, found, claim.side, upright=True)
     issues = []
     for k in spread(off > claim.turn):
         what = (
-            f"in {claim.segment} the line of the tools is {np.rad2deg(off[k]):.2f} deg off the wanted "
-            f"{np.rad2deg(claim.shift):g} deg to the face's normal; allowed: {np.rad2deg(claim.turn):g} deg"
+            f"in {claim.segment} the line of the tools is {np.rad2deg(off[k]):.2f} deg off what lies between "
+            f"the face's normal and the vertical; allowed: {np.rad2deg(claim.turn):g} deg"
         )
         measure = (float(np.rad2deg(off[k])), float(np.rad2deg(claim.turn)), "deg")
         row = int(way.rows[knots[k]])
@@ -96,20 +96,34 @@ def _facing(
     return issues
 
 
-def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, wanted: float) -> FloatArray:
-    """How far (K,) [rad] the line of the centres is off the ``wanted`` angle to the face's normal. Of all
-    places that the ball touches, one has to fit: by the way from there to the ball's centre, or by the normal
-    of the smooth face that the facets stand for, whose own normals flicker."""
+def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, upright: bool) -> FloatArray:
+    """How far (K,) [rad] the line of the centres is off the face's normal, or, if it may stand ``upright``,
+    off all directions between that and the vertical. Of all places that the ball touches, one has to fit: by
+    the way from there to the ball's centre, or by the normal of the smooth face that the facets stand for,
+    whose own normals flicker."""
     between = way.centre[knots, 0] - way.centre[knots, 1]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
     off = np.full(len(knots), np.inf)
     smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
     for normal in (way.centre[knots, 0][found.row] - found.tied, smooth):
-        length = np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
-        cosine = np.einsum("nd,nd->n", between[found.row], normal) / length
-        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-        np.minimum.at(off, found.row, np.abs(angle - wanted))
+        unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
+        np.minimum.at(off, found.row, _off_arc(between[found.row], unit, end))
     return off
+
+
+def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Angles (N,) [rad] of unit vectors to the nearest direction on the shorter arcs between two others."""
+    ends = [np.arccos(np.clip(np.einsum("nd,nd->n", line, end), -1.0, 1.0)) for end in (one, two)]
+    pole = np.cross(one, two)
+    length = np.linalg.norm(pole, axis=1)
+    pole /= np.maximum(length, 1e-12)[:, None]
+    beside = np.arcsin(np.clip(np.abs(np.einsum("nd,nd->n", line, pole)), 0.0, 1.0))
+    after = np.einsum("nd,nd->n", np.cross(one, line), pole) >= 0.0
+    before = np.einsum("nd,nd->n", np.cross(line, two), pole) >= 0.0
+    within = after & before & (length > 1e-9)
+    nearest = np.minimum(ends[0], ends[1])
+    return np.asarray(np.where(within, np.minimum(beside, nearest), nearest))
 
 
 def _a_step_apart(
@@ -264,7 +278,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
         knots = np.unique(np.concatenate([first, last]))
         face = Face(claim.vertices, claim.faces, 0.01)
         found = face.nearest(way.centre[knots, 0], TIED)
-        turned = _turned(way, knots, face, found, claim.side, 0.0)
+        turned = _turned(way, knots, face, found, claim.side, upright=False)
         for i in spread(turned > claim.turn):
             what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
             measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")

@@ -78,7 +78,7 @@ def test_opposite_each_other_the_gap_is_the_squeezed_sine_law(side: int, squeeze
     cosine = np.einsum("nd,nd->n", line(path)[deep], side * path.contact.normal[deep])
     turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
     assert np.median(turned) < 0.1
-    assert turned.max() < 6.0 and np.quantile(turned, 0.97) < 2.6  # steadied at the ends of the way
+    assert turned.max() < 8.0 and np.quantile(turned, 0.97) < 2.6  # steadied at the ends of the way
     # the support touches the far face, the near one moved along z, but for the squeeze
     assert path.support is not None
     r = np.hypot(*path.support.T[:2])

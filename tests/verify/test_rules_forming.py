@@ -206,7 +206,7 @@ CLAIMS = {
     "from below": ("verify.gouge", {"FormsSheet": {"side": -1}}),
     "a larger ball": ("verify.gouge", {"FormsSheet": {"radius": 1.05 * job.BALL}}),
     "a thicker sheet": ("verify.gap", {"ToolGap": {"gap": np.full(len(job.face()[0]), 1.05 * job.SHEET)}}),
-    "a shift": ("verify.gap", {"ToolGap": {"shift": np.deg2rad(5.0)}}),
+    "a line of the tools": ("verify.gap", {"ToolGap": {"turn": -1e-3}}),
     "a slower feed": ("verify.forming_feed", {"FormingFeed": {"upper": 0.01}}),
     "a post in the way": ("verify.sheet", {"SheetState": {"fixed": np.array([[0.0, 0.015, 0.004]])}}),
     "a carried post": ("verify.sheet", {"SheetState": {"carried": np.array([[0.0, 0.015, 0.009]])}}),
