@@ -32,6 +32,8 @@ FloatArray = NDArray[np.float64]
 
 AIR_FEED: Final = 0.1
 """Upper limit of the tools' speed between passes [m/s]."""
+FROM_REST: Final = 0.7
+"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
 CLEARANCE: Final = 0.010
 """How far tools are off the sheet between passes, besides what the route adds [m]."""
 RUN: Final = 0.8
@@ -80,7 +82,9 @@ def _targets(
     actions = _actions(made, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
     travel = np.concatenate([[0.0], np.max(steps, axis=0)])
-    feed = np.where(forming, op.feed_mm_s * MM, AIR_FEED)
+    stop = _stops(route, actions)
+    rest = np.append(False, stop[:-1]) | stop
+    feed = np.where(forming, np.where(rest, FROM_REST, 1.0) * op.feed_mm_s * MM, AIR_FEED)
     return Targets(
         arms=op.arms,
         pose=placed,
@@ -89,7 +93,7 @@ def _targets(
         feed=np.where(travel > 0.0, np.minimum(feed, travel / SHORTEST), feed),
         feed_min=np.zeros(count),
         travel=travel,
-        stop=_stops(route, actions),
+        stop=stop,
         segment=route.segment,
         actions=actions,
         claims=forming_claims.claims(made, placed if op.mode == "adsif" else None),

@@ -11,11 +11,17 @@ from numpy.typing import NDArray
 
 from planner.forming.job import Job, segment
 from planner.forming.values import Pass, ToolPath
+from planner.units import DEG
 
 FloatArray = NDArray[np.float64]
 
 AIR: Final = 0.005
 """How much farther than the clearance tools stay off the sheet between passes [m]."""
+SHARP: Final = 31.0 * DEG
+"""Tools stop where their way turns by more than this, which is beyond what smooth ways do from target to
+target."""
+STILL: Final = 1e-6
+"""Moves that are shorter than this [m] have no direction."""
 BACK: Final = 0.06
 """How far tools are drawn back before and after the job [m], so that arms come to them in free space."""
 
@@ -32,8 +38,8 @@ class Route:
 
 def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, most: int) -> Route:
     """The route through all passes. Between passes tools go over the highest place of the part, ``clearance``
-    [m] and a little more away; at least every ``most`` targets of a pass, at the end of a loop, they stop, so
-    that programs can be split there."""
+    [m] and a little more away. They stop at sharp corners, and at least every ``most`` targets of a pass, at
+    the end of a loop, so that programs can be split there."""
     arms = job.operation.arms
     away = {arm: _away(job, arm, clearance) for arm in arms}
     centre: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
@@ -60,6 +66,8 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
         labels += [f"{name}_in", *[name] * (count - 1), f"{name}_out"] + (["retreat"] if last else [])
         head, tail = (2 if first else 1), (2 if last else 1)
         within = _stops(path.contact.loop, most)
+        for points, _ in own.values():
+            within |= _corners(points)
         within[[0, -1]] = True
         stops.append(np.concatenate([np.ones(head, bool), within, np.ones(tail, bool)]))
     return Route(
@@ -87,6 +95,19 @@ def _away(job: Job, arm: str, clearance: float) -> float:
     reach = head.radius if head.kind == "ball" else 0.0
     gap = clearance + AIR + reach
     return high + gap if job.above(arm) else low - gap
+
+
+def _corners(points: FloatArray) -> NDArray[np.bool_]:
+    """(N,) where the way through ``points`` (N, 3) turns so sharply that a tool cannot but stop."""
+    step = np.diff(points, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    long = np.flatnonzero(length > STILL)
+    out = np.zeros(len(points), dtype=bool)
+    if len(long) > 1:
+        way = step[long] / length[long, None]
+        sharp = np.einsum("nd,nd->n", way[1:], way[:-1]) < np.cos(SHARP)
+        out[long[1:][sharp]] = True
+    return out
 
 
 def _stops(loop: NDArray[np.int64], most: int) -> NDArray[np.bool_]:
