@@ -195,7 +195,7 @@ CODES: Final[dict[str, str]] = {
     "verify.wire_clearance": "the wire comes too near to a body",
     "verify.surface": "too little of the cut surface is within tolerance of the wanted one",
     "verify.gouge": "a forming tool cuts into the face that it forms, or goes through the flat sheet",
-    "verify.formed": "too little of a face is formed, the ball is off it too long, or nothing is claimed there",
+    "verify.formed": "too little of a face is formed, the ball is off it too long, or no claim is made there",
     "verify.gap": "the gap between two forming tools, or the way they face each other, is not as wanted",
     "verify.border": "a support leaves the border of what is formed, or cuts across it",
     "verify.opposite": "a tool that follows a forming one across the sheet is not opposite of it",

@@ -20,7 +20,7 @@ def rounded_wall(outer: float, depth: float, angle: float, fillet: float, steps:
     """Inset from the outline and height (K, 2) [mm] down a wall of one angle [deg], both edges rounded;
     ``outer`` is how far outside the outline the flat begins."""
     a = np.deg2rad(angle)
-    turn = np.linspace(0.0, a, 15)
+    turn = np.linspace(0.0, a, 33)
     tangent = fillet * np.tan(0.5 * a)
     foot = depth / np.tan(a)
     top = np.stack([fillet * np.sin(turn) - tangent, fillet * (np.cos(turn) - 1.0)], axis=1)
@@ -150,7 +150,7 @@ def dome() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
 
 
 if __name__ == "__main__":
-    revolved(203.2, rounded_wall(22.0, 165.0, 60.0, 12.0, 50), 288).export(HERE / "cone_dpif_l" / "cone.ply")
+    revolved(203.2, rounded_wall(22.0, 165.0, 60.0, 12.0, 26), 288).export(HERE / "cone_dpif_l" / "cone.ply")
     revolved(55.0, rounded_wall(11.0, 25.0, 45.0, 8.0, 16), 144).export(HERE / "cone_spif" / "cone.ply")
     pyramid(60.0, 24.0, rounded_wall(12.0, 40.0, 75.0, 8.0, 20), 160).export(
         HERE / "pyramid_steep" / "pyramid.ply"

@@ -24,7 +24,7 @@ from planner.forming.contact import Face
 from planner.forming.inserting import insert, shares
 from planner.forming.operation import Forming
 from planner.forming.steady import steady_below, steady_normals
-from planner.forming.thickness import thickness_map
+from planner.forming.thickness import by_corner
 from planner.forming.tilt import axes, below_flat, leaned, nozzle_below_flat
 from planner.forming.values import ContactPath, FloatArray, Pass, ToolPath
 from planner.geometry.mesh import TriangleMesh
@@ -40,7 +40,6 @@ AIR: Final = 3e-3
 SHARE: Final = 0.4
 """Part of the gap's tolerance that straight moves between targets may take."""
 _ROUNDS: Final = 3
-_SLACK: Final = 1e-3
 
 
 def tool_path(
@@ -100,13 +99,11 @@ def support_issues(
 
 
 def wanted_gap(one: Pass, contact: ContactPath, squeeze: float, thickness: float) -> FloatArray:
-    """Gap (N,) [m] at the targets: ``squeeze`` times the sheet's thickness along the normal there."""
-    single = thickness * np.cos(contact.angle)
-    share = one.thickness / np.maximum(thickness_map(one.vertices, one.faces, thickness), 1e-12)
-    if (share < 1.0 - _SLACK).any():
-        _, face, weights = Face(TriangleMesh(one.vertices, one.faces), 5e-3).nearest(contact.point)
-        single = single * np.minimum(np.einsum("nk,nk->n", weights, share[one.faces[face]]), 1.0)
-    return np.asarray(squeeze * single)
+    """Gap (N,) [m] at the targets: ``squeeze`` times the sheet's thickness along the smooth face's normal
+    nearest to the ball, which does not hop from facet to facet as the contact's own normal does."""
+    _, _, thick = by_corner(one, thickness)
+    _, face, weights = Face(TriangleMesh(one.vertices, one.faces), 5e-3).nearest(contact.centre)
+    return np.asarray(squeeze * np.einsum("nk,nk->n", weights, thick.reshape(-1, 3)[face]))
 
 
 def _opposite(
