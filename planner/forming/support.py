@@ -37,6 +37,8 @@ LIFT: Final = 5e-3
 """How far [m] the support draws back from the sheet where the forming tool goes over in the air."""
 AIR: Final = 3e-3
 """Distance [m] of the forming ball from the face beyond which it is in the air."""
+CREASED: Final = 0.15
+"""Thicknesses on both sides of a crease differ by more than this share of the flat sheet's."""
 SHARE: Final = 0.4
 """Part of the gap's tolerance that straight moves between targets may take."""
 _ROUNDS: Final = 3
@@ -101,9 +103,15 @@ def support_issues(
 def wanted_gap(one: Pass, contact: ContactPath, squeeze: float, thickness: float) -> FloatArray:
     """Gap (N,) [m] at the targets: ``squeeze`` times the sheet's thickness along the smooth face's normal
     nearest to the ball, which does not hop from facet to facet as the contact's own normal does."""
-    _, _, thick = by_corner(one, thickness)
-    _, face, weights = Face(TriangleMesh(one.vertices, one.faces), 5e-3).nearest(contact.centre)
-    return np.asarray(squeeze * np.einsum("nk,nk->n", weights, thick.reshape(-1, 3)[face]))
+    thick = by_corner(one, thickness)[2].reshape(-1, 3)
+    whole = Face(TriangleMesh(one.vertices, one.faces), 5e-3)
+    near, own = (
+        np.einsum("nk,nk->n", weights, thick[face])
+        for _, face, weights in (whole.nearest(contact.centre), whole.nearest(contact.point))
+    )
+    # in a crease the ball touches two walls at once, and the thinner one counts
+    crease = np.abs(near - own) > CREASED * thickness
+    return np.asarray(squeeze * np.where(crease, np.minimum(near, own), near))
 
 
 def _opposite(
