@@ -41,7 +41,7 @@ CREASED: Final = 0.15
 """Thicknesses on both sides of a crease differ by more than this share of the flat sheet's."""
 SHARE: Final = 0.4
 """Part of the gap's tolerance that straight moves between targets may take."""
-_ROUNDS: Final = 3
+_ROUNDS: Final = 5
 
 
 def tool_path(
