@@ -20,7 +20,9 @@ HEAT = {"kind": "heat_tool", "radius_mm": 15, "length_mm": 250, "standoff_mm": 2
 DISK = {"kind": "disk_tool", "radius_mm": 20, "length_mm": 250, "thickness_mm": 8, "shaft_radius_mm": 10}
 
 
-def dish(radius: float = 30.0, depth: float = 6.0, angle: float = 40.0, fillet: float = 7.0) -> Mesh:
+def dish(
+    radius: float = 30.0, depth: float = 6.0, angle: float = 40.0, fillet: float = 7.0, around: int = 96
+) -> Mesh:
     """A dish [m] that goes down, its wall of one angle [deg] rounded into flat and floor; sizes in mm."""
     a = np.deg2rad(angle)
     turn = np.linspace(0.0, a, 13)
@@ -30,7 +32,7 @@ def dish(radius: float = 30.0, depth: float = 6.0, angle: float = 40.0, fillet: 
     steps = [tuple((1.0 - s) * np.array(top[-1]) + s * np.array(low[-1])) for s in np.linspace(0, 1, 8)[1:-1]]
     floor = [(share * low[0][0], -depth) for share in (0.75, 0.5, 0.25, 0.0)]
     profile = [(radius + tangent + 4.0, 0.0), *top, *steps, *low[::-1], *floor]
-    return revolved([(float(r) * MM, float(z) * MM) for r, z in profile], 96)
+    return revolved([(float(r) * MM, float(z) * MM) for r, z in profile], around)
 
 
 def problem(mode: str = "spif", **operation: Any) -> dict[str, Any]:

@@ -82,7 +82,9 @@ def pieces(way: Track, within: float) -> Pieces:
         none = np.zeros(0, dtype=np.int64)
         return Pieces(none, none, np.zeros(0))
     cut = np.flatnonzero(~way.joined)
-    starts, ends = np.concatenate([[0], cut + 1]), np.concatenate([cut, [count - 1]])
+    turn = np.flatnonzero((way.own[1:] != way.own[:-1]) & way.joined) + 1  # ends one piece and begins another
+    starts = np.sort(np.concatenate([[0], cut + 1, turn]))
+    ends = np.sort(np.concatenate([cut, turn, [count - 1]]))
     first = np.concatenate([np.arange(a, b, _BLOCK) for a, b in zip(starts, ends, strict=True)])
     to = np.repeat(ends, [len(range(a, b, _BLOCK)) for a, b in zip(starts, ends, strict=True)])
     last = np.minimum(first + _BLOCK, to)

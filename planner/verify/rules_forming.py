@@ -127,7 +127,7 @@ def envelope(one: Formed) -> CutFace:
 
 def _swept(one: Formed, points: FloatArray) -> FloatArray:
     """How near (N,) [m] the ball's centre comes to points (N, 3) while it forms; infinite if never."""
-    use = one.track.own[one.pieces.last]
+    use = one.track.own[one.pieces.first]
     start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]
     if not len(start):
         return np.full(len(points), np.inf)
@@ -151,7 +151,7 @@ def _swept(one: Formed, points: FloatArray) -> FloatArray:
 def _lifted(one: Formed) -> float:
     """Share of the way within a segment at whose ends the ball is off the face by more than the scallop."""
     claim = one.claim
-    use = one.track.own[one.pieces.last]
+    use = one.track.own[one.pieces.first]
     first, last = one.pieces.first[use], one.pieces.last[use]
     way = np.linalg.norm(one.track.centre[last, 0] - one.track.centre[first, 0], axis=1)
     off = one.near.apart > claim.radius + claim.scallop + claim.tolerance

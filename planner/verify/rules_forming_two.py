@@ -34,7 +34,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
             continue
         way = track(context, claim.segment, index, claim.arms)
         parts = pieces(way, SPARE * claim.tolerance)
-        own = way.own[parts.last]
+        own = way.own[parts.first]
         first, last, off = parts.first[own], parts.last[own], parts.off[own]
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
@@ -174,7 +174,9 @@ def border(context: Context, forming: Forming) -> Outcome:
             continue
         way = track(context, claim.segment, index, (claim.arm,))
         parts = pieces(way, min(SPARE * claim.tolerance, 0.1 * INSIDE))
-        rows = np.unique(np.concatenate([parts.first[way.own[parts.last]], parts.last[way.own[parts.last]]]))
+        rows = np.unique(
+            np.concatenate([parts.first[way.own[parts.first]], parts.last[way.own[parts.first]]])
+        )
         if not len(rows):
             what = f"{claim.arm} never supports the border of {claim.segment}"
             issues.append(Issue("verify.border", what, field=claim.segment))
@@ -259,7 +261,7 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             continue
         way = track(context, claim.segment, index, claim.arms)
         parts = pieces(way, SPARE * claim.tolerance)
-        own = way.own[parts.last]
+        own = way.own[parts.first]
         first, last, off = parts.first[own], parts.last[own], parts.off[own]
         if not len(first):
             what = f"{' and '.join(claim.arms)} never work on {claim.segment} together"

@@ -1,0 +1,155 @@
+"""The whole way through for sheet forming: from a problem file and a mesh to programs that are proven."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+import planner
+from planner import pipeline, plan_io
+from planner.catalogue import data_dir, robot
+from planner.cell.robots import forward
+from planner.geometry.rigid import inverse
+from planner.pipeline import Outcome
+from planner.units import MM
+from tests import small_forming
+
+UPRIGHT = {"xyz_mm": [250, -1030, 900], "rpy_deg": [90, 0, -84.5]}
+"""Where the small dish stands between the two arms, as the search found it."""
+PROBLEMS = sorted(
+    path.relative_to(data_dir("problems"))
+    for path in data_dir("problems").glob("*/problem.yaml")
+    if "process: forming" in path.read_text()
+)
+
+
+def planned(folder: Path, mode: str, **operation: Any) -> Outcome:
+    data = small_forming.problem(mode, **operation)
+    if mode != "spif":
+        data["sheet"]["place"] = UPRIGHT
+    return planner.plan(planner.load(small_forming.write(folder, data, small_forming.dish(around=180))))
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    return planned(tmp_path_factory.mktemp("spif"), "spif")
+
+
+@pytest.fixture(scope="module")
+def together(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    return planned(tmp_path_factory.mktemp("dsif"), "dsif", tangent_deg=3)
+
+
+def centres(outcome: Outcome, arm: str, segment: str) -> np.ndarray:
+    """Centres (N, 3) [m] of an arm's ball in the sheet's frame, by the planned joints, while it forms."""
+    (operation,) = outcome.plan.operations
+    mounted = outcome.problem.cell.arm(arm)
+    flange = forward(robot(mounted.robot), operation.q[arm])
+    tcp = inverse(outcome.plan.stock_pose) @ outcome.plan.bases[arm] @ flange @ mounted.tool.tcp
+    return np.asarray(tcp[[label == segment for label in operation.targets.segment], :3, 3])
+
+
+@pytest.mark.parametrize("name", ["alone", "together"])
+def test_the_programs_are_proven_and_every_rule_ran(name: str, request: pytest.FixtureRequest) -> None:
+    outcome: Outcome = request.getfixturevalue(name)
+    assert outcome.verified, outcome.issues
+    assert all(rule.ran and rule.passed for rule in outcome.proof.rules)
+    codes = {rule.code for rule in outcome.proof.rules}
+    assert {"verify.gouge", "verify.formed", "verify.sheet", "verify.feature_order"} <= codes
+    text = "".join(outcome.programs.values())
+    assert len(re.findall(r"\bMoveL\b", text)) > 400
+
+
+def test_the_ball_of_one_tool_is_on_the_part(alone: Outcome) -> None:
+    assert alone.problem.part is not None
+    assert alone.problem.part.formed is not None
+    lower = alone.problem.part.formed.mesh
+    # as thick along z everywhere as at first, so the face that the tool touches is the lower one moved up
+    face = trimesh.Trimesh(lower.vertices + np.array([0.0, 0.0, MM]), lower.faces, process=False)
+    off = trimesh.proximity.closest_point(face, centres(alone, "robot", "form/f1"))[1] - 6.0 * MM
+    assert off.min() > -5e-6
+    assert np.quantile(off, 0.9) < 20e-6
+
+
+def test_two_tools_hold_the_sheet_between_them(together: Outcome) -> None:
+    left, right = (centres(together, arm, "form/f1") for arm in ("left", "right"))
+    gap = np.linalg.norm(left - right, axis=1) - 10.0 * MM
+    assert gap.max() == pytest.approx(1.0 * MM, abs=2e-6)  # on the flat
+    assert gap.min() == pytest.approx(np.cos(np.deg2rad(40.0)) * MM, abs=4e-6)  # on the wall
+    times = [
+        re.findall(
+            r"\\ID:=\d+.*?\\T:=([\d.]+)", "".join(t for n, t in together.programs.items() if task in n)
+        )
+        for task in ("T_ROB1", "T_ROB2")
+    ]
+    assert times[0] == times[1]
+    assert len(times[0]) > 400
+
+
+def test_tools_keep_to_the_feed_and_stop_only_off_the_sheet(together: Outcome) -> None:
+    (operation,) = together.plan.operations
+    targets = operation.targets
+    forming = np.array([label == "form/f1" for label in targets.segment])
+    way = centres(together, "left", "form/f1")
+    speed = np.linalg.norm(np.diff(way, axis=0), axis=1) / np.diff(operation.time[forming])
+    assert speed.max() <= 25.0 * MM * (1.0 + 1e-6)
+    assert speed.max() > 20.0 * MM
+    assert targets.stop[forming].sum() <= 2
+
+
+def test_the_same_problem_gives_the_same_bytes(alone: Outcome) -> None:
+    again = planner.plan(alone.problem)
+    assert again.programs == alone.programs
+    assert plan_io.dump(again.plan) == plan_io.dump(alone.plan)
+
+
+def test_the_folder_alone_can_be_proven_again(alone: Outcome, tmp_path: Path) -> None:
+    alone.save(tmp_path)
+    carried = pipeline.load_result(tmp_path)
+    assert carried.digest == alone.problem.digest
+    assert pipeline.verify(carried, pipeline.read_programs(tmp_path)).ok
+    report = (tmp_path / "report.html").read_text("utf-8")
+    for said in (
+        "Features of the part",
+        "Wall angle",
+        "Thickness by the sine law",
+        "Passes in the order of forming",
+    ):
+        assert said in report
+
+
+def test_programs_of_another_depth_are_not_proven(alone: Outcome) -> None:
+    """The mesh tells what is formed, not the plan: the same programs for a sheet twice as thick fail."""
+    stock = alone.problem.stock
+    thicker = dataclasses.replace(stock, size=stock.size * [1.0, 1.0, 2.0])
+    proof = pipeline.verify(dataclasses.replace(alone.problem, stock=thicker), alone.programs)
+    assert not proof.ok
+    assert {"verify.gouge", "verify.formed"} & {issue.code for issue in proof.issues}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("mode", ["dpif_l", "dpif_p"])
+def test_small_jobs_of_other_modes_are_proven(tmp_path: Path, mode: str) -> None:
+    outcome = planned(tmp_path, mode)
+    assert outcome.verified, outcome.issues
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
+def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
+    outcome = planned(tmp_path, "spif", path=kind)
+    assert outcome.verified, outcome.issues
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("path", PROBLEMS, ids=lambda path: path.parent.name)
+def test_every_bundled_forming_problem_is_proven(path: Path) -> None:
+    outcome = planner.plan(planner.load(path))
+    assert outcome.verified, outcome.issues
+    assert all(rule.ran and rule.passed for rule in outcome.proof.rules)
