@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.units import DEG
 
@@ -112,6 +113,16 @@ def data_dir(kind: DataKind) -> Path:
         if folder.is_dir():
             return folder
     raise _missing(_HERE / "_installed" / kind)
+
+
+def bundled(path: Path) -> Path:
+    """The file itself, or the bundled problem's file of that name where there is none; the name may begin
+    with ``problems/``.
+    """
+    parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
+    inside = data_dir("problems").joinpath(*parts)
+    own = is_file(path) or path.is_absolute() or ".." in parts
+    return inside if not own and is_file(inside) else path
 
 
 def robot_names() -> tuple[str, ...]:

@@ -29,7 +29,7 @@ class Features:
     """
 
     part: tyro.conf.Positional[Path]
-    """the part's surface: OBJ, STL or PLY"""
+    """the part's surface: OBJ, STL or PLY; or a bundled problem's file"""
     unit: Literal["mm", "cm", "m", "in", "ft"] = "mm"
     """unit of the lengths in the mesh"""
     step_mm: float = 1.0
@@ -42,6 +42,7 @@ class Features:
 
 def run(request: Features) -> tuple[Issue, ...]:
     """Print the tree, write the drawing; warnings come back. Raises `TandemError` (rooms mesh, forming)."""
+    from planner.catalogue import bundled
     from planner.files import write_whole
     from planner.forming import feature_drawing, feature_order
     from planner.forming.feature_tree import build
@@ -51,7 +52,7 @@ def run(request: Features) -> tuple[Issue, ...]:
     if request.output is not None and request.output.suffix.lower() not in DRAWINGS:
         what = f"{request.output.name}: a drawing is .html or .svg; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
-    read = read_mesh(request.part, LENGTH_UNITS[request.unit])
+    read = read_mesh(bundled(request.part), LENGTH_UNITS[request.unit])
     tree = build(Mesh(read.vertices, read.faces), request.step_mm * MM)
     order = feature_order.in_place if request.strategy == "in_place" else feature_order.on_virgin_sheet
     out.print(_shown(tree, request.part.name))

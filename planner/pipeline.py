@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from planner import plan_io, problem_file, processes
-from planner.catalogue import data_dir
+from planner.catalogue import bundled
 from planner.files import claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.motion import solve
@@ -156,13 +156,9 @@ def exit_code(outcome: Outcome) -> int:
 
 
 def _find(path: Path) -> Path:
-    """The file itself, or the bundled problem of that name; the name may begin with ``problems/``."""
-    if is_file(path) or is_file(path / "problem.yaml"):
-        return path if is_file(path) else path / "problem.yaml"
-    parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
-    inside = data_dir("problems").joinpath(*parts)
-    for candidate in (inside, inside / "problem.yaml"):
-        if not path.is_absolute() and ".." not in parts and is_file(candidate):
+    """The problem file, or the one in the folder of that name; bundled ones are known by their names."""
+    for candidate in (path, path / "problem.yaml", bundled(path), bundled(path / "problem.yaml")):
+        if is_file(candidate):
             return candidate
     return path
 

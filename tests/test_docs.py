@@ -105,6 +105,19 @@ def test_the_tables_are_those_of_the_code(name: str) -> None:
     assert reference().page(name, text) == text, "run python docs/make_reference.py"
 
 
+def test_no_mapping_of_a_problem_file_is_left_out_of_the_reference() -> None:
+    from planner.cell_file import CellFile
+    from planner.problem_file import ProblemFile
+    from planner.processes import schemas
+
+    whole = [ProblemFile, CellFile, *schemas().values()]
+    asked = {model.__name__ for model in whole}
+    for model in whole:
+        parts = model.model_json_schema().get("$defs", {})
+        asked |= {name for name, part in parts.items() if part.get("type") == "object"}
+    assert asked - {model.__name__ for _, _, model in reference().CHAPTERS} == set()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
     for target, anchor in LINK.findall(page.read_text("utf-8")):

@@ -24,7 +24,7 @@ def _from_the_problem_file(value: Path | None, info: ValidationInfo) -> Path | N
 class Adsif(Strict):
     """Accumulative forming: which solution of the response table is taken, and how much the tools give.
 
-    ``table``: a file of one's own with the columns of the built-in one; its conditions are stated here.
+    ``file``: a table of one's own with the columns of the built-in one; its conditions are stated here.
     """
 
     prefer: Annotated[
