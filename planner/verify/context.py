@@ -30,10 +30,11 @@ from planner.verify import setups as setup_text
 from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.motion import Motion
 from planner.verify.rapid_ast import Data, Literal
-from planner.verify.rapid_steps import MessageStep, MoveStep, Step
-from planner.verify.rapid_values import WorkObject, build
+from planner.verify.rapid_values import build
 from planner.verify.replay import replay
 from planner.verify.setups import SetupClaims, Spans
+from planner.verify.steps import MessageStep, MoveStep, Step
+from planner.verify.values import WorkObject
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -233,7 +234,7 @@ class Context:
         for number, _, task, moves in self.moves():
             index = int(self.spans.of_stage[number])
             for move in moves:
-                if move.kind != "MoveAbsJ":
+                if not move.by_joints:
                     key = (index, task.name, id(move.wobj))
                     seen.setdefault(key, (index, task, move, move.wobj))
         return list(seen.values())

@@ -7,7 +7,7 @@ import dataclasses
 from planner.issues import Issue
 from planner.verify.job import TaskText
 from planner.verify.motion import Motion
-from planner.verify.rapid_steps import MoveStep, Step
+from planner.verify.steps import MoveStep, Step
 
 
 def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from planner.problem import Problem
 from planner.verify import handshake_text
 from planner.verify.handshake_text import Reading, Sections
-from planner.verify.rapid_steps import CallStep, MessageStep, MoveStep, SettingStep, Step
+from planner.verify.steps import CallStep, MessageStep, MoveStep, SettingStep, Step
 
 
 class Part(NamedTuple):

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from planner.handshake import HandshakeKind, SignalWire
 from planner.verify.handshake_model import Action, Levels
-from planner.verify.rapid_steps import (
+from planner.verify.steps import (
     CarryStep,
     ChoiceStep,
     LoadStep,
@@ -122,7 +122,7 @@ def _told(steps: Sequence[Step], at: int) -> str:
     text = ""
     while at >= 0:
         step = steps[at]
-        if not isinstance(step, MessageStep) or step.kind != "TPWrite":
+        if not isinstance(step, MessageStep) or step.panel != "line":
             break
         text, at = letters(step.text) + text, at - 1
     return text
@@ -171,7 +171,7 @@ class _Reader:
             case SignalStep() if step.signal.lower() in self.drives:
                 self._set(i, step)
                 return True
-            case WaitStep() if step.kind == "WaitDI":
+            case WaitStep() if step.signal:
                 self._wait(i, step)
                 return True
             case MessageStep() if i == self.gate:
@@ -251,7 +251,7 @@ class _Reader:
                 self._aside(inside)
             elif isinstance(inside, SignalStep) and inside.signal.lower() in self.drives:
                 self._fault(f"whether {inside.signal} is set is known at run time only", inside)
-            elif isinstance(inside, WaitStep) and inside.kind == "WaitDI":
+            elif isinstance(inside, WaitStep) and inside.signal:
                 self._fault(f"whether it waits for {inside.signal} is known at run time only", inside)
 
     # ---- actions ----

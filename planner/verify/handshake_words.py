@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from planner.handshake import SignalWire
 from planner.verify.handshake_model import Action, Event, Finding
 from planner.verify.handshake_text import Reading
-from planner.verify.rapid_steps import Step
+from planner.verify.steps import Step
 
 SHOWN = 6
 """Events that are told of the way to a fault."""

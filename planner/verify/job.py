@@ -19,7 +19,7 @@ from planner.verify.rapid_ast import Module
 from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits
 from planner.verify.rapid_reader import Flow, FlowError, flow, read_task
-from planner.verify.rapid_steps import MessageStep, MoveStep, Step, SyncStep
+from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
 
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.verify.rapid_steps import Step
+from planner.verify.steps import Step
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

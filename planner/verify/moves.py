@@ -13,8 +13,8 @@ from planner.cell.robots import forward
 from planner.geometry.rigid import inverse, log_rotation
 from planner.verify import time_law
 from planner.verify.job import TaskText
-from planner.verify.rapid_steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
-from planner.verify.rapid_values import JointTarget, RobTarget, poses
+from planner.verify.steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
+from planner.verify.values import JointTarget, RobTarget, poses
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -74,7 +74,7 @@ def make_row(
     names; they are taken as if all frames stood still.
     """
     count = len(moves)
-    straight = [move for move in moves if move.kind != "MoveAbsJ"]
+    straight = [move for move in moves if not move.by_joints]
     carriers = {None if move.wobj.fixed else units.get(move.wobj.unit.lower()) for move in straight}
     carrier = carriers.pop() if len(carriers) == 1 else None
     joint = np.array([isinstance(move.target, JointTarget) for move in moves])
@@ -192,13 +192,11 @@ def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
 
 
 def waits(steps: list[Step]) -> float:
-    return sum(
-        (step.seconds or 0.0) for step in steps if isinstance(step, WaitStep) and step.kind == "WaitTime"
-    )
+    return sum(step.pause for step in steps if isinstance(step, WaitStep))
 
 
 def holds(steps: list[Step]) -> bool:
     """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
     return any(
         isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps
-    ) or any(isinstance(step, SettingStep) and step.kind == "Stop" for step in steps)
+    ) or any(isinstance(step, SettingStep) and step.stops for step in steps)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Literal
 
 from planner.verify.rapid_ast import (
     Assign,
@@ -28,7 +29,9 @@ from planner.verify.rapid_ast import (
 )
 from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError, Names
 from planner.verify.rapid_lexer import Fault
-from planner.verify.rapid_steps import (
+from planner.verify.rapid_values import PREDEFINED, Value
+from planner.verify.rapid_words import FORMS
+from planner.verify.steps import (
     CallStep,
     CarryStep,
     ChoiceStep,
@@ -41,12 +44,7 @@ from planner.verify.rapid_steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid_values import (
-    PREDEFINED,
-    Value,
-    WorkObject,
-)
-from planner.verify.rapid_words import FORMS
+from planner.verify.values import WorkObject
 
 MAX_CALLS = 50
 MAX_STEPS = 2_000_000
@@ -234,7 +232,7 @@ class Runner(Evaluator):
             values = tuple(
                 self.value(argument, "num") for argument in arguments if not isinstance(argument, Name)
             )
-            self.steps.append(SettingStep(*where, name, tuple(options), values))
+            self.steps.append(SettingStep(*where, name, tuple(options), values, name == "Stop"))
             if name in _ENDS and not self.condition:
                 raise _LeaveError(name)
 
@@ -257,7 +255,10 @@ class Runner(Evaluator):
         button = options.get("buttons")
         certain = name == "UIMsgBox" and "maxtime" not in options and "result" not in options
         certain = certain and (button is None or self.value(button, "num") == PREDEFINED["btnok"][1])
-        self.steps.append(MessageStep(*self._where(statement), name, lines, asks, text, certain))
+        panel: Literal["line", "clear", ""] = (
+            "line" if name == "TPWrite" else "clear" if name == "TPErase" else ""
+        )
+        self.steps.append(MessageStep(*self._where(statement), name, lines, asks, text, certain, panel))
 
     # ---- branches and loops ----
 

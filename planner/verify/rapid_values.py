@@ -1,5 +1,5 @@
 """RAPID data as values: records with their order and types, predefined data, and the step from numbers to
-SI.
+the values of :mod:`planner.verify.values` in SI units.
 
 Order of the record components, units (mm, degrees, s, kg) and the figures of the predefined speeds and
 zones: ABB, Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1 (robtarget,
@@ -14,91 +14,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.verify.values import (
+    Array,
+    JointTarget,
+    Load,
+    RobTarget,
+    Speed,
+    Tool,
+    WorkObject,
+    Zone,
+    poses,
+)
 
 UNUSED_AXIS = 9e9
 QUATERNION_TOLERANCE = 1e-5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobTarget:
-    """`position` (3,) [m], `quaternion` (4,) wxyz as written, `conf` (cf1, cf4, cf6, cfx), `external` (6,)
-    as written.
-    """
-
-    position: Array
-    quaternion: Array
-    conf: tuple[int, int, int, int]
-    external: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointTarget:
-    """`joints` (6,) [rad] as the controller counts them (a coupled axis 3 stays as written), `external`
-    (6,) as written.
-    """
-
-    joints: Array
-    external: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Speed:
-    """`tcp` [m/s] (inf for vmax), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s]."""
-
-    tcp: float
-    turn: float
-    linear: float
-    rotary: float
-
-
-@dataclass(frozen=True, slots=True)
-class Zone:
-    """`fine` stops the arm; else radii of path `tcp` [m], of turning `turn` [m], `external` [m], and the
-    zone's own angles and lengths for turning [rad], linear [m] and rotary [rad] external axes.
-    """
-
-    fine: bool
-    tcp: float
-    turn: float
-    external: float
-    turn_angle: float
-    linear: float
-    rotary: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Load:
-    """`mass` [kg], `centre` (3,) [m], `axes` quaternion (4,), `inertia` (3,) [kg m^2]."""
-
-    mass: float
-    centre: Array
-    axes: Array
-    inertia: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tool:
-    """`held` by the robot or not, TCP `pose` (4,4) [m] in the flange frame, `load`."""
-
-    held: bool
-    pose: Array
-    load: Load
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WorkObject:
-    """`held` by the robot or not, `fixed` user frame or moved by `unit`, `user` and `object` frames (4,4)
-    [m].
-    """
-
-    held: bool
-    fixed: bool
-    unit: str
-    user: Array
-    object: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,27 +73,6 @@ class RapidValueError(Exception):
 def base_type(name: str) -> str:
     """The type that counts for agreement: aliases of num are num."""
     return "num" if name in NUMBERS else name
-
-
-def rotation(quaternion: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any length but zero."""
-    q = np.asarray(quaternion, dtype=float)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def poses(position: Array, quaternion: Array) -> Array:
-    """Poses (..., 4, 4) of positions (..., 3) and quaternions (..., 4)."""
-    pose = np.zeros((*np.shape(position)[:-1], 4, 4))
-    pose[..., :3, :3] = rotation(quaternion)
-    pose[..., :3, 3] = position
-    pose[..., 3, 3] = 1.0
-    return pose
 
 
 def build(kind: str, items: Any) -> Value:

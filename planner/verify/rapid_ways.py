@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_evaluate import Names
 from planner.verify.rapid_flow import Runner
-from planner.verify.rapid_steps import Step
+from planner.verify.steps import Step
 
 Sections = Mapping[tuple[str, str], tuple[Step, ...]]
 

@@ -24,7 +24,7 @@ from planner.verify import arm_ik, confdata, straight_moves, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
 from planner.verify.motion import Fault, Motion
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
-from planner.verify.rapid_steps import Step, WaitStep
+from planner.verify.steps import Step
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -157,8 +157,7 @@ class _Player:
             own = 0.0
             for step in steps.get(task.name, []):
                 self.events.append((self.clock + own, number, task.name, step))
-                if isinstance(step, WaitStep) and step.kind == "WaitTime":
-                    own += step.seconds or 0.0
+                own += waits([step])
             spent = max(spent, own)
         self.clock += spent
         return spent
@@ -188,7 +187,12 @@ class _Player:
         for row in rows:  # a corner between a joint move and a straight one has no model: the arm stops there
             change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
             for i in change[~stop[change]]:
-                self._fault("corner", "a corner between MoveAbsJ and MoveL inside a zone", row, int(i) - 1)
+                self._fault(
+                    "corner",
+                    "a corner between a joint move and a straight one inside a zone",
+                    row,
+                    int(i) - 1,
+                )
             stop[change] = True
         joints = [self.q[row.task.arm.name] for row in rows]
         law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)

@@ -10,7 +10,8 @@ from planner.catalogue import robot
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
-from planner.verify.rapid_steps import (
+from planner.verify.rules_sync import straight_way
+from planner.verify.steps import (
     LoadStep,
     MessageStep,
     MoveStep,
@@ -20,8 +21,7 @@ from planner.verify.rapid_steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid_values import JointTarget, RobTarget
-from planner.verify.rules_sync import straight_way
+from planner.verify.values import JointTarget, RobTarget
 
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
 _ZONE_SLACK = 1e-9

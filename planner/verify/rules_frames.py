@@ -12,9 +12,9 @@ from planner.problem import Stock
 from planner.problem import Tool as WantedTool
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
-from planner.verify.rapid_steps import CarryStep, MoveStep
-from planner.verify.rapid_values import Tool, rotation
 from planner.verify.setups import stays
+from planner.verify.steps import CarryStep, MoveStep
+from planner.verify.values import Tool, rotation
 
 FloatArray = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ def held_frame(context: Context) -> Outcome:
         held = context.holder(index)
         seen: set[int] = set()
         for move in moves:
-            if move.kind == "MoveAbsJ" or id(move.wobj) in seen:
+            if move.by_joints or id(move.wobj) in seen:
                 continue
             seen.add(id(move.wobj))
             wobj, faults = move.wobj, list[str]()

@@ -9,7 +9,7 @@ from planner.verify.findings import at_step
 from planner.verify.handshake_model import check
 from planner.verify.handshake_text import Wiring
 from planner.verify.handshake_words import Words
-from planner.verify.rapid_steps import MoveStep, SignalStep
+from planner.verify.steps import MoveStep, SignalStep
 
 CODE = "verify.handshake"
 MOST = 20

@@ -17,7 +17,7 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.forming_state import Forming
 from planner.verify.forming_track import Track, track
-from planner.verify.rapid_steps import SignalStep
+from planner.verify.steps import SignalStep
 
 FloatArray = NDArray[np.float64]
 

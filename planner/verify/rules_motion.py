@@ -15,8 +15,8 @@ from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample, at_step
 from planner.verify.follow_poses import passing
-from planner.verify.rapid_steps import MoveStep
 from planner.verify.rules_setup import at_home
+from planner.verify.steps import MoveStep
 
 FloatArray = NDArray[np.float64]
 
@@ -348,7 +348,7 @@ def _straight(context: Context, arm: str) -> NDArray[np.bool_]:
             moves = stage.moves(task.name)
             rows = np.flatnonzero((stages == number) & (lines > 0))
             for row, move in zip(rows, moves, strict=False):
-                flags[row] = move.kind == "MoveL"
+                flags[row] = not move.by_joints
             place += len(rows)
         context.__dict__[key] = flags
     found: NDArray[np.bool_] = context.__dict__[key]

@@ -12,8 +12,8 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, Phase
 from planner.verify.findings import at_step
 from planner.verify.job import TaskText
-from planner.verify.rapid_steps import MessageStep, SignalStep, Step
 from planner.verify.rules_wire import moving, wire_issue
+from planner.verify.steps import MessageStep, SignalStep, Step
 from planner.verify.wire import Wire
 
 IntArray = NDArray[np.int64]

@@ -9,9 +9,9 @@ from planner.catalogue import RobotData, robot
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
-from planner.verify.rapid_steps import ChoiceStep, MessageStep, MoveStep, Step
-from planner.verify.rapid_values import JointTarget
 from planner.verify.setups import Asked, all_asked, one_line, told
+from planner.verify.steps import ChoiceStep, MessageStep, MoveStep, Step
+from planner.verify.values import JointTarget
 from planner.verify.words import letters
 
 FloatArray = NDArray[np.float64]

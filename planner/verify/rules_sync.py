@@ -10,7 +10,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
-from planner.verify.rapid_steps import (
+from planner.verify.steps import (
     CallStep,
     CarryStep,
     MessageStep,
@@ -19,7 +19,7 @@ from planner.verify.rapid_steps import (
     SignalStep,
     Step,
 )
-from planner.verify.rapid_values import RobTarget
+from planner.verify.values import RobTarget
 
 _TIME_TOLERANCE = 1e-9
 LARGEST_ID = 2**23
@@ -270,7 +270,7 @@ def _moves_with_power(context: Context) -> list[Issue]:
                 if not isinstance(step, MoveStep) or not on:
                     continue
                 alone = not stage.synchronised and (bool(setup.joined) or task.arm.name not in setup.straight)
-                if alone or (not setup.joined and step.kind == "MoveAbsJ"):
+                if alone or (not setup.joined and step.by_joints):
                     how = "alone" if alone else "by joints"
                     message = f"an arm moves {how} while {', '.join(sorted(on))} is on"
                     issues.append(at_step("verify.wire_alone", message, task, step))

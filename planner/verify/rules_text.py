@@ -13,7 +13,7 @@ from planner.verify.context import DIGEST, Context, Outcome
 from planner.verify.job import task_names
 from planner.verify.rapid_ast import Literal
 from planner.verify.rapid_lexer import Fault
-from planner.verify.rapid_steps import MoveStep
+from planner.verify.steps import MoveStep
 
 _DECLARATION = frozenset(
     {
@@ -128,7 +128,7 @@ def decimals(context: Context) -> Outcome:
         for file, text in task.files.items():
             issues += _coarse(file, text)
         for step in task.steps:
-            if isinstance(step, MoveStep) and step.kind != "MoveAbsJ":
+            if isinstance(step, MoveStep) and not step.by_joints:
                 off = abs(float((step.target.quaternion**2).sum()) ** 0.5 - 1.0)  # type: ignore[union-attr]
                 worst = max(worst, off)
                 if off > UNIT_TOLERANCE:

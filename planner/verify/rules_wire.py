@@ -9,8 +9,8 @@ from planner.claims import WireJoins
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, Phase, mm
 from planner.verify.findings import at_sample
-from planner.verify.rapid_steps import MessageStep, SignalStep, WaitStep
 from planner.verify.speed import steps_across
+from planner.verify.steps import MessageStep, SignalStep, WaitStep
 from planner.verify.wire import Wire, held_lengths
 
 FloatArray = NDArray[np.float64]

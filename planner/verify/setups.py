@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.claims import Claim, ContactOnlyIn, FeedWindow, HoldsStock, SheetState, StraightWire, WireJoins
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
-from planner.verify.rapid_steps import MessageStep, MoveStep
+from planner.verify.steps import MessageStep, MoveStep
 from planner.verify.words import letters
 
 FloatArray = NDArray[np.float64]
@@ -77,10 +77,10 @@ def told(job: JobText, asked: Asked) -> str:
         before = steps[: asked.place] if number == asked.stage else steps
         for step in reversed(before):
             if isinstance(step, MoveStep) or (
-                isinstance(step, MessageStep) and (step.confirm or step.kind == "TPErase")
+                isinstance(step, MessageStep) and (step.confirm or step.panel == "clear")
             ):
                 return letters(" ".join(reversed(lines)))
-            if isinstance(step, MessageStep) and step.kind == "TPWrite":
+            if isinstance(step, MessageStep) and step.panel == "line":
                 lines.append(step.text)
     return letters(" ".join(reversed(lines)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from planner.verify.rapid_reader import Limits, flatten, read_module, read_task
-from planner.verify.rapid_steps import (
+from planner.verify.steps import (
     MoveStep,
 )
 from tests.verify.rapid_texts import FULL, HEAD, MOVE, faults, program

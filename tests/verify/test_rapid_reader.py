@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.verify.rapid_reader import FlowError, flatten, handlers, read_module, read_task
-from planner.verify.rapid_steps import (
+from planner.verify.rapid_values import PREDEFINED
+from planner.verify.steps import (
     ChoiceStep,
     LoadStep,
     MessageStep,
@@ -19,7 +20,7 @@ from planner.verify.rapid_steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.rapid_values import PREDEFINED, JointTarget, RobTarget, poses
+from planner.verify.values import JointTarget, RobTarget, poses
 from tests.verify.rapid_texts import FULL, MOVE, program, steps
 
 

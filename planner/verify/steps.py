@@ -1,10 +1,13 @@
-"""What a task does, one step after the other. SI units; `line` counts from 1 in the file of `module`."""
+"""What a task does, one step after the other, in any robot language. SI units; `line` counts from 1 in the
+file of `module`; `kind` is always the language's own word.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-from planner.verify.rapid_values import JointTarget, Load, RobTarget, Speed, Tool, WorkObject, Zone
+from planner.verify.values import JointTarget, Load, RobTarget, Speed, Tool, WorkObject, Zone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,9 +24,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveStep(Step):
-    """`kind` MoveAbsJ, MoveJ or MoveL; `time` \\T [s], `velocity` \\V [m/s]; names are "" for values in
-    place.
-    """
+    """`time` [s] and `velocity` [m/s] where the move states them; names are "" for values in place."""
 
     kind: str
     target: RobTarget | JointTarget
@@ -40,10 +41,15 @@ class MoveStep(Step):
     wobj_name: str
     switches: tuple[str, ...]
 
+    @property
+    def by_joints(self) -> bool:
+        """Whether the move is straight in joint space."""
+        return isinstance(self.target, JointTarget)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalStep(Step):
-    """`kind` SetDO, Set or Reset; `delay` [s]; `synchronous`: waits for the signal."""
+    """`delay` [s]; `synchronous`: waits for the signal."""
 
     kind: str
     signal: str
@@ -54,8 +60,9 @@ class SignalStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaitStep(Step):
-    """`kind` WaitTime, WaitRob or WaitDI; `seconds` for WaitTime and as the limit of WaitDI; `standing`:
-    \\InPos; `flag`: the variable that tells whether WaitDI's limit was over, "" where that is an error.
+    """A wait for `seconds`, for an input `signal` to be `value` within `seconds`, or (neither) for the arm to
+    stand. `standing`: the arm stands before time counts; `flag`: the variable that tells whether the limit
+    was over, "" where that is an error.
     """
 
     kind: str
@@ -65,10 +72,16 @@ class WaitStep(Step):
     standing: bool
     flag: str = ""
 
+    @property
+    def pause(self) -> float:
+        """Time [s] that passes for certain."""
+        return 0.0 if self.signal else self.seconds or 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageStep(Step):
-    """`kind` TPWrite, TPErase, UIMsgBox, TPReadFK, ErrWrite; `confirm`: waits for the operator.
+    """`confirm`: waits for the operator; `panel`: it shows a "line" on the operator's panel or does "clear"
+    it, "" for anything else.
 
     `text`: what is shown without a box's header; `certain`: goes on only when the operator has pressed OK,
     the one button, not by a time limit or another button.
@@ -79,11 +92,14 @@ class MessageStep(Step):
     confirm: bool
     text: str = ""
     certain: bool = False
+    panel: Literal["line", "clear", ""] = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyncStep(Step):
-    """`kind` WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo; `tasks` empty where none are named."""
+    """Tasks of one controller meet: `kind` WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo; `tasks`
+    empty where none are named.
+    """
 
     kind: str
     ident: str
@@ -100,7 +116,7 @@ class LoadStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CarryStep(Step):
-    """GripLoad: what the tool carries from here on; `name` is "" for a value in place."""
+    """What the tool carries from here on; `name` is "" for a value in place."""
 
     load: Load
     name: str
@@ -108,20 +124,19 @@ class CarryStep(Step):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CallStep(Step):
-    """A late-bound call (`%"..."%`) of `name`; its steps follow."""
+    """A call of `name` that is bound while the program runs; its steps follow."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingStep(Step):
-    """Motion settings and stops: ConfL, ConfJ, SingArea, AccSet, VelSet, StopMove, ClearPath,
-    Stop, EXIT...
-    """
+    """Motion settings and stops. `stops`: the program stands still here until it is started again."""
 
     kind: str
     switches: tuple[str, ...]
     values: tuple[float, ...]
+    stops: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
