@@ -12,6 +12,9 @@ from planner.issues import Issue, TandemError
 from planner.problem import Controller
 from planner.schema import Name, Strict
 
+SignalNumber = Annotated[int, Field(ge=1, le=4096)]
+"""``n`` of ``$IN[n]`` or ``$OUT[n]``."""
+
 
 class SignalsFile(Strict):
     """Signals of one controller to the other one."""
@@ -79,6 +82,15 @@ class ControllerFile(Strict):
     ] = None
     handshake: HandshakeFile | None = None
     wire_signal: Name = "doWirePower"
+    dialect: Annotated[
+        Literal["krc4", "krc2"], Field(description="of KUKA arms: KSS 8.3 on, or the older subset")
+    ] = "krc4"
+    io: Annotated[
+        dict[Name, dict[Name, SignalNumber]],
+        Field(
+            default_factory=dict, description="numbers of the signals of KUKA controllers, by arm and name"
+        ),
+    ]
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
 
@@ -102,6 +114,7 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         if alone
         else Handshake()
     )
+    _check_io(spec.io, arms, handshake if alone else None)
     return Controller(
         tuple(tasks),
         tuple(units),
@@ -110,7 +123,30 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         spec.max_kilobytes * 1000,
         spec.sync,
         handshake,
+        spec.dialect,
+        {arm: dict(numbers) for arm, numbers in spec.io.items()},
     )
+
+
+def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:
+    """Raise where numbers are stated for an arm that is not there, or two signals share one."""
+    for arm, numbers in io.items():
+        if arm not in arms:
+            what = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
+            raise TandemError(Issue("problem.field", what, field="controller.io"))
+        inputs = {handshake.of(arm).input.lower()} if handshake else set()
+        used: dict[tuple[bool, int] | str, str] = {}
+        for name, number in numbers.items():
+            for key in ((name.lower() in inputs, number), name.lower()):
+                if key in used:
+                    what = f"{used[key]} and {name} (number {number}) cannot be told apart"
+                    issue = Issue(
+                        "problem.field",
+                        f"{what}; give each a name and a number of its own",
+                        field=f"controller.io.{arm}",
+                    )
+                    raise TandemError(issue)
+            used |= {(name.lower() in inputs, number): name, name.lower(): name}
 
 
 def _handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshake:

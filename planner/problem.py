@@ -20,6 +20,7 @@ from planner.materials import Foam
 from planner.sheet_metals import SheetMetal
 
 FloatArray = NDArray[np.float64]
+KrlDialect = Literal["krc4", "krc2"]
 ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
 
 
@@ -127,7 +128,8 @@ class Controller:
     module.
 
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
-    units of two controllers may have the same names.
+    units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms. ``io``: {arm:
+    {signal: number}} of the inputs and outputs of KUKA controllers, which know no names.
     """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
@@ -137,6 +139,13 @@ class Controller:
     max_bytes: int = 1_000_000
     sync: Literal["multimove", "handshake"] = "multimove"
     handshake: Handshake = dataclasses.field(default_factory=Handshake)
+    dialect: KrlDialect = "krc4"
+    io: Mapping[str, Mapping[str, int]] = dataclasses.field(default_factory=dict)
+
+    def number(self, arm: str, signal: str) -> int | None:
+        """The number of a signal on the controller of a KUKA arm; None if the cell states none."""
+        numbers = {name.lower(): value for name, value in self.io.get(arm, {}).items()}
+        return numbers.get(signal.lower())
 
 
 @dataclasses.dataclass(frozen=True)

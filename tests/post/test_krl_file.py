@@ -1,0 +1,45 @@
+"""What a cell says for KUKA controllers: the dialect and the numbers of signals."""
+
+from __future__ import annotations
+
+import pytest
+
+from planner.controller_file import ControllerFile, controllers
+from planner.issues import TandemError
+
+
+def read(arms=("left",), **fields):
+    return controllers(ControllerFile.model_validate(fields), arms)
+
+
+def test_signals_have_numbers_by_arm_whatever_their_case():
+    made = read(dialect="krc2", io={"left": {"doSpindle": 17}})
+    assert made.dialect == "krc2"
+    assert made.number("left", "dospindle") == 17
+    assert made.number("left", "doWirePower") is None
+    assert read().dialect == "krc4"
+
+
+@pytest.mark.parametrize("number", [0, 4097, -1])
+def test_numbers_are_those_that_a_controller_has(number):
+    with pytest.raises(ValueError, match="io"):
+        ControllerFile.model_validate({"io": {"left": {"doSpindle": number}}})
+
+
+@pytest.mark.parametrize(
+    ("io", "word"),
+    [
+        ({"middle": {"doSpindle": 1}}, "no arm middle"),
+        ({"left": {"doSpindle": 1, "doWater": 1}}, "number 1"),
+        ({"left": {"doSpindle": 1, "DOSPINDLE": 2}}, "DOSPINDLE"),
+    ],
+)
+def test_numbers_of_no_arm_or_of_two_signals(io, word):
+    with pytest.raises(TandemError, match=word) as caught:
+        read(io=io)
+    assert {issue.code for issue in caught.value.issues} == {"problem.field"}
+
+
+def test_an_input_and_an_output_count_apart():
+    io = {"left": {"doPartner": 5, "diPartner": 5}, "right": {"doPartner": 5, "diPartner": 5}}
+    assert read(("left", "right"), sync="handshake", io=io).number("right", "diPartner") == 5
