@@ -14,11 +14,11 @@ from pathlib import PurePosixPath
 
 from planner.problem import Arm, Problem
 from planner.verify import handshake_stages
+from planner.verify.faults import Fault, FlowError
 from planner.verify.handshake_text import Reading
 from planner.verify.rapid_ast import Module
-from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits
-from planner.verify.rapid_reader import Flow, FlowError, flow, read_task
+from planner.verify.rapid_reader import Flow, flow, read_task
 from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
 
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]

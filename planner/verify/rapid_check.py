@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 
+from planner.verify.faults import Fault
 from planner.verify.rapid_ast import (
     Aggregate,
     Assign,
@@ -26,7 +27,7 @@ from planner.verify.rapid_ast import (
     Unary,
     While,
 )
-from planner.verify.rapid_lexer import Fault, shown
+from planner.verify.rapid_lexer import shown
 from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, RapidValueError, base_type, conform
 from planner.verify.rapid_words import FORMS, FUNCTIONS, IN_HANDLER_ONLY
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.verify.faults import FlowError
 from planner.verify.rapid_ast import (
     Aggregate,
     Assign,
@@ -25,19 +26,10 @@ from planner.verify.rapid_ast import (
     While,
 )
 from planner.verify.rapid_check import placed
-from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, RapidValueError, SyncIdent, Value, build
 from planner.verify.rapid_words import FORMS
 
 UNKNOWN = None  # the value of what only the controller knows
-
-
-class FlowError(ValueError):
-    """The programs have no single straight way; `faults` says where and why."""
-
-    def __init__(self, faults: Sequence[Fault]) -> None:
-        super().__init__("; ".join(f"{fault.file}:{fault.line}: {fault.message}" for fault in faults))
-        self.faults = tuple(faults)
 
 
 class Names:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Literal
 
+from planner.verify.faults import Fault, FlowError
 from planner.verify.rapid_ast import (
     Assign,
     Data,
@@ -27,8 +28,7 @@ from planner.verify.rapid_ast import (
     Statement,
     While,
 )
-from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, FlowError, Names
-from planner.verify.rapid_lexer import Fault
+from planner.verify.rapid_evaluate import UNKNOWN, Evaluator, Names
 from planner.verify.rapid_values import PREDEFINED, Value
 from planner.verify.rapid_words import FORMS
 from planner.verify.steps import (

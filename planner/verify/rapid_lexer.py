@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from dataclasses import dataclass
 from typing import NamedTuple
 
 _SKIP = re.compile(r"(?:[ \t\r\n]+|![^\n]*)*")
@@ -20,19 +19,6 @@ _TOKEN = re.compile(
     |(?P<bad>[\d_][\w.\#]*|"[^\n]*|[^\W\d]\w*|.)""",
     re.VERBOSE,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing wrong with a RAPID text. `line` and `column` count from 1; `code` is stable, `message` is
-    for people.
-    """
-
-    line: int
-    column: int
-    code: str
-    message: str
-    file: str = ""
 
 
 class Token(NamedTuple):

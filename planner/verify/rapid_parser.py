@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from planner.verify.faults import Fault
 from planner.verify.rapid_ast import (
     Assign,
     Data,
@@ -22,7 +23,7 @@ from planner.verify.rapid_ast import (
 )
 from planner.verify.rapid_expressions import MAX_DEPTH, expression, typed
 from planner.verify.rapid_instructions import instruction
-from planner.verify.rapid_lexer import Cursor, Fault, RapidSyntaxError, Token, bad_token, shown
+from planner.verify.rapid_lexer import Cursor, RapidSyntaxError, Token, bad_token, shown
 from planner.verify.rapid_moves import quick_move
 from planner.verify.rapid_values import TYPES
 from planner.verify.rapid_words import ATTRIBUTES, FORMS, FUNCTIONS, RESERVED

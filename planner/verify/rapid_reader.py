@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from planner.verify.faults import Fault, FlowError
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_check import Checker
-from planner.verify.rapid_evaluate import FlowError
-from planner.verify.rapid_lexer import Fault
 from planner.verify.rapid_parser import Limits, Parser
 from planner.verify.rapid_ways import Flow, flatten, flow, handlers
 

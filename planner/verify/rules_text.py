@@ -10,9 +10,9 @@ from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
 from planner.verify.context import DIGEST, Context, Outcome
+from planner.verify.faults import Fault
 from planner.verify.job import task_names
 from planner.verify.rapid_ast import Literal
-from planner.verify.rapid_lexer import Fault
 from planner.verify.steps import MoveStep
 
 _DECLARATION = frozenset(
