@@ -201,7 +201,7 @@ class CellFile(Strict):
     name: str = "cell"
     arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
     obstacles: tuple[ObstacleFile, ...] = ()
-    controller: ControllerFile = ControllerFile()
+    controller: ControllerFile = ControllerFile.model_validate({})
 
 
 def build(spec: CellFile, folder: Path) -> Cell:
