@@ -1,4 +1,4 @@
-"""Which moves go into which module and procedure: split at the same moves for all tasks, at stops."""
+"""Which moves go into which file: split at the same moves for all tasks, at stops. All languages share it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
 from planner.post.program import Job, OperationProgram, Run, splittable
-from planner.post.rapid_format import NAME_LENGTH, identifier
 
 IntArray = NDArray[np.int64]
 
 _GRAIN = 200
-"""Where arms meet at every move a procedure has so many moves at least, or what a module takes."""
+"""Where arms meet at every move a part has so many moves at least, or what a module takes."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """A procedure: rows ``first`` to ``last`` - 1 of an operation's tracks; ``module`` counts from 1."""
+    """Rows ``first`` to ``last`` - 1 of an operation's tracks, of one segment; ``module`` counts from 1."""
 
-    name: str
     label: str
     operation: int
     first: int
@@ -35,14 +33,12 @@ class Part:
 def parts(
     job: Job, sizes: Sequence[IntArray], frame: int, max_moves: int, max_bytes: int
 ) -> tuple[Part, ...]:
-    """The procedures of a job in the order in which they run.
+    """The parts of a job in the order in which they run.
 
     ``sizes``: for each operation the bytes (M,) that its moves take in the largest task; ``frame``: bytes of
-    a procedure without its moves. Raises :class:`TandemError` (``post.no_split``, ``post.name``).
+    a part without its moves. Raises :class:`TandemError` (``post.no_split``).
     """
     out: list[Part] = []
-    visits: dict[str, int] = {}
-    labels: dict[str, str] = {}
     load = _Load(frame, max_moves, max_bytes)
     for number, runs in enumerate(_runs(job)):
         program = next(t.operations[number] for t in job.tasks if t.operations[number].track is not None)
@@ -64,9 +60,7 @@ def parts(
                 ):
                     out[-1] = dataclasses.replace(before, last=high)
                 else:
-                    out.append(
-                        Part(_name(run.label, visits, labels), run.label, number, low, high, load.module)
-                    )
+                    out.append(Part(run.label, number, low, high, load.module))
     return tuple(out)
 
 
@@ -118,22 +112,3 @@ def _spans(runs: Sequence[Run], program: OperationProgram, grain: int) -> list[t
         if not inside or row + 1 - edges[-1] >= grain:
             edges.append(row + 1)
     return list(itertools.pairwise(edges))
-
-
-def _name(label: str, visits: dict[str, int], labels: dict[str, str]) -> str:
-    """``cut_front`` for the first visit of ``cut/front``, ``cut_front__2`` for the second."""
-    name = identifier(label)
-    other = labels.setdefault(name.lower(), label)
-    if other != label:
-        message = f"segments {other!r} and {label!r} would both be called {name}"
-        raise TandemError(
-            Issue("post.name", message, hint="give them names that differ in letters or digits")
-        )
-    visits[name] = visits.get(name, 0) + 1
-    full = name if visits[name] == 1 else f"{name}__{visits[name]}"
-    if len(full) > NAME_LENGTH:
-        message = f"segment {label!r} comes {visits[name]} times, and {full} is too long for a name"
-        raise TandemError(
-            Issue("post.name", message, hint=f"shorten the label; allowed: {NAME_LENGTH} characters")
-        )
-    return full

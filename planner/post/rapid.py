@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift
+from planner.post import handshake_drift, rapid_handshake
 from planner.post.layout import Part, parts
+from planner.post.partner import Partner
 from planner.post.program import (
     Carry,
     Do,
@@ -36,9 +37,10 @@ from planner.post.rapid_data import (
     meet,
     wobj_name,
 )
-from planner.post.rapid_format import action_lines, box, comment, identifier, quoted, short
-from planner.post.rapid_handshake import Partner
+from planner.post.rapid_format import action_lines, box, comment, identifier, quoted
 from planner.post.rapid_moves import move_lines, zones
+from planner.post.rapid_names import part_names
+from planner.post.text import short
 from planner.problem import Problem
 
 NameArray = NDArray[np.str_]
@@ -55,14 +57,16 @@ _CLEAR = "Is the way of each arm to its home clear, and nobody in the cell? Pres
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
-    """Program files by relative name. Raises :class:`TandemError` (``post.*``)."""
+    """Program files of the ABB arms by relative name. Raises :class:`TandemError` (``post.*``)."""
+    own = [task for task in job.tasks if task.robot.family == "ABB"]
     zone = [_zones(job, i) for i in range(len(plan.operations))]
-    moves = {task.number: _moves(task, job, zone) for task in job.tasks}
+    moves = {task.number: _moves(task, job, zone) for task in own}
     sizes = [
         np.max(
             [
-                [len(line) + len(_INDENT) * 2 + 1 for line in moves[t.number][i]] or [0]
-                for t in _moving(job, i)
+                [len(line) + len(_INDENT) * 2 + 1 for line in moves[t.number][i]]
+                or [0] * len(t.operations[i].ids)
+                for t in own
             ],
             axis=0,
         )
@@ -71,9 +75,9 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     if job.handshake is not None:
         sizes = [size + _CALL_BYTES for size in sizes]
     limits = problem.cell.controller
-    layout = parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes)
+    layout = part_names(parts(job, sizes, _PROC_BYTES, limits.max_moves, limits.max_bytes))
     out: dict[str, str] = {}
-    for task in job.tasks:
+    for task in own:
         writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
         out |= writer.files({name for op in zone for name in op.get(task.number, np.array([])).tolist()})
     for name, text in out.items():
@@ -123,7 +127,7 @@ class _Task:
         plan: Plan,
         problem: Problem,
         margins: Mapping[str, str],
-        layout: Sequence[Part],
+        layout: Mapping[Part, str],
         moves: Sequence[Sequence[str]],
     ) -> None:
         self.task, self.job, self.plan, self.problem = task, job, plan, problem
@@ -190,7 +194,7 @@ class _Task:
                 "this arm counts cfx is not settled, so ConfL is off here: first run it without stock."
             )
         if self.partner is not None:
-            out += self.partner.header()
+            out += rapid_handshake.header(self.partner)
             for drift in self.job.drifts:
                 out += comment(f"Operation {drift.name}: {handshake_drift.sentence(drift)}.")
         if self.signals:
@@ -207,17 +211,17 @@ class _Task:
         body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is not None:
-            body += [*self._power_off(), *self.partner.start(clear)]
+            body += [*self._power_off(), *rapid_handshake.lines(self.partner, self.partner.start(clear))]
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
             body += box("Tandem", _NO_WIRE if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
-        body += [] if self.partner is None else self.partner.end()
+        body += [] if self.partner is None else rapid_handshake.lines(self.partner, self.partner.end())
         out = self._procedure("main", body, undo=False)
         if self.partner is not None:
-            for name, lines in self.partner.procedures(self.task).items():
+            for name, lines in rapid_handshake.procedures(self.partner, self.task).items():
                 out += ["", *self._procedure(name, lines, undo=False)]
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]
@@ -237,7 +241,8 @@ class _Task:
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
                 return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{tool};"]
             case Meet(number, reached, seconds) if self.partner is not None:
-                return [*comment(f"Meeting: {reached}"), *self.partner.meet(number, seconds)]
+                steps = self.partner.meet(number, seconds)
+                return [*comment(f"Meeting: {reached}"), *rapid_handshake.lines(self.partner, steps)]
             case SyncOn() | SyncOff() if self.partner is not None:
                 return []
             case Meet(number, reached):
@@ -252,7 +257,7 @@ class _Task:
                 return [f"GripLoad {load_name(load)};"]
             case Run():
                 inside = (p for p in self.layout if p.operation == step.operation)
-                return [f"{p.name};" for p in inside if step.first <= p.first < step.last]
+                return [f"{self.layout[p]};" for p in inside if step.first <= p.first < step.last]
 
     # ---- procedures ----
 
@@ -265,9 +270,9 @@ class _Task:
         body = comment(f"Segment {part.label}: {part.last - part.first} moves, {seconds} s.")
         moves = self.moves[part.operation][rows]
         if self.partner is not None:
-            calls = [self.partner.call(number) for number in operation.meets[rows].tolist()]
+            calls = [rapid_handshake.call(self.partner, number) for number in operation.meets[rows].tolist()]
             moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
-        return self._procedure(part.name, [*body, *moves], undo=False)
+        return self._procedure(self.layout[part], [*body, *moves], undo=False)
 
     def _procedure(self, name: str, body: Sequence[str], undo: bool) -> list[str]:
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
@@ -293,7 +298,7 @@ class _Task:
             *self._power_off(),
             "StopMove\\Quick;",
             f"TPWrite {note}\\Num:=ERRNO;",
-            *([] if self.partner is None else self.partner.unanswered()),
+            *([] if self.partner is None else rapid_handshake.unanswered(self.partner)),
             f"TPWrite {quoted(joined)};",
             stop,
             "EXIT;",

@@ -12,8 +12,9 @@ from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post.program import Carry, Job, Joints, Load, OperationProgram, TaskProgram
-from planner.post.rapid_format import identifier, jointtarget, number, pose, quoted, short, vector
+from planner.post.rapid_format import identifier, jointtarget, pose, quoted, vector
 from planner.post.rapid_moves import own_zones
+from planner.post.text import number, short
 from planner.problem import Problem, Tool
 
 FloatArray = NDArray[np.float64]

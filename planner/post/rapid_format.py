@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import textwrap
-import unicodedata
 from collections.abc import Iterable
 from typing import Final
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
+from planner.post.text import number, plain, short
 from planner.targets import Action
 
 FloatArray = NDArray[np.float64]
@@ -36,18 +36,6 @@ RESERVED: Final = frozenset(_WORDS.split())
 """Reserved words of the language and built-in names that a label could be taken for."""
 
 
-def number(value: float, decimals: int) -> str:
-    """A number with a fixed count of decimals and no negative zero."""
-    text = f"{value:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
-
-
-def short(value: float, decimals: int = 6) -> str:
-    """A number without zeros at its end."""
-    text = number(value, decimals)
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
 def vector(values: Iterable[float], decimals: int) -> str:
     """``[a,b,...]``"""
     return "[" + ",".join(number(float(value), decimals) for value in values) + "]"
@@ -61,13 +49,6 @@ def pose(matrix: FloatArray) -> str:
 def jointtarget(degrees: FloatArray) -> str:
     """RAPID's jointtarget of the controller's joint values (6,) [deg]."""
     return f"[{vector(degrees, 6)},{UNUSED_AXES}]"
-
-
-def plain(text: str) -> str:
-    """Text in printable ASCII on one line: accents are dropped, other foreign characters become "?"."""
-    flat = unicodedata.normalize("NFKD", " ".join(text.split()))
-    kept = "".join(c for c in flat if not unicodedata.combining(c))
-    return "".join(c if 32 <= ord(c) < 127 else "?" for c in kept)
 
 
 def quoted(text: str) -> str:

@@ -16,13 +16,11 @@ from planner.post.rapid_format import (
     box,
     comment,
     identifier,
-    number,
-    plain,
     pose,
     quoted,
-    short,
     write_lines,
 )
+from planner.post.text import number, plain, short
 from planner.targets import Action
 
 
