@@ -33,6 +33,7 @@ GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "
     "wire.temperature",
     "post.tasks",
     "post.controller",
+    "post.signal",
     "post.name",
 }
 """Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""

@@ -120,7 +120,11 @@ CODES: Final[dict[str, str]] = {
     "part.missing_surface": "a ruled surface is to be cut that the part does not have",
     # writing programs
     "post.tasks": "the controller has no task or unit for an arm, or has too few",
-    "post.controller": "a robot's controller speaks a language that no writer is built in for",
+    "post.controller": "arms cannot move together by the controllers that they have",
+    "post.signal": "a signal has no number on the controller of a KUKA arm",
+    "post.turn_near_zero": "an axis is so near to zero that a KUKA controller may pass over its turn bit",
+    "post.krl_turn": "a move turns so far that a KUKA controller may take another way between its ends",
+    "post.krl_size": "KRL programs are too long for some controllers",
     "post.plan": "a plan has times or joints that no program can carry out",
     "post.action": "an action of the process is at a target where the motion does not stop",
     "post.name": "a segment, tool or signal has a name that the language refuses, or that another has",

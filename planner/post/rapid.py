@@ -211,7 +211,10 @@ class _Task:
         body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is not None:
-            body += [*self._power_off(), *rapid_handshake.lines(self.partner, self.partner.start(clear))]
+            body += [
+                *self._power_off(),
+                *rapid_handshake.lines(self.partner, self.partner.start(clear, "Press OK.")),
+            ]
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself

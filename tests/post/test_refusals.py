@@ -45,7 +45,7 @@ def test_too_few_tasks(small):
     assert refused(small[0], dataclasses.replace(small[1], cell=cell)) == {"post.tasks"}
 
 
-def test_a_robot_of_another_make():
+def test_two_kuka_arms_on_one_controller():
     plan, problem = synthetic.small(model="kr60_ha")
     assert refused(plan, problem) == {"post.controller"}
 

@@ -1,0 +1,57 @@
+"""KRL for two controllers that share digital signals: the steps of :mod:`planner.post.partner` as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from planner.post.krl_format import comment
+from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
+from planner.problem import Controller
+
+OK = "Start goes on."
+"""What a question to the operator ends with."""
+
+
+def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]) -> list[str]:
+    """The statements of the steps."""
+    own = partner.handshake.of(partner.arm)
+    output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
+    out: list[str] = []
+    for step in steps:
+        match step:
+            case SetLine(value):
+                out.append(f"$OUT[{output}]={_level(value)}")
+            case AwaitLine(value, seconds):
+                out += _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
+            case Ask(text):
+                out += [*comment(text), "HALT"]
+            case Tell(text) | Note(text):
+                out += comment(text)
+    return out
+
+
+def suffix(phases: tuple[int, ...]) -> str:
+    """The end of the name of the file with a meeting."""
+    return f"meet_{phases[0]}" if len(phases) == 1 else "meet"
+
+
+def _level(value: int) -> str:
+    return "TRUE" if value else "FALSE"
+
+
+def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
+    """Wait as long as the condition holds; the program halts whenever the time is over, and waits again."""
+    return [
+        "$TIMER[1]=0",
+        "$TIMER_STOP[1]=FALSE",
+        f"WHILE {condition}",
+        f"IF $TIMER[1]>{math.ceil(1e3 * seconds)} THEN",
+        *comment(f"{unanswered} Start waits for it again."),
+        "HALT",
+        "$TIMER[1]=0",
+        "ENDIF",
+        "WAIT SEC 0.01",
+        "ENDWHILE",
+        "$TIMER_STOP[1]=TRUE",
+    ]
