@@ -180,6 +180,7 @@ CODES: Final[dict[str, str]] = {
     "verify.corner": "a zone joins a joint move and a straight one",
     "verify.continuity": "a joint jumps to another solution",
     "verify.confdata": "the configuration numbers do not select the joint solution of the motion",
+    "verify.status": "Status and Turn of a KRL target do not select the joint solution, or not alone",
     "verify.joint_limits": "a joint leaves its limits",
     "verify.rod_limits": "axis 3 of a parallel-rod arm, as its controller counts it, leaves its limits",
     "verify.joint_speed": "the times ask for a joint speed above the robot's",

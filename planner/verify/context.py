@@ -208,6 +208,9 @@ class Context:
         """The base frame that each task's text asks of the controller, None where it states none."""
         out: dict[str, FloatArray | None] = {}
         for task in self.job.tasks:
+            if task.krl is not None:
+                out[task.arm.name] = task.krl.base
+                continue
             found = [d for d in self.data(task, BASE_FRAME) if d.kind == "pose"]
             literal = found[0].initial if len(found) == 1 else None
             value = None
@@ -248,7 +251,7 @@ class Context:
             named = (
                 np.asarray(wobj.user @ wobj.object)
                 for where, _, move, wobj in self.work_objects
-                if where == index and wobj.fixed and move.wobj_name.lower() != "wobj0"
+                if where == index and wobj.fixed and not move.in_world
             )
             before = out[-1] if out and setup_text.stays(self.problem, setup) else None
             found = next(named, None)

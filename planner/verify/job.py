@@ -9,13 +9,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
 
+from planner.catalogue import robot
 from planner.problem import Arm, Problem
-from planner.verify import handshake_stages
+from planner.verify import handshake_stages, krl_reader
 from planner.verify.faults import Fault, FlowError
 from planner.verify.handshake_text import Reading
+from planner.verify.krl_flow import Signals
+from planner.verify.krl_reader import KrlText
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_parser import Limits
 from planner.verify.rapid_reader import Flow, flow, read_task
@@ -27,7 +30,7 @@ Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 @dataclasses.dataclass(frozen=True, eq=False)
 class TaskText:
     """One task: its arm, its modules, its straight way, its error handlers and UNDO sections, and the
-    procedures (module, name) that ever run."""
+    procedures (module, name) that ever run. A KRL task has ``krl`` in place of modules, and no sections."""
 
     name: str
     unit: str
@@ -38,6 +41,7 @@ class TaskText:
     undos: Handlers
     called: frozenset[tuple[str, str]]
     files: Mapping[str, str]
+    krl: KrlText | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,32 +82,43 @@ class JobText:
 
 
 def task_names(problem: Problem) -> tuple[str, ...]:
-    """What the tasks of the arms are called here: those of two controllers may have one name, so by arm."""
+    """What the tasks of the arms are called here: those of two controllers may have one name, and KUKA's have
+    none, so by arm."""
     controller = problem.cell.controller
-    if controller.sync == "handshake":
-        return tuple(arm.name for arm in problem.cell.arms)
-    return controller.tasks
+    alone = controller.sync == "handshake"
+    tasks = (*controller.tasks, *("" for _ in problem.cell.arms))
+    return tuple(
+        arm.name if alone or speaks_krl(arm) else task
+        for arm, task in zip(problem.cell.arms, tasks, strict=False)
+        if task or alone or speaks_krl(arm)
+    )
+
+
+def speaks_krl(arm: Arm) -> bool:
+    """Whether the arm's programs are KRL."""
+    return robot(arm.robot).family == "KUKA"
 
 
 def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Module files of each task by the task's name in the path, of two controllers by the arm's folder, and
-    the files that belong to none."""
-    found: dict[str, dict[str, str]] = {task: {} for task in task_names(problem)}
-    folders = problem.cell.controller.sync == "handshake"
+    """Files of each task by the task's name in the path, of an arm with a controller of its own by the arm's
+    folder, and the files that belong to none."""
+    names = task_names(problem)
+    found: dict[str, dict[str, str]] = {task: {} for task in names}
+    krl = {name for name, arm in zip(names, problem.cell.arms, strict=False) if speaks_krl(arm)}
+    folders = krl | (set(names) if problem.cell.controller.sync == "handshake" else set())
     strays: list[str] = []
     for path, text in sorted(programs.items()):
-        if PurePosixPath(path).suffix.lower() == ".pgf":
-            continue
-        if PurePosixPath(path).suffix.lower() not in (".mod", ".sys"):
-            strays.append(path)
+        suffix = PurePosixPath(path).suffix.lower()
+        if suffix == ".pgf":
             continue
         where = [part.lower() for part in PurePosixPath(path).parent.parts]
         words = [
             task
             for task in found
-            if (
+            if suffix in ((".src", ".dat") if task in krl else (".mod", ".sys"))
+            and (
                 task.lower() in where
-                if folders
+                if task in folders
                 else re.search(rf"(?i)(?<![a-z0-9]){re.escape(task)}(?![a-z0-9])", path)
             )
         ]
@@ -118,7 +133,6 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
     controller = problem.cell.controller
     files, strays = task_files(problem, programs)
-    limits = Limits(bytes=controller.max_bytes)
     tasks: list[TaskText] = []
     faults: list[Fault] = []
     no_way: list[Fault] = []
@@ -126,18 +140,11 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     for number, arm in enumerate(problem.cell.arms):
         if number >= len(names) or not files[names[number]]:
             continue
-        name = names[number]
-        text = read_task(files[name], limits)
-        faults += text.faults
-        way = Flow((), {}, {}, frozenset())
-        if not text.faults:
-            try:
-                way = flow(text.modules)
-            except FlowError as wrong:
-                no_way += wrong.faults
-        unit = controller.units[number] if number < len(controller.units) else ""
-        parts = (way.steps, way.handlers, way.undos, way.called)
-        tasks.append(TaskText(name, unit, arm, text.modules, *parts, files[name]))
+        one = _krl_task if speaks_krl(arm) else _rapid_task
+        task, wrong, lost = one(problem, number, names[number], files[names[number]])
+        tasks.append(task)
+        faults += wrong
+        no_way += lost
     lists = {path: text for path, text in programs.items() if path.lower().endswith(".pgf")}
     asked = {setup.confirmation for setup in problem.setups if setup.steps}
     found, stages = None, _stages(tasks, asked)
@@ -148,6 +155,51 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         if len(tasks) > 1:
             stages = tuple(Stage(*part) for part in handshake_stages.parts(found, ways))
     return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found)
+
+
+_Read = tuple[TaskText, Sequence[Fault], Sequence[Fault]]
+"""A task, faults of its texts, and why it has no straight way."""
+
+
+def _rapid_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
+    controller = problem.cell.controller
+    text = read_task(files, Limits(bytes=controller.max_bytes))
+    way, lost = Flow((), {}, {}, frozenset()), tuple[Fault, ...]()
+    if not text.faults:
+        try:
+            way = flow(text.modules)
+        except FlowError as wrong:
+            lost = wrong.faults
+    unit = controller.units[number] if number < len(controller.units) else ""
+    parts = (way.steps, way.handlers, way.undos, way.called)
+    task = TaskText(name, unit, problem.cell.arms[number], text.modules, *parts, files)
+    return task, text.faults, lost
+
+
+def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
+    controller, arm = problem.cell.controller, problem.cell.arms[number]
+    text = krl_reader.read(files, controller.max_bytes, controller.dialect)
+    steps, entered, lost = tuple[Step, ...](), frozenset[str](), tuple[Fault, ...]()
+    if not text.faults:
+        base = arm.base if text.base is None else text.base
+        try:
+            steps, entered = krl_reader.flow(text, base, krl_signals(problem, arm))
+        except FlowError as wrong:
+            lost = wrong.faults
+    called = frozenset(("", program) for program in entered)
+    return TaskText(name, "", arm, (), steps, {}, {}, called, files, text), text.faults, lost
+
+
+def krl_signals(problem: Problem, arm: Arm) -> Signals:
+    """Names of the inputs and outputs of a KUKA controller by number, as the cell states them. A number that
+    two names of one kind share has both for a name: which one is meant is not known."""
+    controller = problem.cell.controller
+    reads = controller.handshake.of(arm.name).input.lower() if controller.sync == "handshake" else ""
+    tables: tuple[dict[int, str], dict[int, str]] = ({}, {})
+    for name, value in controller.io.get(arm.name, {}).items():
+        table = tables[name.lower() == reads]
+        table[value] = f"{table[value]} and {name}" if value in table else name
+    return Signals(*tables)
 
 
 def sync_points(task: TaskText) -> tuple[SyncStep, ...]:

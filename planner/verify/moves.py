@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from planner.catalogue import RobotData
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse, log_rotation
-from planner.verify import time_law
+from planner.verify import krl_status, time_law
+from planner.verify.arm_ik import branch_of, continued, solve
 from planner.verify.job import TaskText
 from planner.verify.steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
-from planner.verify.values import JointTarget, RobTarget, poses
+from planner.verify.values import JointTarget, RobTarget, StatusTarget, poses
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,7 +33,8 @@ ACCURACY_TURN = 1e-4
 @dataclasses.dataclass(frozen=True)
 class Row:
     """N moves of one arm in a stage: which are ``joint`` moves (N,), targets as TCP ``pose`` (N, 4, 4) and as
-    ``q`` (N, 6) where they are joints, ``conf`` (N, 4), ``tool`` (N, 4, 4), ``base`` (4, 4).
+    ``q`` (N, 6) where they are joints, ``conf`` (N, 4) of those that are ``named`` (N,) by confdata, ``tool``
+    (N, 4, 4), ``base`` (4, 4).
 
     Poses are in the world, unless the flange of arm ``carrier`` carries the work object: then they are in
     the frame that lies at ``ride`` (4, 4) in that flange, and the moves are straight in it.
@@ -47,6 +49,7 @@ class Row:
     pose: FloatArray
     q: FloatArray
     conf: IntArray
+    named: NDArray[np.bool_]
     carrier: str | None
     ride: FloatArray
 
@@ -77,32 +80,57 @@ def make_row(
     straight = [move for move in moves if not move.by_joints]
     carriers = {None if move.wobj.fixed else units.get(move.wobj.unit.lower()) for move in straight}
     carrier = carriers.pop() if len(carriers) == 1 else None
-    joint = np.array([isinstance(move.target, JointTarget) for move in moves])
+    joint = np.array([move.by_joints for move in moves])
     position, quaternion = np.zeros((count, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
     conf = np.zeros((count, 4), dtype=np.int64)
+    named = np.zeros(count, dtype=bool)
     q = np.full((count, 6), np.nan)
     work: dict[int, FloatArray] = {}
     frame = np.zeros((count, 4, 4))
     tool = np.zeros((count, 4, 4))
     for i, move in enumerate(moves):
         tool[i] = move.tool.pose
-        if isinstance(move.target, RobTarget):
-            position[i], quaternion[i], conf[i] = (
-                move.target.position,
-                move.target.quaternion,
-                move.target.conf,
-            )
-        else:
-            q[i] = machine.from_controller(move.target.joints)
         key = id(move.wobj)
         if key not in work:
             work[key] = move.wobj.user @ move.wobj.object
         frame[i] = work[key]
+        match move.target:
+            case RobTarget(position=place, quaternion=turn, conf=stated):
+                position[i], quaternion[i], named[i] = place, turn, stated is not None
+                conf[i] = conf[i] if stated is None else stated
+            case StatusTarget():
+                q[i] = chosen(move, machine, base)
+            case JointTarget(joints=values):
+                q[i] = machine.from_controller(values)
     ride = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
     pose = (np.linalg.inv(ride) if carrier is not None else np.eye(4)) @ frame @ poses(position, quaternion)
     if carrier is None:
         pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
-    return Row(task, moves, machine, base, tool, joint, pose, q, conf, carrier, ride)
+    return Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride)
+
+
+def chosen(move: MoveStep, machine: RobotData, base: FloatArray) -> FloatArray:
+    """The joints (6,) [rad, serial] that Status and Turn select for a move's target; NaN where they select
+    none, or more than one. ``base`` (4, 4) in the world."""
+    found = solutions(move, machine, base)
+    return np.asarray(found.q[0]) if len(found.q) == 1 else np.full(6, np.nan)
+
+
+def solutions(move: MoveStep, machine: RobotData, base: FloatArray) -> krl_status.Chosen:
+    """All that Status and Turn select for a move's target; nothing for other targets."""
+    target = move.target
+    if not isinstance(target, StatusTarget):
+        return krl_status.Chosen(np.zeros((0, 6)), ())
+    return krl_status.select(machine, flange_at(move, base), target.status, target.turn)
+
+
+def flange_at(move: MoveStep, base: FloatArray) -> FloatArray:
+    """Flange pose (4, 4) in the base at a move's target, which is a pose in a frame that stands still."""
+    target = move.target
+    if isinstance(target, JointTarget):
+        return np.full((4, 4), np.nan)
+    pose = move.wobj.user @ move.wobj.object @ poses(target.position, target.quaternion)
+    return np.asarray(inverse(base) @ pose @ inverse(move.tool.pose))
 
 
 def make_law(
@@ -151,12 +179,30 @@ def _durations(row: Row, start: FloatArray, step: FloatArray, turn: FloatArray) 
         tcp = move.velocity if move.velocity is not None else move.speed.tcp
         out[i] = max(step[i] / max(tcp, 1e-6), turn[i] / max(move.speed.turn, 1e-6))
         if row.joint[i]:
-            past = row.q[i - 1] if i and row.joint[i - 1] else start
+            past = row.q[i - 1] if i and row.joint[i - 1] else _behind(row, i, start)
             change = np.abs(row.q[i] - past)
             ramps = np.sqrt(6.0 * change / row.robot.acceleration)
-            out[i] = max(out[i], float(np.max(1.5 * change / row.robot.velocity)), float(ramps.max()))
+            share = np.ones(6) if move.speed.axes is None else np.array(move.speed.axes)
+            fastest = share * row.robot.velocity
+            out[i] = max(out[i], float(np.max(1.5 * change / fastest)), float(ramps.max()))
             out[i] *= 1.02  # the controller's own ramps stay inside the limits
     return out
+
+
+def _behind(row: Row, i: int, start: FloatArray) -> FloatArray:
+    """Joints (6,) behind the straight moves that end before move i, which begin at the joints before them;
+    ``start`` (6,) are those of the row."""
+    before = np.flatnonzero(row.joint[:i])
+    first = int(before[-1]) + 1 if len(before) else 0
+    here = row.q[first - 1] if first else start
+    if first == i or row.carrier is not None or not np.isfinite(here).all():
+        return here
+    some = slice(first, i)
+    own = np.full(i - first, branch_of(row.robot, here), dtype=np.int64)
+    branch = np.where(row.named[some], row.conf[some, 3], own)
+    flange = inverse(row.base) @ row.pose[some] @ inverse(row.tool[some])
+    q = continued(solve(row.robot, flange, branch), here)[-1]
+    return np.asarray(q if np.isfinite(q).all() else here)
 
 
 def _sideways(speed: FloatArray) -> FloatArray:

@@ -3,7 +3,8 @@
 Works on the posted, rounded values only. Straight moves are straight in their work object, turning at a
 constant rate. Where another arm carries the work object, that arm's motion comes first; the moves are then
 straight in the carried frame. The joints follow by the proof's own inverse kinematics on the branch that cfx
-names. See :mod:`planner.verify.time_law` for the time within and between moves.
+names; where the language names none, on the one that the arm has at the start. See
+:mod:`planner.verify.time_law` for the time within and between moves.
 """
 
 from __future__ import annotations
@@ -315,6 +316,7 @@ class _Player:
                     tcp[some] = path if carried is None else carried.samples[some] @ path
                     q[some] = straight_moves.joints(row, part, a, branch, end, moments, tcp[some])
                     end = q[some[-1]]
+            if not row.joint[a] and row.named[a:b].all():
                 flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
                 conf_q[a:b] = confdata.select(row.robot, flange, row.conf[a:b])
                 sample = _up_to(at, law.times[a + 1 : b + 1])
@@ -327,7 +329,12 @@ class _Player:
         lost = ~np.isfinite(q).all(axis=1)
         if lost.any():
             i = int(np.clip(np.searchsorted(law.times, at[np.argmax(lost)]) - 1, 0, count - 1))
-            self._fault("reach", "the arm cannot reach the path on the branch that cfx names", row, i)
+            self._fault(
+                "reach",
+                "the arm cannot reach the path on the branch that its target names",
+                row,
+                i,
+            )
             q = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
             here = q[-1]
         self._add(f"q/{name}", q)

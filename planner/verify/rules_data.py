@@ -8,6 +8,7 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.issues import Issue
+from planner.verify import rules_krl
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.rules_sync import straight_way
@@ -21,7 +22,7 @@ from planner.verify.steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.values import JointTarget, RobTarget
+from planner.verify.values import JointTarget, RobTarget, StatusTarget
 
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
 _ZONE_SLACK = 1e-9
@@ -46,9 +47,12 @@ _MAIN_WAY = (
 
 def move_kinds(context: Context) -> Outcome:
     """Only moves whose path is known: MoveAbsJ, and MoveL with ConfL as the arm needs it; no \\Conc, no
-    external axes."""
+    external axes. KRL: PTP, and LIN or SLIN."""
     issues = []
     for task in context.job.tasks:
+        if task.krl is not None:
+            issues += rules_krl.move_kinds(task)
+            continue
         wanted = "off" if robot(task.arm.robot).coupling is not None else "on"
         state = "on"
         stated = False
@@ -80,6 +84,11 @@ def zone_size(context: Context) -> Outcome:
     """A zone takes at most half of the shorter one of the moves that meet in it."""
     issues, worst = [], 0.0
     for _, _, task, moves in context.moves():
+        if task.krl is not None:
+            found, over = rules_krl.corners(task, moves)
+            issues += found
+            worst = max(worst, over)
+            continue
         ways = [straight_way(a, b) for a, b in itertools.pairwise(moves)]
         for i, move in enumerate(moves):
             if move.zone.fine:
@@ -114,7 +123,8 @@ def zero_length(context: Context) -> Outcome:
 
 
 def error_handler(context: Context) -> Outcome:
-    """Every procedure has an error handler that switches the power off first, stops, and does not go on."""
+    """Every procedure has an error handler that switches the power off first, stops, and does not go on; KRL
+    has none."""
     issues = []
     everywhere = sorted({claim.signal for claim in context.contacts})
     for task in context.job.tasks:
@@ -200,6 +210,7 @@ def hidden(context: Context) -> Outcome:
     """Nothing runs but the straight way: no procedure is left over, no module loaded, UNDO switches off."""
     issues = []
     for task in context.job.tasks:
+        issues += rules_krl.hidden(task)
         for module in task.modules:
             for procedure in module.procedures:
                 if (module.name, procedure.name) not in task.called:
@@ -234,7 +245,7 @@ def _undoes(step: Step) -> bool:
 def _still(a: MoveStep, b: MoveStep) -> bool:
     if isinstance(a.target, JointTarget) and isinstance(b.target, JointTarget):
         return bool(np.abs(a.target.joints - b.target.joints).max() < _ZERO_TURN)
-    if isinstance(a.target, RobTarget) and isinstance(b.target, RobTarget):
+    if isinstance(a.target, RobTarget | StatusTarget) and isinstance(b.target, RobTarget):
         turn = min(np.abs(a.target.quaternion - s * b.target.quaternion).max() for s in (1.0, -1.0))
         way = straight_way(a, b)
         return way is not None and way < _ZERO_WAY and bool(turn < _ZERO_TURN)

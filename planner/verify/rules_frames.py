@@ -74,8 +74,14 @@ def work_object(context: Context) -> Outcome:
     where the problem wants it."""
     issues, worst = [], 0.0
     for index, task, move, wobj in context.work_objects:
-        if move.wobj_name.lower() == "wobj0" or not wobj.fixed:
+        if not wobj.fixed:
             continue  # a frame that moves is for verify.held_frame
+        if move.in_world:
+            shift, turn = _apart(wobj.user @ wobj.object, np.eye(4))
+            if shift > FRAME_POSITION or turn > FRAME_ANGLE:
+                what = f"{move.wobj_name} is {mm(shift):.4f} mm and {np.rad2deg(turn):.4f} deg off the world"
+                issues.append(at_step("verify.work_object", what, task, move))
+            continue
         if wobj.held or wobj.unit or not move.wobj_name:
             what = f"{move.wobj_name or 'a work object in place'} is held, moved by a unit or has no name"
             issues.append(at_step("verify.work_object", what, task, move))
@@ -141,7 +147,7 @@ def held_frame(context: Context) -> Outcome:
             if held is None or task.arm.name == held.arm:
                 if not wobj.fixed:
                     faults.append(f"{move.wobj_name} moves, but what {task.arm.name} works on does not")
-                elif held is not None and move.wobj_name.lower() != "wobj0":
+                elif held is not None and not move.in_world:
                     faults.append(f"{task.arm.name} holds the block and must move in the world, in wobj0")
             elif wobj.fixed:
                 faults.append(f"the block is held by {held.arm}, but {move.wobj_name} stands still")

@@ -92,11 +92,13 @@ def continuity(context: Context) -> Outcome:
 
 
 def confdata(context: Context) -> Outcome:
-    """Confdata alone select the joint solution that the motion has at each target."""
+    """RAPID: confdata alone select the joint solution that the motion has at each target."""
     motion = context.motion
     issues, worst = [], 0.0
     for task in context.job.tasks:
         arm = task.arm.name
+        if task.krl is not None:
+            continue  # verify.status asks the same of KRL
         if robot(task.arm.robot).coupling is not None:
             continue  # cfx of parallel-rod arms is not settled; the programs run with ConfL\Off
         selected, here = motion.node_conf_q[arm], motion.q[arm][motion.node_sample]
@@ -268,7 +270,7 @@ def tcp_speed(context: Context) -> Outcome:
                 measure = (mm(speed[k]), mm(limit), "mm/s")
                 issues.append(at_sample("verify.tcp_speed", message, motion, arm, k + 1, measure))
         for step_ in task.steps:
-            if not isinstance(step_, MoveStep) or step_.time is not None:
+            if not isinstance(step_, MoveStep) or step_.time is not None or step_.speed.axes is not None:
                 continue
             stated = step_.velocity if step_.velocity is not None else step_.speed.tcp
             if stated > limit * (1.0 + 1e-6):
@@ -284,13 +286,14 @@ def tcp_speed(context: Context) -> Outcome:
 
 
 def _timed(context: Context) -> NDArray[np.bool_]:
-    """Moves (K,) in which some arm runs by a stated time."""
+    """Moves (K,) in which some arm runs by a stated time, or by stated shares of its axes' speeds."""
     motion = context.motion
     out = np.zeros(len(motion.node_label), dtype=bool)
     for number, stage in enumerate(context.job.stages):
         rows = np.flatnonzero(motion.node_stage == number)
         for task in context.job.tasks:
-            flags = [move.time is not None for move in stage.moves(task.name)][: len(rows)]
+            moves = stage.moves(task.name)[: len(rows)]
+            flags = [move.time is not None or move.speed.axes is not None for move in moves]
             out[rows[: len(flags)]] |= np.array(flags, dtype=bool)
     return out
 

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from planner.issues import Issue
+from planner.verify import rules_krl
 from planner.verify.context import Context, Outcome
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
@@ -19,7 +20,7 @@ from planner.verify.steps import (
     SignalStep,
     Step,
 )
-from planner.verify.values import RobTarget
+from planner.verify.values import RobTarget, StatusTarget
 
 _TIME_TOLERANCE = 1e-9
 LARGEST_ID = 2**23
@@ -159,7 +160,7 @@ def zone_kind(context: Context) -> Outcome:
 
 
 def move_time(context: Context) -> Outcome:
-    """Every move of a block states its time, and both moves of a pair the same."""
+    """Every move of a block states its time, in KRL by its speeds, and both moves of a pair the same."""
     worst = 0.0
     issues = [
         at_step("verify.move_time", "a move in a block has no \\T above 0", task, move)
@@ -175,7 +176,9 @@ def move_time(context: Context) -> Outcome:
         if move.time is not None and move.time < SHORTEST
     ]
     for a_task, a, b_task, b in _pairs(context):
-        if a.time is not None and b.time is not None:
+        if a_task.krl is not None or b_task.krl is not None:
+            issues += rules_krl.pair_times(a_task, a, b_task, b)
+        elif a.time is not None and b.time is not None:
             worst = max(worst, abs(a.time - b.time))
             if abs(a.time - b.time) > _TIME_TOLERANCE:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
@@ -209,7 +212,11 @@ def speed_data(context: Context) -> Outcome:
 
 def straight_way(a: MoveStep, b: MoveStep) -> float | None:
     """Distance [m] between the targets of two straight moves of one frame, None where the text gives none."""
-    if isinstance(a.target, RobTarget) and isinstance(b.target, RobTarget) and a.wobj_name == b.wobj_name:
+    if (
+        isinstance(a.target, RobTarget | StatusTarget)
+        and isinstance(b.target, RobTarget)
+        and a.wobj_name == b.wobj_name
+    ):
         return float(np.linalg.norm(a.target.position - b.target.position))
     return None
 

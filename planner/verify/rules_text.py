@@ -9,26 +9,22 @@ from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
 from planner.issues import Issue
+from planner.verify import rules_krl
 from planner.verify.context import DIGEST, Context, Outcome
 from planner.verify.faults import Fault
 from planner.verify.job import task_names
 from planner.verify.rapid_ast import Literal
 from planner.verify.steps import MoveStep
 
-_DECLARATION = frozenset(
-    {
-        "rapid.undeclared",
-        "rapid.unknown_procedure",
-        "rapid.type",
-        "rapid.no_value",
-    }
-)
-_PERS = frozenset({"rapid.pers_literal"})
-_NAMES = frozenset({"rapid.name_form", "rapid.name_length", "rapid.name_reserved", "rapid.name_duplicate"})
-_LINES = frozenset({"rapid.line_length", "rapid.string_length"})
-_SIZES = frozenset({"rapid.file_size"})
-_NUMBERS = frozenset({"rapid.number", "rapid.quaternion"})
-_OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS
+_DECLARATION = frozenset({"undeclared", "unknown_procedure", "type", "no_value"})
+_PERS = frozenset({"pers_literal"})
+_NAMES = frozenset({"name_form", "name_length", "name_reserved", "name_duplicate"})
+_LINES = frozenset({"line_length", "string_length"})
+_SIZES = frozenset({"file_size"})
+_NUMBERS = frozenset({"number", "quaternion"})
+_FILES = frozenset({"name_file"})
+_OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS | _FILES
+"""Kinds of faults of reading, in any language, by the rule that names them; the rest are of syntax."""
 
 POSITION_DECIMALS = 4
 QUATERNION_DECIMALS = 8
@@ -46,9 +42,9 @@ def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> 
 
 
 def syntax(context: Context) -> Outcome:
-    """The text is RAPID and has one straight way."""
+    """The text is RAPID, or KRL, and has one straight way."""
     job = context.job
-    faults = [*(f for f in job.faults if f.code not in _OTHERS), *job.flow]
+    faults = [*(f for f in job.faults if f.kind not in _OTHERS), *job.flow]
     faults += [f for task in job.tasks for file, text in task.files.items() for f in _strange(file, text)]
     return _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
 
@@ -65,13 +61,13 @@ def _strange(file: str, text: str) -> list[Fault]:
 
 def declarations(context: Context) -> Outcome:
     """What is used is declared, of the right type, with a value."""
-    faults = [f for f in context.job.faults if f.code in _DECLARATION]
+    faults = [f for f in context.job.faults if f.kind in _DECLARATION]
     return _faults(context, "verify.declarations", faults, "declare what is used, with its type and value")
 
 
 def persistents(context: Context) -> Outcome:
     """PERS data are given literals, and are not shared between tasks, which would let one change another."""
-    faults = [f for f in context.job.faults if f.code in _PERS]
+    faults = [f for f in context.job.faults if f.kind in _PERS]
     outcome = _faults(context, "verify.pers_literal", faults, "give PERS data a literal")
     shared = [
         Issue("verify.pers_literal", f"PERS {data.name} is shared with the other tasks", file=task.name)
@@ -85,13 +81,13 @@ def persistents(context: Context) -> Outcome:
 
 def names(context: Context) -> Outcome:
     """Names are legal, not too long and unique."""
-    faults = [f for f in context.job.faults if f.code in _NAMES]
-    return _faults(context, "verify.names", faults, "a letter first, at most 32 characters, no reserved word")
+    faults = [f for f in context.job.faults if f.kind in _NAMES]
+    return _faults(context, "verify.names", faults, "a letter first, not too long, no reserved word")
 
 
 def line_lengths(context: Context) -> Outcome:
     """Lines and strings are within what the controller reads."""
-    faults = [f for f in context.job.faults if f.code in _LINES]
+    faults = [f for f in context.job.faults if f.kind in _LINES]
     return _faults(context, "verify.line_length", faults, "break the line")
 
 
@@ -100,10 +96,13 @@ def module_size(context: Context) -> Outcome:
     issues = [
         Issue("verify.module_size", f.message, file=f.file, line=f.line, hint="split the module")
         for f in context.job.faults
-        if f.code in _SIZES
+        if f.kind in _SIZES
     ]
     limit, worst = context.problem.cell.controller.max_moves, 0
     for task in context.job.tasks:
+        found, most = rules_krl.sizes(context, task)
+        issues += found
+        worst = max(worst, most)
         for module in task.modules:
             steps = (step for p in module.procedures for step in p.body)
             count = sum(type(step).__name__ == "Move" for step in steps)
@@ -117,14 +116,17 @@ def module_size(context: Context) -> Outcome:
 
 
 def decimals(context: Context) -> Outcome:
-    """Targets are written finely enough, with unit quaternions and without a negative zero."""
+    """Targets are written finely enough, with unit quaternions or enough decimals of their angles, and
+    without a negative zero."""
     issues = [
         Issue("verify.decimals", f.message, file=f.file, line=f.line, hint="write plain decimals")
         for f in context.job.faults
-        if f.code in _NUMBERS
+        if f.kind in _NUMBERS
     ]
     worst = 0.0
     for task in context.job.tasks:
+        if task.krl is not None:
+            continue  # its reader refuses coarse numbers
         for file, text in task.files.items():
             issues += _coarse(file, text)
         for step in task.steps:
@@ -160,8 +162,12 @@ def _few(numbers: str, wanted: int) -> bool:
 
 def files(context: Context) -> Outcome:
     """Every task of the cell has modules, no file is left over, and the program lists name the modules that
-    are there."""
-    issues = []
+    are there; a KRL file has the name of its program."""
+    issues = [
+        Issue("verify.files", f.message, file=f.file, line=f.line)
+        for f in context.job.faults
+        if f.kind in _FILES
+    ]
     job = context.job
     names = task_names(context.problem)
     read = {task.name for task in job.tasks}
@@ -218,7 +224,7 @@ def digest(context: Context) -> Outcome:
             for data in context.data(task, rf"{DIGEST}(_\d+)?")
             if isinstance(data.initial, Literal) and data.kind == "string"
         ]
-        text = "".join(str(part) for part in found)
+        text = "".join(str(part) for part in found) if task.krl is None else task.krl.digest
         if text != context.problem.digest:
             message = (
                 f"task {task.name} states the problem {text[:12] or '(none)'}..., "

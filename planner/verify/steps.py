@@ -7,7 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from planner.verify.values import JointTarget, Load, RobTarget, Speed, Tool, WorkObject, Zone
+from planner.verify.krl_words import WORLD
+from planner.verify.values import JointTarget, Load, RobTarget, Speed, StatusTarget, Tool, WorkObject, Zone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +28,7 @@ class MoveStep(Step):
     """`time` [s] and `velocity` [m/s] where the move states them; names are "" for values in place."""
 
     kind: str
-    target: RobTarget | JointTarget
+    target: RobTarget | JointTarget | StatusTarget
     target_name: str
     id: int | None
     time: float | None
@@ -42,9 +43,15 @@ class MoveStep(Step):
     switches: tuple[str, ...]
 
     @property
+    def in_world(self) -> bool:
+        """Whether the frame is the world by its name: the controller's own, or the one that KRL programs
+        have for it."""
+        return self.wobj_name.lower() in ("wobj0", WORLD)
+
+    @property
     def by_joints(self) -> bool:
         """Whether the move is straight in joint space."""
-        return isinstance(self.target, JointTarget)
+        return isinstance(self.target, JointTarget | StatusTarget)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,13 +15,26 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobTarget:
-    """`position` (3,) [m], `quaternion` (4,) wxyz as written, `conf` (cf1, cf4, cf6, cfx), `external` (6,)
-    as written.
+    """A pose that an arm goes straight to: `position` (3,) [m], `quaternion` (4,) wxyz as written, `external`
+    (6,) as written. `conf` (cf1, cf4, cf6, cfx), None where the arm keeps the posture that it has.
     """
 
     position: Array
     quaternion: Array
-    conf: tuple[int, int, int, int]
+    conf: tuple[int, int, int, int] | None
+    external: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatusTarget:
+    """A pose whose joints an arm goes to: `position` (3,) [m], `quaternion` (4,) wxyz, `external` (6,) as
+    written; `status` and `turn` are the bits that choose among the joint solutions.
+    """
+
+    position: Array
+    quaternion: Array
+    status: int
+    turn: int
     external: Array
 
 
@@ -37,12 +50,15 @@ class JointTarget:
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """`tcp` [m/s] (inf for no limit), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s]."""
+    """`tcp` [m/s] (inf for no limit), `turn` [rad/s], external axes `linear` [m/s] and `rotary` [rad/s];
+    `axes`: for a move by joints that states it so, the share of each axis' own speed.
+    """
 
     tcp: float
     turn: float
     linear: float
     rotary: float
+    axes: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,334 @@
+"""The straight way of one KRL program through its files: settings put into moves, names replaced by values.
+
+The subset has no conditions but the guarded wait, so there is one way. Settings are modal; what a program has
+not stated itself behind BAS(#INITMOV,0) is not known, and no move may depend on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, NoReturn
+
+import numpy as np
+
+from planner.verify.faults import Fault, FlowError
+from planner.verify.krl_ast import (
+    Call,
+    DataList,
+    Halt,
+    Joint,
+    Listen,
+    Output,
+    Pause,
+    Program,
+    Said,
+    Set,
+    Start,
+    Statement,
+    Straight,
+)
+from planner.verify.krl_load import NOTHING, held
+from planner.verify.krl_values import quaternion
+from planner.verify.krl_words import AXES, CHOICES, FRAMES, MOVING
+from planner.verify.steps import CarryStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
+from planner.verify.values import (
+    Array,
+    JointTarget,
+    Load,
+    RobTarget,
+    Speed,
+    StatusTarget,
+    Tool,
+    WorkObject,
+    Zone,
+)
+
+MAX_CALLS = 10
+MAIN = "main"
+"""What the procedure of the main program is called in steps: its own name is the problem's."""
+_FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_STILL = np.zeros(6)
+_ANY = 1.0
+"""A length [m] that is no bound: for a corner that the angle alone decides."""
+
+
+class Signals(NamedTuple):
+    """Names of a controller's outputs and inputs by number."""
+
+    outputs: Mapping[int, str]
+    inputs: Mapping[int, str]
+
+
+class _Pose(NamedTuple):
+    """A target as the text has it, to know how far the next move goes: X, Y, Z [mm], unit quaternion."""
+
+    position: tuple[float, float, float]
+    quaternion: tuple[float, float, float, float]
+
+
+class Runner:
+    """Runs the main program. `entered`: names of the programs that ran, in lower case."""
+
+    def __init__(
+        self, programs: Mapping[str, Program], data: DataList, base: Array, signals: Signals
+    ) -> None:
+        self.programs, self.data, self.base, self.signals = programs, data, base, signals
+        self.steps: list[Step] = []
+        self.entered: set[str] = set()
+        self.settings: dict[str, float | str] = {}
+        self.tools: dict[str, Tool] = {}
+        self.works: dict[str, WorkObject] = {}
+        self.here: _Pose | None = None
+        self.carried = ""
+        self.load_line = 0
+        self.question: list[str] = []
+        self.program: Program
+        self.procedure = MAIN
+        self.depth = 0
+        self._open: list[str] = []
+
+    def run(self, main: Program) -> tuple[Step, ...]:
+        """Steps of the main program. Raises `FlowError`."""
+        self.program = main
+        self.entered.add(main.name.lower())
+        self._open.append(main.name.lower())
+        first = next((s for s in main.body if not isinstance(s, Said)), None)
+        if not isinstance(first, Start):
+            self._fail(first.line if first else 1, "the main program does not begin with BAS(#INITMOV,0)")
+        self._block(main.body)
+        return tuple(self.steps)
+
+    def _fail(self, line: int, message: str) -> NoReturn:
+        raise FlowError([Fault(line, 1, "krl.flow", message, self.program.file)])
+
+    def _block(self, body: Sequence[Statement]) -> None:
+        for statement in body:
+            if isinstance(statement, Straight):
+                self._straight(statement)
+                continue
+            if self.question and not (isinstance(statement, Halt) or _asks(statement)):
+                self._fail(statement.line, "a question (;?) that no HALT follows")
+            if not isinstance(statement, Set | Said):
+                self._carry(statement.line)
+            self._statement(statement)
+        if self.question:
+            self._fail(body[-1].line, "a question (;?) that no HALT follows")
+
+    def _statement(self, statement: Statement) -> None:
+        line = statement.line
+        where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
+        match statement:
+            case Start():
+                if len(self.steps) or self.depth:
+                    self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
+                self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
+            case Set(name=name, value=value):
+                self._set(line, name, value)
+            case Said(kind="question", text=text):
+                self.question.append(text)
+            case Said(kind="segment", text=text):
+                self.procedure = text
+            case Said(text=text):
+                self.steps.append(MessageStep(*where, ";*", (text,), False, text, panel="line"))
+            case Halt():
+                if not self.question:
+                    self._fail(line, "HALT without a question (;?) above it")
+                text = " ".join(self.question)
+                self.steps.append(MessageStep(*where, "HALT", (text,), True, text, True))
+                self.question = []
+            case Output(number=number, value=on):
+                name = self.signals.outputs.get(number, f"$OUT[{number}]")
+                self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
+            case Listen(number=number, value=on, seconds=seconds):
+                name = self.signals.inputs.get(number, f"$IN[{number}]")
+                self.steps.append(WaitStep(*where, "WHILE", seconds, name, float(on), False))
+            case Pause(seconds=seconds) if self._moving:
+                self._stand(line, seconds)
+            case Pause(seconds=seconds):
+                self.steps.append(WaitStep(*where, "WAIT SEC", seconds, "", None, True))
+            case Joint(name=name):
+                self._joint(line, name)
+            case Call(name=name):
+                self._call(line, name)
+
+    @property
+    def _moving(self) -> bool:
+        """Whether a file with moves is being read, in which a wait stands for a move."""
+        return self.depth > 0 and self.program.moves > 0
+
+    def _call(self, line: int, name: str) -> None:
+        program = self.programs.get(name)
+        if program is None or self.depth >= MAX_CALLS or name in self._open:
+            what = "is none of the programs" if program is None else "calls itself"
+            self._fail(line, f"{name}() {what}")
+        here = self.program, self.procedure
+        self.entered.add(name)
+        self._open.append(name)
+        self.program, self.depth = program, self.depth + 1
+        if program.moves:
+            for setting in MOVING:  # each file with moves states its own
+                self.settings.pop(setting, None)
+        self._block(program.body)
+        self._open.pop()
+        (self.program, self.procedure), self.depth = here, self.depth - 1
+
+    # ---- settings ----
+
+    def _set(self, line: int, name: str, value: float | str) -> None:
+        if (name in MOVING) != (self.depth > 0):
+            where = "a file with moves" if name in MOVING else "the main program"
+            self._fail(line, f"{name.upper()} is set elsewhere than in {where}")
+        if name in CHOICES or name == "$advance":
+            where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
+            self.steps.append(SettingStep(*where_, name.upper(), (), ()))
+        if name in FRAMES:
+            kind = FRAMES[name]
+            item = self.data.items.get(str(value))
+            if item is None or item.kind != kind:
+                self._fail(line, f"{value} is no {kind.upper()} of the data list")
+            if name == "$load":
+                self.load_line = line
+            else:
+                self.here = None
+        self.settings[name] = value
+
+    def _needed(self, line: int, names: Sequence[str]) -> None:
+        missing = [name for name in names if name not in self.settings]
+        if missing:
+            self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
+
+    def _tool(self, line: int) -> tuple[Tool, str]:
+        self._needed(line, ("$tool", "$load", *CHOICES, "$advance"))
+        name = str(self.settings["$tool"])
+        if name not in self.tools:
+            own = self.data.items.get(_own_load(name))
+            if own is None or own.kind != "load":
+                self._fail(line, f"the data list has no LOAD {_own_load(name)} for {name}")
+            self.tools[name] = Tool(True, self.data.items[name].value, own.value)
+        return self.tools[name], self.data.items[name].name
+
+    def _work(self, line: int) -> tuple[WorkObject, str]:
+        self._needed(line, ("$base",))
+        name = str(self.settings["$base"])
+        if name not in self.works:
+            self.works[name] = WorkObject(False, True, "", self.base, self.data.items[name].value)
+        return self.works[name], self.data.items[name].name
+
+    def _carry(self, line: int) -> None:
+        """A step where the load is another one than before: the tool's own, or one of the tool with what it
+        holds."""
+        if "$tool" not in self.settings or "$load" not in self.settings:
+            return
+        tool, load = str(self.settings["$tool"]), str(self.settings["$load"])
+        carried = "" if load == _own_load(tool) else load
+        if carried == self.carried:
+            return
+        mine, _ = self._tool(line)
+        whole: Load = self.data.items[load].value
+        found = held(whole, mine.load, mine.pose) if carried else NOTHING
+        where = (self.program.file.rpartition("/")[2], self.procedure, self.load_line, "")
+        self.steps.append(CarryStep(*where, found, load))
+        self.carried = carried
+
+    # ---- moves ----
+
+    def _joint(self, line: int, name: str) -> None:
+        if self.depth:
+            self._fail(line, "PTP stands elsewhere than in the main program")
+        item = self.data.items.get(name)
+        if item is None or item.kind not in ("e6axis", "e6pos"):
+            self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
+        self._needed(line, AXES)
+        share = tuple(float(self.settings[axis]) / 100.0 for axis in AXES)
+        speed = Speed(math.inf, math.inf, 0.0, 0.0, share)
+        target: JointTarget | StatusTarget = item.value
+        self._move(line, "PTP", target, item.name, None, speed, _FINE, "")
+        self.here = None
+        if isinstance(target, StatusTarget):
+            x, y, z = (1e3 * target.position).tolist()
+            w, i, j, k = target.quaternion.tolist()
+            self.here = _Pose((x, y, z), (w, i, j, k))
+
+    def _straight(self, move: Straight) -> None:
+        line = move.line
+        self._carry(line)
+        if not self.depth:
+            self._fail(line, f"{move.word} stands in the main program; moves have files of their own")
+        if self.question:
+            self._fail(line, "a question (;?) that no HALT follows")
+        if self.here is None:
+            self._fail(line, f"{move.word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
+        self._needed(line, tuple(MOVING))
+        settings = self.settings
+        velocity, turning = float(settings["$vel.cp"]), float(settings["$vel.ori1"])
+        if settings["$vel.ori2"] != turning:
+            self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
+        x, y, z, a, b, c = move.place
+        there = _Pose((x, y, z), quaternion(a, b, c))
+        way, turn = _apart(self.here, there)
+        rate = math.sqrt(2.0) * math.radians(turning)
+        speed = Speed(velocity, rate, 0.0, 0.0)
+        target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _STILL)
+        zone, name = self._zone(move.corner)
+        self._move(line, move.word, target, "", max(way / velocity, turn / rate), speed, zone, name)
+        self.here = there
+
+    def _stand(self, line: int, seconds: float) -> None:
+        """A wait in a file with moves: the arm's part of a move in which it stands still."""
+        if self.here is None:
+            self._fail(line, "WAIT SEC stands for a move, but the arm is at no pose of this $BASE and $TOOL")
+        target = RobTarget(1e-3 * np.array(self.here.position), np.array(self.here.quaternion), None, _STILL)
+        speed = Speed(1.0, 1.0, 0.0, 0.0)
+        self._move(line, "WAIT SEC", target, "", seconds, speed, _FINE, "")
+
+    def _move(
+        self,
+        line: int,
+        word: str,
+        target: JointTarget | StatusTarget | RobTarget,
+        name: str,
+        time: float | None,
+        speed: Speed,
+        zone: Zone,
+        corner: str,
+    ) -> None:
+        tool, tool_name = self._tool(line)
+        work, work_name = self._work(line)
+        where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
+        stop = corner or "an exact stop"
+        self.steps.append(
+            MoveStep(
+                *(*where, word, target, name, None, time, None, speed, zone, stop),
+                *(tool, tool_name, work, work_name, ()),
+            )
+        )
+
+    def _zone(self, corner: str) -> tuple[Zone, str]:
+        if not corner:
+            return _FINE, ""
+        way, angle = 1e-3 * float(self.settings["$apo.cdis"]), math.radians(float(self.settings["$apo.cori"]))
+        if corner == "C_DIS":
+            angle = math.pi
+        if corner == "C_ORI":
+            way = _ANY
+        return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
+
+
+def _asks(statement: Statement) -> bool:
+    return isinstance(statement, Said) and statement.kind == "question"
+
+
+def _own_load(tool: str) -> str:
+    """The name of a tool's own load: l_x of t_x."""
+    return "l_" + tool.removeprefix("t_")
+
+
+def _apart(a: _Pose, b: _Pose) -> tuple[float, float]:
+    """Way [m] and angle [rad] from one pose to another."""
+    way = math.dist(a.position, b.position)
+    (w, x, y, z), (s, i, j, k) = a.quaternion, b.quaternion
+    # the vector part of the turn between them: its length is the sine of half the angle, exact for small ones
+    u = (w * i - x * s - y * k + z * j, w * j + x * k - y * s - z * i, w * k - x * j + y * i - z * s)
+    cosine = w * s + x * i + y * j + z * k
+    return 1e-3 * way, 2.0 * math.atan2(math.hypot(*u), abs(cosine))

@@ -1,0 +1,313 @@
+"""One KRL file to statements, line by line: a line that is none of the forms in docs/krl.md is a fault.
+
+A long program has thousands of moves and speeds; those lines are tried first, each by one expression.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+
+from planner.verify import krl_values
+from planner.verify.faults import Fault
+from planner.verify.krl_ast import (
+    Call,
+    Data,
+    DataList,
+    Halt,
+    Joint,
+    Listen,
+    Output,
+    Pause,
+    Program,
+    Said,
+    Set,
+    Start,
+    Statement,
+    Straight,
+)
+from planner.verify.krl_values import KrlValueError
+from planner.verify.krl_words import CHOICES, FRAMES, LINE_LENGTH, NAME_LENGTH, NUMBERS, RESERVED
+
+_NAME = r"[A-Za-z_]\w*"
+_COARSE = r"(-?\d+\.\d{4,})"
+_FINE = r"(-?\d+\.\d{5,})"
+_TARGET = rf"X {_COARSE},Y {_COARSE},Z {_COARSE},A {_FINE},B {_FINE},C {_FINE}"
+_QUICK = re.compile(rf"(S?LIN) \{{{_TARGET}\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII)
+_STRAIGHT = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
+_SET = re.compile(r"(\$[\w.]+(?:\[\d+\])?)\s*=\s*(#?\w[\w.+-]*)", re.IGNORECASE | re.ASCII)
+_NUMBER = re.compile(r"\d+(?:\.\d+)?", re.ASCII)
+_OUT = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*(TRUE|FALSE)", re.IGNORECASE | re.ASCII)
+_PTP = re.compile(rf"PTP\s+({_NAME})", re.IGNORECASE | re.ASCII)
+_WAIT = re.compile(r"WAIT\s+SEC\s+(\d+(?:\.\d+)?)", re.IGNORECASE | re.ASCII)
+_CALL = re.compile(rf"({_NAME})\s*\(\s*\)", re.ASCII)
+_EXT = re.compile(rf"EXT\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
+_DEF = re.compile(rf"DEF\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
+_DEFDAT = re.compile(rf"DEFDAT\s+({_NAME})\s+PUBLIC", re.IGNORECASE | re.ASCII)
+_DECL = re.compile(
+    rf"DECL\s+(FRAME|LOAD|E6POS|E6AXIS)\s+({_NAME})\s*=\s*(\{{.*\}})", re.IGNORECASE | re.ASCII
+)
+_CHAR = re.compile(rf"DECL\s+CHAR\s+({_NAME})\[(\d{{1,3}})\]", re.IGNORECASE | re.ASCII)
+_TEXT = re.compile(rf'({_NAME})\[\s*\]\s*=\s*"([^"]*)"', re.ASCII)
+_HEAD = (re.compile(r"&ACCESS RVP"), re.compile(r"&REL \d+"))
+_SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
+
+# the guarded wait, statement by statement
+_GUARD = (
+    re.compile(r"\$TIMER\[1\]=0", re.IGNORECASE),
+    re.compile(r"\$TIMER_STOP\[1\]=FALSE", re.IGNORECASE),
+    re.compile(r"WHILE \$IN\[(\d{1,4})\]==(TRUE|FALSE)", re.IGNORECASE | re.ASCII),
+    re.compile(r"IF \$TIMER\[1\]>(\d{1,10}) THEN", re.IGNORECASE | re.ASCII),
+    re.compile(r"HALT", re.IGNORECASE),
+    re.compile(r"\$TIMER\[1\]=0", re.IGNORECASE),
+    re.compile(r"ENDIF", re.IGNORECASE),
+    re.compile(r"WAIT SEC 0\.01", re.IGNORECASE),
+    re.compile(r"ENDWHILE", re.IGNORECASE),
+    re.compile(r"\$TIMER_STOP\[1\]=TRUE", re.IGNORECASE),
+)
+_LONGEST_WAIT = 2**31 - 1
+
+
+class Reader:
+    """The lines of one file. `faults` is filled while it reads."""
+
+    def __init__(self, text: str, file: str) -> None:
+        self.file = file
+        self.faults: list[Fault] = []
+        self.rows = [row.rstrip(" \t\r") for row in text.split("\n")]
+        self.at = 0
+        if self.rows and not self.rows[-1]:
+            self.rows.pop()
+        for number, row in enumerate(self.rows, 1):
+            if len(row) > LINE_LENGTH:
+                what = f"the line has {len(row)} characters; allowed: {LINE_LENGTH}; break it"
+                self.fault(number, "line_length", what)
+
+    def fault(self, line: int, kind: str, message: str) -> None:
+        """Note a fault of the line."""
+        self.faults.append(Fault(line, 1, f"krl.{kind}", message, self.file))
+
+    # ---- .src ----
+
+    def program(self) -> Program | None:
+        """The file as a program, None where it has no frame."""
+        self._head()
+        name = self._frame(_DEF, "DEF name()")
+        external: list[str] = []
+        body: list[Statement] = []
+        ended = False
+        while self.at < len(self.rows):
+            line, row = self.at + 1, self.rows[self.at].strip()
+            self.at += 1
+            if ended:
+                if row and not row.startswith(";"):
+                    self.fault(line, "syntax", f"{_shown(row)} stands behind END")
+                continue
+            quick = _QUICK.fullmatch(row)
+            if quick is not None and "-0." not in row:
+                word, x, y, z, a, b, c, corner = quick.groups()
+                numbers = (float(x), float(y), float(z), float(a), float(b), float(c))
+                body.append(Straight(line, word, numbers, corner or ""))
+                continue
+            if not row or row.startswith(";"):
+                body += _said(line, row)
+                continue
+            code, text = _parted(row)
+            if code.upper() == "END":
+                ended = True
+            elif found := _EXT.fullmatch(code):
+                if body and any(not isinstance(statement, Said) for statement in body):
+                    self.fault(line, "syntax", "EXT stands behind statements; it belongs right behind DEF")
+                external.append(found[1].lower())
+            else:
+                statement = self._statement(line, code)
+                body += [] if statement is None else [statement]
+                body += _said(line, text)
+        if not ended:
+            self.fault(len(self.rows), "syntax", "there is no END")
+        return None if name is None else Program(self.file, name, tuple(external), tuple(body))
+
+    def _statement(self, line: int, code: str) -> Statement | None:
+        if _GUARD[0].fullmatch(code):
+            return self._listen(line)
+        for pattern, make in _FORMS:
+            found = pattern.fullmatch(code)
+            if found is None:
+                continue
+            try:
+                return make(line, found)
+            except KrlValueError as wrong:
+                self.fault(line, wrong.kind, wrong.message)
+                return None
+        self.fault(line, "syntax", f"{_shown(code)}: no statement of the programs that are understood")
+        return None
+
+    def _listen(self, line: int) -> Statement | None:
+        """The guarded wait, whose first statement has been read."""
+        found: list[re.Match[str]] = []
+        for pattern in _GUARD[1:]:
+            while self.at < len(self.rows) and self.rows[self.at].strip().startswith(";"):
+                self.at += 1
+            code = _parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
+            match = pattern.fullmatch(code)
+            if match is None:
+                what = f"{_shown(code)}: not the next statement of a guarded wait, {pattern.pattern}"
+                self.fault(self.at + 1, "syntax", what.replace("\\", ""))
+                return None
+            found.append(match)
+            self.at += 1
+        number, level = int(found[1][1]), found[1][2].upper() == "FALSE"
+        limit = int(found[2][1])
+        if not 0 < limit <= _LONGEST_WAIT:
+            self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT}")
+        return Listen(line, number, level, limit * 1e-3)
+
+    # ---- .dat ----
+
+    def data_list(self) -> DataList | None:
+        """The file as a data list, None where it has no frame."""
+        self._head()
+        name = self._frame(_DEFDAT, "DEFDAT name PUBLIC")
+        items: dict[str, Data] = {}
+        ended = False
+        for line, row in self._lines():
+            code = _parted(row)[0]
+            if ended:
+                self.fault(line, "syntax", f"{_shown(code)} stands behind ENDDAT")
+            elif code.upper() == "ENDDAT":
+                ended = True
+            elif found := _DECL.fullmatch(code):
+                self._declare(items, line, found[1].lower(), found[2], found[3])
+            elif found := _CHAR.fullmatch(code):
+                self._declare(items, line, "char", found[1], found[2])
+            elif found := _TEXT.fullmatch(code):
+                self._text(items, line, found[1], found[2])
+            else:
+                self.fault(line, "syntax", f"{_shown(code)}: no declaration that is understood")
+        if not ended:
+            self.fault(len(self.rows), "syntax", "there is no ENDDAT")
+        for item in items.values():
+            if item.kind == "char" and isinstance(item.value, int):
+                self.fault(item.line, "no_value", f"{item.name} has no value; write {item.name}[]=...")
+        return None if name is None else DataList(self.file, name, items)
+
+    def _declare(self, items: dict[str, Data], line: int, kind: str, name: str, text: str) -> None:
+        self.name(line, name)
+        if name.lower() in items:
+            self.fault(line, "name_duplicate", f"{name} is declared in line {items[name.lower()].line} too")
+            return
+        try:
+            value = int(text) if kind == "char" else krl_values.value(kind, text)
+        except KrlValueError as wrong:
+            self.fault(line, wrong.kind, f"{name}: {wrong.message}")
+            return
+        items[name.lower()] = Data(line, kind, name, value)
+
+    def _text(self, items: dict[str, Data], line: int, name: str, text: str) -> None:
+        item = items.get(name.lower())
+        if item is None or item.kind != "char":
+            self.fault(line, "undeclared", f"{name}[] is not declared as CHAR")
+        elif not isinstance(item.value, int):
+            self.fault(line, "name_duplicate", f"{name}[] has a value already")
+        elif len(text) > item.value:
+            self.fault(line, "type", f"{name}[] has {item.value} characters; got {len(text)}")
+        else:
+            items[name.lower()] = Data(item.line, "char", item.name, text)
+
+    # ---- both ----
+
+    def name(self, line: int, name: str) -> None:
+        """Note what is wrong with a name of our own."""
+        if len(name) > NAME_LENGTH:
+            self.fault(line, "name_length", f"{name} has {len(name)} characters; allowed: {NAME_LENGTH}")
+        if name.lower() in RESERVED:
+            self.fault(line, "name_reserved", f"{name} is a word of KRL; take another name")
+
+    def _head(self) -> None:
+        for pattern in _HEAD:
+            if self.at >= len(self.rows) or pattern.fullmatch(self.rows[self.at].strip()) is None:
+                self.fault(self.at + 1, "syntax", f"{pattern.pattern.replace(chr(92), '')} must stand here")
+                continue
+            self.at += 1
+
+    def _frame(self, pattern: re.Pattern[str], wanted: str) -> str | None:
+        for line, row in self._lines():
+            found = pattern.fullmatch(_parted(row)[0])
+            if found is None:
+                self.fault(line, "syntax", f"{_shown(row)}: {wanted} must stand here")
+                return None
+            self.name(line, found[1])
+            return found[1]
+        self.fault(len(self.rows), "syntax", f"the file has no {wanted}")
+        return None
+
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Lines from here on that hold more than a comment, with their numbers."""
+        while self.at < len(self.rows):
+            row = self.rows[self.at].strip()
+            self.at += 1
+            if row and not row.startswith(";"):
+                yield self.at, row
+
+
+def _parted(row: str) -> tuple[str, str]:
+    """A row's code and its comment; no statement that is understood in .src files holds a string."""
+    inside = False
+    for i, letter in enumerate(row):
+        inside ^= letter == '"'
+        if letter == ";" and not inside:
+            return row[:i].rstrip(), row[i:]
+    return row, ""
+
+
+def _said(line: int, row: str) -> list[Statement]:
+    """What a comment says to the proof; comments without one of the marks say nothing."""
+    if row.startswith(";*"):
+        return [Said(line, "told", row[2:].strip())]
+    if row.startswith(";?"):
+        return [Said(line, "question", row[2:].strip())]
+    found = _SEGMENT.match(row[1:].lstrip()) if row.startswith(";") else None
+    return [Said(line, "segment", found[1].strip().lower())] if found else []
+
+
+def _shown(row: str) -> str:
+    return repr(row if len(row) <= 60 else row[:57] + "...")
+
+
+def _set(line: int, found: re.Match[str]) -> Statement:
+    name, word = found[1].lower(), found[2].lower()
+    if name in NUMBERS:
+        low, high, whole = NUMBERS[name]
+        if _NUMBER.fullmatch(word) is None:
+            raise KrlValueError("type", f"{found[1]} takes a number; got {word}")
+        if not low <= float(word) <= high or (whole and float(word) != int(float(word))):
+            kind = "whole numbers" if whole else "numbers"
+            raise KrlValueError("type", f"{found[1]} is {word}; allowed: {kind} from {low:g} to {high:g}")
+        return Set(line, name, float(word))
+    if name in CHOICES:
+        if word not in CHOICES[name]:
+            raise KrlValueError("type", f"{found[1]} is {word}; allowed: {', '.join(CHOICES[name])}")
+        return Set(line, name, word)
+    if name in FRAMES:
+        return Set(line, name, word)
+    raise KrlValueError("syntax", f"{found[1]} is no setting that these programs may make")
+
+
+def _straight(line: int, found: re.Match[str]) -> Statement:
+    return Straight(line, found[1].upper(), krl_values.place(found[2]), (found[3] or "").upper())
+
+
+def _output(line: int, found: re.Match[str]) -> Statement:
+    return Output(line, int(found[1]), found[2].upper() == "TRUE")
+
+
+_FORMS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]], ...] = (
+    (_OUT, _output),
+    (_SET, _set),
+    (_STRAIGHT, _straight),
+    (_PTP, lambda line, found: Joint(line, found[1].lower())),
+    (_WAIT, lambda line, found: Pause(line, float(found[1]))),
+    (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: Start(line)),
+    (re.compile(r"HALT", re.IGNORECASE), lambda line, _: Halt(line)),
+    (_CALL, lambda line, found: Call(line, found[1].lower())),
+)

@@ -1,0 +1,168 @@
+"""What rules ask of KRL programs where they ask something else of RAPID."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.catalogue import robot
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_step
+from planner.verify.job import TaskText
+from planner.verify.krl_status import select
+from planner.verify.motion import Motion
+from planner.verify.moves import flange_at, solutions
+from planner.verify.steps import MoveStep
+from planner.verify.values import JointTarget, RobTarget, StatusTarget
+
+_SAME_PLACE = 1e-5
+"""A move whose TCP goes no farther [m] turns only."""
+_SMALLEST = 1.001e-6
+_SMALLEST_TURN = 1.001 * np.deg2rad(0.001)
+"""Roundings so small [m, rad] need no room: the controller itself never takes more than half of a move."""
+_CREEP = 0.11e-3
+_CREEP_TURN = np.deg2rad(0.15)
+"""Moves slower than this [m/s, rad/s] are as fast as KRL lets them be; no feed or limit is so low."""
+SHARE = 0.01
+"""How much the times of two moves that run together may differ: speeds have few digits."""
+AGREE = np.deg2rad(0.01)
+"""How far the motion may be from the joints that Status and Turn select [rad]: the target is rounded."""
+
+
+def move_kinds(task: TaskText) -> list[Issue]:
+    """Moves that use an axis that the cell does not have."""
+    out = []
+    for step in task.steps:
+        if isinstance(step, MoveStep) and np.abs(step.target.external).max() > 0.0:
+            what = "the target moves an external axis; E1 to E6 are 0 here"
+            out.append(at_step("verify.move_kinds", what, task, step))
+    return out
+
+
+def sizes(context: Context, task: TaskText) -> tuple[list[Issue], int]:
+    """Files with more moves than the problem allows, and the most that one has."""
+    limit, most, out = context.problem.cell.controller.max_moves, 0, []
+    for program in task.krl.programs.values() if task.krl else ():
+        most = max(most, program.moves)
+        if program.moves > limit:
+            what = f"{program.file} has {program.moves} moves; allowed: {limit}"
+            out.append(Issue("verify.module_size", what, file=program.file, value=program.moves, limit=limit))
+    return out, most
+
+
+def hidden(task: TaskText) -> list[Issue]:
+    """Programs that nothing calls."""
+    return [
+        Issue("verify.hidden", f"{program.name}() is never called", arm=task.arm.name, file=program.file)
+        for name, program in (task.krl.programs.items() if task.krl else ())
+        if ("", name) not in task.called
+    ]
+
+
+def corners(task: TaskText, moves: tuple[MoveStep, ...]) -> tuple[list[Issue], float]:
+    """Corners that take more than half of a move beside them, by way or, where the TCP stands, by angle; and
+    the largest size over that [mm]."""
+    out, worst = [], 0.0
+    steps = [_apart(a, b) for a, b in itertools.pairwise(moves)]
+    for i, move in enumerate(moves):
+        if move.zone.fine or move.by_joints:
+            continue
+        beside = [step for step in steps[max(i - 1, 0) : i + 1] if step is not None]
+        if not beside:
+            continue
+        way, turn = min(step[0] for step in beside), min(step[1] for step in beside)
+        if way > _SAME_PLACE:
+            over = move.zone.tcp - max(0.5 * way, _SMALLEST)
+            worst = max(worst, mm(over))
+            size, half = mm(move.zone.tcp), mm(0.5 * way)
+            what = f"the corner takes {size:g} mm; half of the shorter move is {half:.4f} mm"
+        else:
+            over = move.zone.turn_angle - max(0.5 * turn, _SMALLEST_TURN)
+            angles = np.rad2deg([move.zone.turn_angle, 0.5 * turn])
+            what = f"the corner takes {angles[0]:g} deg; half of the shorter turn is {angles[1]:.5f} deg"
+        if over > 1e-9:
+            out.append(at_step("verify.zone_size", what, task, move))
+    return out, worst
+
+
+def _apart(a: MoveStep, b: MoveStep) -> tuple[float, float] | None:
+    """Way [m] and angle [rad] between the targets of two moves in one frame, None where they have none."""
+    if isinstance(a.target, JointTarget) or not isinstance(b.target, RobTarget) or a.wobj is not b.wobj:
+        return None
+    way = float(np.linalg.norm(a.target.position - b.target.position))
+    cosine = abs(float(a.target.quaternion @ b.target.quaternion))
+    return way, 2.0 * float(np.arccos(min(cosine, 1.0)))
+
+
+def pair_times(a_task: TaskText, a: MoveStep, b_task: TaskText, b: MoveStep) -> Iterator[Issue]:
+    """Two moves that run together, one at least by KRL, and whose times differ."""
+    if a.time is None or b.time is None:
+        return
+    for task, move, other in ((a_task, a, b), (b_task, b, a)):
+        early = move.time < (1.0 - SHARE) * other.time if move.time and other.time else False
+        if early and not (task.krl is not None and _creeps(move)):
+            what = f"the move takes {move.time:.5f} s; the other arm's takes {other.time:.5f} s meanwhile"
+            yield at_step("verify.move_time", what, task, move)
+
+
+def _creeps(move: MoveStep) -> bool:
+    """Whether a move is as slow as KRL can state it."""
+    return move.speed.tcp <= _CREEP and move.speed.turn <= np.sqrt(2.0) * _CREEP_TURN
+
+
+def status(context: Context) -> Outcome:
+    """KRL: Status and Turn alone select one joint solution within the limits, the one that the motion has,
+    whether or not Turn counts for axes near zero; straight moves begin at such a target."""
+    issues: list[Issue] = []
+    near: list[str] = []
+    worst, found = 0.0, False
+    for task in context.job.tasks:
+        if task.krl is None:
+            continue
+        found = True
+        rows = _rows(context.motion, task)
+        moves = [step for step in task.steps if isinstance(step, MoveStep)]
+        for row, move in zip(rows, moves, strict=True):
+            if isinstance(move.target, StatusTarget):
+                here = context.motion.q[task.arm.name][context.motion.node_sample[row]]
+                wrong, off, axes = _chosen(context, task, move, here)
+                issues += [at_step("verify.status", what, task, move) for what in wrong]
+                worst = max(worst, off)
+                near += [f"axis {axis} at {move.target_name}" for axis in axes]
+    told = f"near zero: {', '.join(near)}" if near else ""
+    return Outcome(
+        tuple(issues), float(np.rad2deg(worst)), float(np.rad2deg(AGREE)), "deg", told if found else "no KRL"
+    )
+
+
+def _rows(motion: Motion, task: TaskText) -> np.ndarray:
+    """Nodes (M,) of a task's moves, in order."""
+    return np.flatnonzero(motion.node_line[task.arm.name] > 0)
+
+
+def _chosen(
+    context: Context, task: TaskText, move: MoveStep, here: np.ndarray
+) -> tuple[list[str], float, tuple[int, ...]]:
+    """What is wrong with Status and Turn of a move after which the joints are ``here`` (6,), how far they are
+    off [rad], and axes near zero."""
+    target = move.target
+    machine, base = robot(task.arm.robot), context.bases[task.arm.name]
+    if not isinstance(target, StatusTarget):
+        return [], 0.0, ()
+    bits = f"S {target.status} and T {target.turn}"
+    found = solutions(move, machine, base)
+    if len(found.q) != 1:
+        count = "no joint solution" if not len(found.q) else f"{len(found.q)} joint solutions"
+        return [f"{bits} select {count} within the limits; one is needed"], 0.0, ()
+    wrong = []
+    off = float(np.abs(found.q[0] - here).max())
+    if off > AGREE:
+        wrong.append(f"{bits} select joints that are {np.rad2deg(off):.3f} deg off the motion's")
+    for axis in found.near_zero:
+        other = select(machine, flange_at(move, base), target.status, target.turn ^ (1 << (axis - 1)))
+        if any(np.abs(q - found.q[0]).max() > AGREE for q in other.q):
+            wrong.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
+    return wrong, off, found.near_zero

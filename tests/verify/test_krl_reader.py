@@ -1,0 +1,318 @@
+"""The KRL reader on programs written by hand after docs/krl.md: what it gives, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planner.verify import krl_reader
+from planner.verify.faults import FlowError
+from planner.verify.krl_flow import Signals
+from planner.verify.krl_load import held
+from planner.verify.krl_values import quaternion, value
+from planner.verify.steps import CarryStep, MessageStep, MoveStep, SignalStep, WaitStep
+from planner.verify.values import JointTarget, Load, RobTarget, StatusTarget, rotation
+
+HEAD = "&ACCESS RVP\r\n&REL 1\r\n"
+OUTER = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0"
+LOAD = (
+    "{M 1.250,CM {X 0.000,Y 0.000,Z 60.000,A 0.000000,B 0.000000,C 0.000000},"
+    "J {X 0.000000,Y 0.000000,Z 0.000000}}"
+)
+DAT = f"""DEFDAT wall PUBLIC
+; what it is for
+DECL CHAR problem_digest[64]
+problem_digest[]="ab12"
+DECL FRAME base_frame={{X 0.0000,Y 0.0000,Z 500.0000,A 90.000000,B 0.000000,C 0.000000}}
+DECL FRAME t_mill={{X 0.0000,Y 0.0000,Z 150.0000,A 0.000000,B 90.000000,C 0.000000}}
+DECL LOAD l_mill={LOAD}
+DECL FRAME b_stock={{X 900.0000,Y 0.0000,Z 200.0000,A 90.000000,B 0.000000,C 0.000000}}
+DECL E6AXIS x_home={{A1 0.000000,A2 -90.000000,A3 90.000000,A4 0.000000,A5 30.000000,A6 0.000000,{OUTER}}}
+DECL E6POS p_1_start={{X -12.0000,Y 40.0000,Z 210.0000,A 12.50000,B 80.00000,C -4.00000,S 2,T 35,{OUTER}}}
+ENDDAT
+"""
+MAIN = """DEF wall()
+BAS(#INITMOV,0)
+$ADVANCE=3
+$IPO_MODE=#BASE
+$ORI_TYPE=#VAR
+$OUT[17]=FALSE ; doSpindle
+;? Is the stock in place
+;? and the way of the arm clear?
+HALT
+$TOOL=t_mill
+$LOAD=l_mill
+$BASE=b_stock
+$VEL_AXIS[1]=12
+$VEL_AXIS[2]=12
+$VEL_AXIS[3]=12
+$VEL_AXIS[4]=12
+$VEL_AXIS[5]=12
+$VEL_AXIS[6]=12
+PTP x_home
+PTP p_1_start
+;* The spindle starts.
+$OUT[17]=TRUE
+WAIT SEC 2.5
+wall_1()
+$OUT[17]=FALSE
+PTP x_home
+END
+"""
+MOVES = """DEF wall_1()
+; Segment approach: 2 moves, 1.50 s.
+$VEL.CP=0.02000000
+$VEL.ORI1=200.0
+$VEL.ORI2=200.0
+$APO.CDIS=0.3
+$APO.CORI=180.0
+SLIN {X -2.0000,Y 40.0000,Z 210.0000,A 12.50000,B 80.00000,C -4.00000} C_SPL
+; Segment cut/front: 2 moves, 0.9 s.
+$VEL.CP=0.01000000
+$VEL.ORI1=10.0
+$VEL.ORI2=10.0
+SLIN {X -2.0000,Y 40.0000,Z 210.0000,A 42.50000,B 80.00000,C -4.00000}
+WAIT SEC 0.25
+SLIN {X -2.0000,Y 30.0000,Z 210.0000,A 42.50000,B 80.00000,C -4.00000}
+END
+"""
+
+
+def texts(**changed):
+    """Files of one arm; ``changed`` {dat, main, moves: text}."""
+    parts = {"dat": DAT, "main": MAIN, "moves": MOVES} | changed
+    names = {"dat": "wall.dat", "main": "wall.src", "moves": "wall_1.src"}
+    return {f"left/{names[k]}": HEAD + text.replace("\n", "\r\n") for k, text in parts.items() if text}
+
+
+def read(dialect="krc4", **changed):
+    return krl_reader.read(texts(**changed), 100_000, dialect)
+
+
+def steps(**changed):
+    text = read(**changed)
+    assert text.faults == ()
+    return krl_reader.flow(text, text.base, Signals({17: "doSpindle"}, {5: "diPartner"}))[0]
+
+
+def kinds(**changed):
+    return {fault.kind for fault in read(**changed).faults}
+
+
+def test_the_way_through_the_files():
+    found = steps()
+    assert [step.kind for step in found] == [
+        *(
+            "BAS(#INITMOV,0)",
+            "$ADVANCE",
+            "$IPO_MODE",
+            "$ORI_TYPE",
+            "$OUT",
+            "HALT",
+            "PTP",
+            "PTP",
+            ";*",
+            "$OUT",
+        ),
+        *("WAIT SEC", "SLIN", "SLIN", "WAIT SEC", "SLIN", "$OUT", "PTP"),
+    ]
+    signals = [(step.signal, step.value) for step in found if isinstance(step, SignalStep)]
+    assert signals == [("doSpindle", 0.0), ("doSpindle", 1.0), ("doSpindle", 0.0)]
+    question, told = (step for step in found if isinstance(step, MessageStep))
+    assert question.confirm and question.certain
+    assert question.text == "Is the stock in place and the way of the arm clear?"
+    assert not told.confirm and told.panel == "line"
+    pause = next(step for step in found if isinstance(step, WaitStep))
+    assert pause.pause == 2.5 and not pause.signal
+    assert read().digest == "ab12"
+
+
+def test_moves_carry_their_segment_target_frames_and_corner():
+    home, start, first, turn, stand, last, _ = (s for s in steps() if isinstance(s, MoveStep))
+    assert isinstance(home.target, JointTarget) and isinstance(start.target, StatusTarget)
+    assert (start.target.status, start.target.turn) == (2, 35)
+    assert np.allclose(np.degrees(home.target.joints), [0, -90, 90, 0, 30, 0])
+    assert home.speed.axes == (0.12,) * 6 and home.zone.fine
+    assert [m.procedure for m in (home, first, turn, stand, last)] == [
+        *("main", "approach"),
+        *["cut/front"] * 3,
+    ]
+    assert first.module == "wall_1.src" and first.line == 10
+    assert isinstance(first.target, RobTarget) and first.target.conf is None
+    assert np.allclose(first.target.position, [-0.002, 0.04, 0.21])
+    assert np.allclose(first.tool.pose[:3, :3], Rotation.from_euler("y", 90, degrees=True).as_matrix())
+    assert np.allclose(first.wobj.user[:3, 3], [0, 0, 0.5]) and first.wobj_name == "b_stock"
+    assert not first.zone.fine and math.isclose(first.zone.tcp, 3e-4) and turn.zone.fine
+    assert stand.target.position.tolist() == turn.target.position.tolist() and stand.zone.fine
+
+
+def test_times_follow_from_ways_turns_and_speeds():
+    """10 mm at 20 mm/s; 30 deg about z of the base at sqrt(2) 10 deg/s, by hand; 10 mm at 10 mm/s."""
+    moves = [s for s in steps() if isinstance(s, MoveStep) and s.time is not None]
+    assert [m.time for m in moves] == pytest.approx([0.5, 30.0 / (math.sqrt(2.0) * 10.0), 0.25, 1.0])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_angles_are_those_of_scipy(seed):
+    """A, B, C are the intrinsic z, y, x angles of scipy's Rotation."""
+    angles = np.random.default_rng(seed).uniform([-180, -90, -180], [180, 90, 180])
+    wanted = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    assert np.abs(rotation(np.array(quaternion(*angles))) - wanted).max() < 1e-12
+
+
+WAIT = """$TIMER[1]=0
+$TIMER_STOP[1]=FALSE
+WHILE $IN[5]==FALSE
+IF $TIMER[1]>30000 THEN
+; Arm right did not answer in time. Start waits for it again.
+HALT
+$TIMER[1]=0
+ENDIF
+WAIT SEC 0.01
+ENDWHILE
+$TIMER_STOP[1]=TRUE
+"""
+
+
+def test_a_guarded_wait_is_one_step():
+    found = [
+        s for s in steps(main=MAIN.replace("wall_1()\n", WAIT + "wall_1()\n")) if isinstance(s, WaitStep)
+    ]
+    wait = found[-1]
+    assert (wait.signal, wait.value, wait.seconds, wait.flag) == ("diPartner", 1.0, 30.0, "")
+
+
+@pytest.mark.parametrize("row", range(1, 11))
+def test_a_guarded_wait_needs_each_of_its_statements(row):
+    """Without its first one, the loop is no statement that is known; comments do not count."""
+    rows = WAIT.splitlines()
+    if rows[row].startswith(";"):
+        row = 0
+    del rows[row]
+    assert "syntax" in kinds(main=MAIN.replace("wall_1()\n", "\n".join(rows) + "\nwall_1()\n"))
+
+
+FAULTS = {
+    "unknown statement": ("main", "WAIT SEC 2.5", "PULSE($OUT[17],TRUE,2.5)", "syntax"),
+    "a wait for an expression": ("main", "WAIT SEC 2.5", "WAIT FOR $IN[5]", "syntax"),
+    "a branch": ("main", "WAIT SEC 2.5", "IF $IN[5] THEN", "syntax"),
+    "no END": ("moves", "END\n", "", "syntax"),
+    "a word behind END": ("moves", "END\n", "END\nHALT\n", "syntax"),
+    "a move of the other dialect": ("moves", "SLIN {X -2.0000,Y 40", "LIN {X -2.0000,Y 40", "syntax"),
+    "CIRC": ("moves", "WAIT SEC 0.25", "CIRC {X 1.0000},{X 2.0000}", "syntax"),
+    "other corner": ("moves", "} C_SPL", "} C_PTP", "syntax"),
+    "two corners": ("moves", "} C_SPL", "} C_SPL C_DIS", "syntax"),
+    "a strange setting": ("main", "$ADVANCE=3", "$OV_PRO=50", "syntax"),
+    "a tool that is not carried": ("main", "$IPO_MODE=#BASE", "$IPO_MODE=#TCP", "type"),
+    "other turns": ("main", "$ORI_TYPE=#VAR", "$ORI_TYPE=#CONSTANT", "type"),
+    "half a percent": ("main", "$VEL_AXIS[3]=12", "$VEL_AXIS[3]=12.5", "type"),
+    "too fast": ("moves", "$VEL.CP=0.02000000", "$VEL.CP=20.0", "type"),
+    "an undeclared base": ("main", "$BASE=b_stock", "$BASE=b_stok", "undeclared"),
+    "a load for a tool": ("main", "$TOOL=t_mill", "$TOOL=l_mill", "type"),
+    "an undeclared target": ("main", "PTP p_1_start", "PTP p_2_start", "undeclared"),
+    "a missing program": ("main", "wall_1()", "wall_2()", "undeclared"),
+    "few decimals": ("moves", "X -2.0000,Y 30", "X -2.000,Y 30", "number"),
+    "coarse angles": ("moves", "A 12.50000", "A 12.5000", "number"),
+    "a negative zero": ("moves", "Y 30.0000", "Y -0.0000", "number"),
+    "swapped parts": ("moves", "X -2.0000,Y 30.0000", "Y 30.0000,X -2.0000", "type"),
+    "a missing part": ("dat", ",C -4.00000", "", "type"),
+    "a long name": ("dat", "b_stock=", "b_stock_that_has_a_long_name=", "name_length"),
+    "a reserved name": ("dat", "FRAME b_stock=", "FRAME while=", "name_reserved"),
+    "a name twice": ("dat", "FRAME b_stock=", "FRAME T_MILL=", "name_duplicate"),
+    "a digest without end": ("dat", "problem_digest[64]", "problem_digest[2]", "type"),
+    "S without T": ("dat", "S 2,T 35", "S 2", "type"),
+    "a status of 9": ("dat", "S 2,T 35", "S 9,T 35", "type"),
+    "a long line": ("main", "HALT", "HALT ; " + "x" * 200, "line_length"),
+    "another name than the file's": ("moves", "DEF wall_1()", "DEF wall_9()", "name_file"),
+    "EXT": ("main", "BAS(#", "EXT wall_1()\nBAS(#", "syntax"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_what_is_not_of_the_subset_is_a_fault(name):
+    file, old, new, kind = FAULTS[name]
+    whole = {"dat": DAT, "main": MAIN, "moves": MOVES}[file]
+    assert old in whole
+    assert kind in kinds(**{file: whole.replace(old, new, 1)})
+
+
+NO_WAY = {
+    "no INITMOV": ("main", "BAS(#INITMOV,0)\n", "", "does not begin"),
+    "INITMOV again": ("main", "WAIT SEC 2.5", "BAS(#INITMOV,0)", "elsewhere"),
+    "no speed": ("moves", "$VEL.CP=0.02000000\n", "", "$VEL.CP is not set"),
+    "no corner": ("moves", "$APO.CDIS=0.3\n", "", "$APO.CDIS is not set"),
+    "one ORI": ("moves", "$VEL.ORI2=10.0\n", "", "differ"),
+    "no tool": ("main", "$TOOL=t_mill\n", "", "$TOOL is not set"),
+    "no base": ("main", "$BASE=b_stock\n", "", "$BASE is not set"),
+    "no axis speed": ("main", "$VEL_AXIS[4]=12\n", "", "$VEL_AXIS[4] is not set"),
+    "no start pose": ("main", "PTP p_1_start\n", "", "begins at no pose"),
+    "another base on the way": ("main", "WAIT SEC 2.5", "$BASE=base_frame", "begins at no pose"),
+    "a base in a file with moves": ("moves", "WAIT SEC 0.25", "$BASE=base_frame", "elsewhere"),
+    "a halt without a question": ("main", "WAIT SEC 2.5", "HALT", "without a question"),
+    "a question without a halt": ("main", "WAIT SEC 2.5", ";? Sure?", "no HALT"),
+    "a program that calls itself": ("moves", "WAIT SEC 0.25", "wall_1()", "calls itself"),
+    "a PTP among the moves": ("moves", "WAIT SEC 0.25", "PTP x_home", "elsewhere"),
+}
+
+
+@pytest.mark.parametrize("name", NO_WAY)
+def test_what_has_no_single_way_is_refused(name):
+    file, old, new, message = NO_WAY[name]
+    whole = {"dat": DAT, "main": MAIN, "moves": MOVES}[file]
+    assert old in whole
+    with pytest.raises(FlowError, match=message.replace("$", r"\$").replace("[", r"\[")):
+        steps(**{file: whole.replace(old, new, 1)})
+
+
+def test_the_older_dialect_has_other_words():
+    main = MAIN.replace("BAS(#", "EXT wall_1()\nBAS(#")
+    moves = MOVES.replace("SLIN", "LIN").replace("C_SPL", "C_DIS")
+    assert read("krc2", main=main, moves=moves).faults == ()
+    assert {fault.kind for fault in read("krc2", moves=moves).faults} == {"undeclared"}
+
+
+def test_a_held_block_is_the_load_less_the_tool():
+    """A tool of 2 kg, a point, and a box of 3 kg at another place make a load of 5 kg; by the parallel axis
+    theorem, with the inertia of a solid box from any textbook."""
+    edges = np.array([0.4, 0.2, 0.1])
+    moments = 3.0 / 12.0 * ((edges**2).sum() - edges**2)
+    tool = Load(2.0, np.array([0.0, 0.0, 0.1]), np.array([1.0, 0, 0, 0]), np.zeros(3))
+    place = np.array([0.05, -0.1, 0.3])
+    centre = (2.0 * tool.centre + 3.0 * place) / 5.0
+    whole = np.diag(moments)
+    for mass, at in ((2.0, tool.centre), (3.0, place)):
+        shift = at - centre
+        whole = whole + mass * (shift @ shift * np.eye(3) - np.outer(shift, shift))
+    principal, axes = np.linalg.eigh(whole)
+    axes[:, 2] *= np.linalg.det(axes)
+    turn = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    tcp = np.eye(4)
+    tcp[:3, :3] = Rotation.from_euler("ZYX", [20, 30, 40], degrees=True).as_matrix()
+    tcp[:3, 3] = [0.0, 0.0, 0.2]
+    found = held(Load(5.0, centre, turn, principal), tool, tcp)
+    assert math.isclose(found.mass, 3.0)
+    assert np.allclose(found.centre, tcp[:3, :3].T @ (place - tcp[:3, 3]))
+    assert np.allclose(sorted(found.inertia), sorted(moments))
+    turned = (rotation(found.axes) * found.inertia) @ rotation(found.axes).T
+    assert np.allclose(turned, (tcp[:3, :3].T * moments) @ tcp[:3, :3])
+
+
+def test_a_load_of_tool_and_block_is_told_as_carried():
+    dat = DAT.replace(
+        "DECL E6AXIS",
+        "DECL LOAD l_block_1={M 4.250,CM {X 0.000,Y 0.000,Z 100.000,A 0.000000,B 0.000000,C 0.000000},"
+        "J {X 0.200000,Y 0.200000,Z 0.100000}}\nDECL E6AXIS",
+    )
+    main = MAIN.replace("WAIT SEC 2.5", "$LOAD=l_block_1\nWAIT SEC 2.5").replace(
+        "PTP x_home\nEND", "$LOAD=l_mill\nPTP x_home\nEND"
+    )
+    taken, left = (step for step in steps(dat=dat, main=main) if isinstance(step, CarryStep))
+    assert math.isclose(taken.load.mass, 3.0) and taken.name == "l_block_1"
+    assert left.load.mass == 0.0
+
+
+def test_values_of_the_data_list():
+    frame = value("frame", "{X 1.0000,Y 2.0000,Z 3.0000,A 30.000000,B 20.000000,C 10.000000}")
+    wanted = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_matrix()
+    assert np.allclose(frame[:3, :3], wanted) and np.allclose(frame[:3, 3], [0.001, 0.002, 0.003])

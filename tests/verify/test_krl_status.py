@@ -1,0 +1,66 @@
+"""Status and Turn: on random joints of each KUKA arm they select those joints and no others."""
+
+import numpy as np
+import pytest
+
+from planner.catalogue import robot, robot_names
+from planner.cell.robots import forward, link_frames
+from planner.verify.arm_ik import singularity_distance
+from planner.verify.krl_status import NEAR_ZERO, select, status_of, straight_elbow
+
+ARMS = [name for name in robot_names() if robot(name).family == "KUKA"]
+
+
+def turn_of(q):
+    return sum(1 << axis for axis in range(6) if q[axis] < 0.0)
+
+
+def samples(machine, count, seed):
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(machine.lower, machine.upper, (count, 6))
+    return q[singularity_distance(machine, q) > np.deg2rad(1.0)]
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_they_select_the_joints_that_they_were_made_from(name):
+    machine = robot(name)
+    for q in samples(machine, 300, 7):
+        found = select(machine, forward(machine, q), int(status_of(machine, q)), turn_of(q))
+        assert len(found.q) == 1
+        assert np.abs(found.q[0] - q).max() < 1e-9
+        assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO) + 1)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_bits_are_what_the_manual_draws(name):
+    """Bit 0 by the wrist's centre in the frame of axis 1, bit 1 by the side of the straight arm on which it
+    is bent, both from the links' frames, and bit 2 by the sign of axis 5."""
+    machine = robot(name)
+    q = samples(machine, 500, 8)
+    frames = link_frames(machine, q)
+    wrist = frames[:, 4, :3, 3]
+    x = np.einsum("ni,ni->n", frames[:, 0, :3, 0], wrist - frames[:, 0, :3, 3])
+    upper, fore = frames[:, 2, :3, 3] - frames[:, 1, :3, 3], wrist - frames[:, 2, :3, 3]
+    bend = np.einsum("ni,ni->n", np.cross(upper, fore), frames[:, 2, :3, 1])
+    wanted = (x < 0.0) + 2 * (bend > 0.0) + 4 * (q[:, 4] < 0.0)
+    assert (status_of(machine, q) == wanted).all()
+    stretched = np.zeros(6)
+    stretched[2] = straight_elbow(machine)
+    frames = link_frames(machine, stretched)
+    arm = [frames[i, :3, 3] for i in (1, 2, 4)]
+    assert np.linalg.norm(np.cross(arm[1] - arm[0], arm[2] - arm[1])) < 1e-12
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_other_bits_select_no_joints_or_others(name):
+    machine = robot(name)
+    for q in samples(machine, 40, 9):
+        if np.abs(q).min() < NEAR_ZERO:
+            continue
+        status, turn = int(status_of(machine, q)), turn_of(q)
+        flange = forward(machine, q)
+        changed = [(status ^ (1 << bit), turn) for bit in range(3)]
+        changed += [(status, turn ^ (1 << bit)) for bit in range(6)]
+        for some in changed:
+            found = select(machine, flange, *some)
+            assert all(np.abs(other - q).max() > np.deg2rad(1.0) for other in found.q)
