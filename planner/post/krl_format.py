@@ -55,6 +55,16 @@ def comment(text: str) -> list[str]:
     return [f"; {line}" for line in textwrap.wrap(plain(text), 100)]
 
 
+def told(text: str) -> list[str]:
+    """Comment lines that the operator is to read, with the mark of what is told."""
+    return [f";* {line}" for line in textwrap.wrap(plain(text), 100)]
+
+
+def asked(text: str) -> list[str]:
+    """A question to the operator in comment lines with its mark; the program halts until Start says yes."""
+    return [*(f";? {line}" for line in textwrap.wrap(plain(text), 100)), "HALT"]
+
+
 def abc(rotation: FloatArray) -> FloatArray:
     """KUKA's A, B, C (..., 3) [deg] of rotations (..., 3, 3) = Rz(A) Ry(B) Rx(C); C is 0 where B is +-90."""
     r = np.asarray(rotation, dtype=np.float64)

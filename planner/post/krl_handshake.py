@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from planner.post.krl_format import comment
+from planner.post.krl_format import asked, comment, told
 from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
 from planner.problem import Controller
 
@@ -25,8 +25,10 @@ def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]
             case AwaitLine(value, seconds):
                 out += _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
             case Ask(text):
-                out += [*comment(text), "HALT"]
-            case Tell(text) | Note(text):
+                out += asked(text)
+            case Tell(text):
+                out += told(text)
+            case Note(text):
                 out += comment(text)
     return out
 

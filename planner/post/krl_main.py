@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.post import krl_handshake
 from planner.post.krl_data import Data
-from planner.post.krl_format import comment
+from planner.post.krl_format import asked, comment, told
 from planner.post.krl_moves import Lines
 from planner.post.krl_ptp import UNKNOWN, percent
 from planner.post.layout import Part
@@ -34,8 +34,8 @@ from planner.post.text import short
 from planner.problem import Problem
 from planner.targets import Action
 
-_READY: Final = "Is the stock in place and the way of the arm clear? Start goes on."
-_CLEAR: Final = "Is the way of the arm to its home clear, and nobody in the cell? Start goes on."
+_READY: Final = "Is the stock in place and the way of the arm clear?"
+_CLEAR: Final = "Is the way of the arm to its home clear, and nobody in the cell?"
 
 
 class Main:
@@ -66,7 +66,7 @@ class Main:
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is None:
-            out += [*comment(clear), "HALT"]
+            out += asked(clear)
         else:
             steps = self.partner.start(clear, krl_handshake.OK)
             out += krl_handshake.lines(self.partner, self.controller, steps)
@@ -126,9 +126,9 @@ class Main:
     def _action(self, action: Action) -> list[str]:
         match action.kind:
             case "message":
-                return comment(action.text)
+                return told(action.text)
             case "confirm":
-                return [*comment(f"{action.text} {krl_handshake.OK}"), "HALT"]
+                return asked(action.text)
             case "on" | "off":
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
