@@ -9,9 +9,6 @@ from planner.post.krl_format import asked, comment, told
 from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
 from planner.problem import Controller
 
-OK = "Start goes on."
-"""What a question to the operator ends with."""
-
 
 def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]) -> list[str]:
     """The statements of the steps."""

@@ -68,7 +68,7 @@ class Main:
         if self.partner is None:
             out += asked(clear)
         else:
-            steps = self.partner.start(clear, krl_handshake.OK)
+            steps = self.partner.start(clear)
             out += krl_handshake.lines(self.partner, self.controller, steps)
         for i, operation in enumerate(self.task.operations):
             out += self._operation(i, operation)

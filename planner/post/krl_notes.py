@@ -22,8 +22,8 @@ TURN_OFF: Final = np.deg2rad(0.05)
 
 
 def notes(job: Job, plan: Plan, problem: Problem, files: Mapping[str, str]) -> tuple[Issue, ...]:
-    """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), programs that
-    are too long for some controllers (``post.krl_size``)."""
+    """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), and files
+    that are too long for some controllers (``post.krl_size``)."""
     out: list[Issue] = []
     dialect = problem.cell.controller.dialect
     for task in job.tasks:
@@ -61,7 +61,7 @@ def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
             count = int(np.sum(rows.turn**2 / 16.0 > TURN_OFF))
             place = f"{operation.labels[worst]}, move {worst + 1}"
             message = (
-                f"operation {operation.name}: {count} moves of arm {task.arm.name} turn so far in one go that "
+                f"operation {operation.name}: {count} moves of arm {task.arm.name} turn so far at once that "
                 f"a controller that swivels and rotates the tool may be {np.rad2deg(off):.2f} degrees off "
                 f"between their ends; most at {place}, with {np.rad2deg(rows.turn[worst]):.1f} degrees"
             )

@@ -97,13 +97,13 @@ class Partner:
         numbers = np.concatenate([operation.meets for operation in task.operations])
         return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
 
-    def start(self, ask: str, ok: str) -> list[PartnerStep]:
+    def start(self, ask: str, ok: str = "") -> list[PartnerStep]:
         """What the program begins with: lines down and seen so, first meeting.
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
         earlier = f"Does no program of an earlier run go on at the controller of arm {self.other}? {ok}"
-        out: list[PartnerStep] = [Ask(earlier), SetLine(0)]
+        out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0)]
         wait = self.handshake.timeout if self.lead else self.handshake.patience
         if self.lead:
             ready = f"Does the panel of arm {self.other} say that it is ready to meet arm {self.arm}?"

@@ -48,7 +48,7 @@ def run(files, arm, model):
 
 def told(text):
     """The text with the comment on the panel as a statement."""
-    return text.replace("; Ready to meet", "TELL")
+    return text.replace(";* Ready to meet", "TELL")
 
 
 @pytest.mark.parametrize("models", [(KUKA, KUKA), (KUKA, ABB), (ABB, KUKA)])
