@@ -18,6 +18,7 @@ from planner.geometry.mesh import read_mesh
 from planner.geometry.rigid import from_rpy
 from planner.grippers import gripper_plate, vacuum_cup
 from planner.issues import Issue, TandemError
+from planner.milling_tools import mill
 from planner.problem import Arm, Cell, Obstacle, Shape, Tool
 from planner.schema import Angle, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tools import wire_holder
@@ -154,6 +155,39 @@ class HeatToolFile(Strict):
     standoff_mm: Annotated[float, Field(ge=1, le=1000, description="from the nozzle to the TCP")] = 40.0
 
 
+class HolderPieceFile(Strict):
+    """A piece of a milling tool's holder, a cylinder."""
+
+    length_mm: Annotated[float, Field(ge=1, le=1000)]
+    diameter_mm: Annotated[float, Field(ge=1, le=1000)]
+
+
+class MillFile(Strict):
+    """The built-in milling tool: cutter, holder and spindle; its TCP is the cutter's tip, on its axis."""
+
+    kind: Literal["mill"]
+    cutter: Literal["cylinder", "ball", "bull"] = "cylinder"
+    diameter_mm: Annotated[float, Field(ge=0.1, le=200)]
+    corner_mm: Annotated[float, Field(ge=0, le=100, description="radius of the corners of a bull nose")] = 0.0
+    flute_mm: Annotated[float, Field(ge=0.1, le=500, description="cutting length behind the tip")]
+    overhang_mm: Annotated[float, Field(ge=1, le=800, description="from the nose of the holder to the tip")]
+    shank_diameter_mm: Annotated[
+        float | None, Field(ge=0.1, le=200, description="none: that of the cutter")
+    ] = None
+    holder: Annotated[
+        tuple[HolderPieceFile, ...],
+        Field(min_length=1, max_length=20, description="its pieces from the nose to the spindle"),
+    ] = (HolderPieceFile(length_mm=40, diameter_mm=50),)
+    spindle_diameter_mm: Annotated[float, Field(ge=10, le=600)] = 100.0
+    spindle_length_mm: Annotated[float, Field(ge=10, le=1500)] = 220.0
+    tilt_deg: Annotated[
+        float, Field(ge=-135, le=135, description="of the spindle against the flange's axis")
+    ] = 0.0
+    mass_kg: Annotated[
+        float | None, Field(gt=0, le=1000, description="of the whole tool; none: by its volume")
+    ] = None
+
+
 class PlainToolFile(Strict):
     """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
 
@@ -172,6 +206,7 @@ ToolFile = Annotated[
     | BallToolFile
     | DiskToolFile
     | HeatToolFile
+    | MillFile
     | PlainToolFile,
     Field(discriminator="kind"),
 ]
@@ -254,6 +289,8 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
         return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n)
     if isinstance(spec, BallToolFile | DiskToolFile | HeatToolFile):
         return _forming_tool(spec)
+    if isinstance(spec, MillFile):
+        return _mill(spec)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
     return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
 
@@ -269,6 +306,25 @@ def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> Tool:
             )
         shaft = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
         return ball_tool(radius, length, shaft, spec.neck_mm * MM, spec.tilt_deg * DEG)
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _mill(spec: MillFile) -> Tool:
+    shank = None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM
+    try:
+        return mill(
+            spec.cutter,
+            0.5 * spec.diameter_mm * MM,
+            spec.corner_mm * MM,
+            spec.flute_mm * MM,
+            spec.overhang_mm * MM,
+            shank,
+            [(piece.length_mm * MM, 0.5 * piece.diameter_mm * MM) for piece in spec.holder],
+            (0.5 * spec.spindle_diameter_mm * MM, spec.spindle_length_mm * MM),
+            spec.tilt_deg * DEG,
+            spec.mass_kg,
+        )
     except ValueError as error:
         raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
 

@@ -210,6 +210,28 @@ CODES: Final[dict[str, str]] = {
     "verify.forming_feed": "a tool moves faster on the sheet than it may",
     "verify.ridge": "a ridge or groove stands out of the cut surface",
     # passes over a sheet, and the tool that supports it
+    "verify.milled": "a milled surface is not within its tolerance, or something is milled that "
+    "is not claimed",
+    "verify.mill_gouge": "a cutter, its shank, holder or spindle goes into the part",
+    "verify.mill_path": "the tip of a cutter or its axis is off the curve that it follows",
+    "verify.mill_feed": "a cutter moves faster than it may, or a segment that mills has no feed",
+    "verify.spindle": "a cutter is in the block and its spindle is not up to speed, or where "
+    "nothing is milled",
+    # milling
+    "milling.tool": "an arm that is to mill carries no cutter",
+    "milling.no_surface": "a cut names a surface that the part does not have, or needs a front",
+    "milling.guides": "two curves of a cut run against each other, or meet",
+    "milling.guide_lengths": "the guides of a flank cut are of very different lengths",
+    "milling.flute": "the cutting length of a cutter is shorter than the wall that its side mills",
+    "milling.holder": "the holder of a cutter would be below the top of the wall that is milled",
+    "milling.corner": "a surface has an inner corner, which a round cutter cannot mill",
+    "milling.twist": "a cutter is off twisted rulings by more than the tolerance",
+    "milling.tool_radius": "a cutter is too thick for a place of the part",
+    "milling.gouge": "a cutter, its shank, holder or spindle would go into the part",
+    "milling.safe_plane": "a tool stands so flat that it never rises to the safe plane",
+    "milling.front": "the part's front turns away from the side from which it is milled",
+    "milling.pattern": "the lines of a face are too many, or leave nothing of it",
+    "milling.off_surface": "a curve to be engraved leaves the part's front",
     "forming.no_sheet": "forming without a sheet, or without a part that is one",
     "forming.tool": "an arm carries a tool that its mode of forming cannot use",
     "forming.side": "a feature goes to the side on which no tool can form it",

@@ -26,7 +26,8 @@ from planner.claims import Claim, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
+from planner.problem import Cutter
+from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1
@@ -42,6 +43,8 @@ _VALUES: Final[dict[str, type]] = {
         TableFreedom,
         Action,
         Edge,
+        Aim,
+        Cutter,
         KerfCurve,
         *get_args(Claim),
     )

@@ -60,6 +60,29 @@ class FormingHead:
     standoff: float = 0.0
 
 
+CutterKind = Literal["cylinder", "ball", "bull"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Cutter:
+    """The cutter of a milling tool, a body of revolution about the TCP's z axis, which points out of it; the
+    TCP is its tip, the middle of its end.
+
+    ``radius`` [m]; ``corner`` [m] rounds its end: 0 for a cylinder, the radius for a ball nose, between for a
+    bull nose. It cuts along ``flute`` [m] behind its tip; behind that its shank of radius ``shank`` [m] goes
+    on to the nose of the holder, ``overhang`` [m] behind the tip. ``behind`` (K, 2) [m] is the outline of
+    holder and spindle: distance behind the tip and radius there.
+    """
+
+    kind: CutterKind
+    radius: float
+    corner: float
+    flute: float
+    overhang: float
+    shank: float
+    behind: FloatArray
+
+
 @dataclasses.dataclass(frozen=True)
 class Tool:
     """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity
@@ -68,7 +91,8 @@ class Tool:
     ``edge``: the rigid edge that cuts (the straight wire of a bow), a capsule in the flange frame; it alone
     may pass the stock, in cut segments. ``footprint``: width and depth [m] of the face that holds a block,
     centred on the TCP in its x and y, and ``holding``: the force [N] it holds with, for tools that hold one.
-    ``head``: the working end of a tool that forms sheets; its solid is then the ``edge``.
+    ``head``: the working end of a tool that forms sheets, ``cutter``: that of a milling tool; its solid is
+    then the ``edge``.
     """
 
     name: str
@@ -80,6 +104,7 @@ class Tool:
     footprint: tuple[float, float] | None = None
     holding: float | None = None
     head: FormingHead | None = None
+    cutter: Cutter | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,6 +16,8 @@ from planner.forming.operation import Forming
 from planner.hotwire import elastic, straight
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.straight_operation import Straight
+from planner.milling import milling
+from planner.milling.operation import Milling
 from planner.problem import Part, Problem, Setup
 from planner.targets import Targets
 
@@ -34,6 +36,7 @@ PROCESSES: Final[Mapping[str, Process]] = {
     "forming": Process(Forming, forming.make_targets, forming.claims),
     "elastic_wire": Process(ElasticWire, elastic.make_targets, elastic.claims),
     "straight_wire": Process(Straight, straight.make_targets, straight.claims),
+    "milling": Process(Milling, milling.make_targets, milling.claims),
     "targets": Process(posed.Posed, posed.make_targets, posed.claims),
 }
 

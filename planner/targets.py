@@ -20,8 +20,26 @@ from planner.issues import Issue
 
 FloatArray = NDArray[np.float64]
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
-WORKING: Final = frozenset({"cut", "form"})
+PREFER: Final = 0.5
+"""What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
+WORKING: Final = frozenset({"cut", "form", "mill"})
 """Kinds of segments in which a tool's own edge works the stock, and may touch it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Aim:
+    """What a spin would like a tool to do: turn the unit vector ``ray`` (3,) of its frame, which lies across
+    the spin's axis, toward the base of ``arm``, or toward ``at`` (3,) [m] in the arm's work frame.
+
+    ``wanted``: motion prefers it, as far as a path pays ``weight`` [s] that aims the other way all along;
+    otherwise it only tells what aiming would be worth.
+    """
+
+    arm: str
+    ray: FloatArray
+    at: FloatArray | None = None
+    wanted: bool = True
+    weight: float = 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +49,9 @@ class ScrewFreedom:
     ``axis`` maps an arm to a twist (6,) in its tool frame, angular part first [-] then linear part [m per
     unit of value]; an arm that is not named stays. More than one arm means that both share one value.
     ``lower``, ``upper`` are (N,) bounds of the value, which is in rad for a spin and in m for a slide.
-    ``prefer`` is a wanted value (N,), or None. ``periodic`` says that the value wraps at 2 pi, whatever the
-    bounds.
+    ``prefer`` is a wanted value (N,), or None, and ``weight`` [s] what a path pays that stays at the far end
+    of the range. ``periodic`` says that the value wraps at 2 pi, whatever the bounds. ``aim``: a point to
+    turn the tool to, from which motion, which knows where robots stand, finds the wanted values.
     """
 
     name: str
@@ -41,6 +60,8 @@ class ScrewFreedom:
     upper: FloatArray
     prefer: FloatArray | None = None
     periodic: bool = False
+    aim: Aim | None = None
+    weight: float = PREFER
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +80,7 @@ class TableFreedom:
     lower: FloatArray
     upper: FloatArray
     prefer: FloatArray | None = None
+    weight: float = PREFER
 
     @functools.cached_property
     def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:

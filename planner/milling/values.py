@@ -23,9 +23,10 @@ class ToolPath:
 
     ``tip`` (N, 3) [m]: the TCP, which is the tip of the cutter: the middle of its end, on its axis. ``axis``
     (N, 3): unit vectors from the tip to the spindle. ``feed`` (N,) [m/s] of the move to the row; 0 or
-    infinite for a rapid move, and unused in row 0. ``kind`` (N,): ``cut``, ``rapid`` or ``arc...``. ``spindle``
-    (N,) [rad/s], seen from the spindle to the tip clockwise above zero (M3), 0 where it stands. ``tool`` (N,):
-    number of the tool. ``line`` (N,): number of the line in the source from 1, or 0 where there is none.
+    infinite for a rapid move, and unused in row 0. ``kind`` (N,): ``cut``, ``rapid`` or ``arc...``.
+    ``spindle`` (N,) [rad/s], seen from the spindle to the tip clockwise above zero (M3), 0 where it stands.
+    ``tool`` (N,): number of the tool. ``line`` (N,): number of the line in the source from 1, or 0 where
+    there is none.
 
     All places are in the frame of the stock.
     """
@@ -60,3 +61,27 @@ def joined(paths: Sequence[ToolPath]) -> ToolPath:
         if field.name != "kind"
     }
     return ToolPath(kind=tuple(kind for path in paths for kind in path.kind), **both)
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One pass of the cutter from where it comes down to where it is lifted off.
+
+    ``name`` is that of its segment without the kind. Rows up to ``first`` of ``path`` lead in, rows after
+    ``last`` lead out; what is between cuts. ``reach`` [m]: how far behind the tip the cutter works, for the
+    feed of its fastest point.
+    """
+
+    name: str
+    path: ToolPath
+    first: int
+    last: int
+    reach: float
+
+
+def plain_path(tip: FloatArray, axis: FloatArray, feed: float | FloatArray) -> ToolPath:
+    """A path (N, 3) that cuts at ``feed`` [m/s] all along; spindle, tool and lines are not told."""
+    count = len(tip)
+    whole = np.zeros(count, dtype=np.int64)
+    speed = np.broadcast_to(np.asarray(feed, dtype=np.float64), (count,)).copy()
+    return ToolPath(tip, axis, speed, (CUT,) * count, np.zeros(count), whole, whole)

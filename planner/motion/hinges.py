@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.motion.chain import TWO_PI, Chain
-from planner.motion.reach import PENALTY, PREFER, SOFT_LIMIT, SOFT_SINGULARITY
+from planner.motion.reach import PENALTY, SOFT_LIMIT, SOFT_SINGULARITY
 from planner.motion.scene import Scene
 from planner.targets import Targets
 
@@ -98,7 +98,9 @@ def preference_rows(targets: Targets, values: FloatArray, rings: NDArray[np.bool
         away = values[:, j] - freedom.prefer
         if rings[j]:
             away = away - TWO_PI * np.round(away / TWO_PI)
-        factor = 2.0 * np.sqrt(PREFER / targets.count) / np.maximum(freedom.upper - freedom.lower, 1e-12)
+        factor = (
+            2.0 * np.sqrt(freedom.weight / targets.count) / np.maximum(freedom.upper - freedom.lower, 1e-12)
+        )
         slope = np.zeros((targets.count, values.shape[1]))
         slope[:, j] = factor
         out.append(Rows(index, factor * away, slope))

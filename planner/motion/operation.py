@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import corridor, diagnose, entry, transit
+from planner.motion import aim, corridor, diagnose, entry, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path, tcp_ways
 from planner.motion.paths import find
@@ -55,6 +55,7 @@ def plan_operation(
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
     entry.require_home(scene, targets)
+    targets = aim.resolved(scene, targets)
     targets, found = _path(scene, targets, watch)
     better, kept = _improve(scene, targets, found, watch)
     samples = dense(scene, targets, found.path.branch, better.q)
@@ -85,9 +86,11 @@ def plan_operation(
         **_margins(scene, targets, better.q),
     }
     watch.lap("margins")
+    shown = aim.exhibit(scene, targets, better.q)
+    watch.lap("aim")
     return OperationPlan(
         name=name,
-        targets=targets,
+        targets=dataclasses.replace(targets, exhibits={**targets.exhibits, **shown}) if shown else targets,
         q=better.q,
         values=better.values,
         time=ticks.time,

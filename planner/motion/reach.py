@@ -26,9 +26,6 @@ SOFT_SINGULARITY = np.deg2rad(15.0)
 PENALTY = 5.0
 """What a path that stays at the edge of what is allowed pays over all its rungs [s]."""
 
-PREFER = 0.5
-"""What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Grid:

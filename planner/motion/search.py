@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.motion.chain import TWO_PI
 from planner.motion.collide import Checker, Others
 from planner.motion.ladder import Ladder, Path, Steps, joint_path, steps
-from planner.motion.reach import PREFER, Grid, Reach, Rungs, full_turn, reach
+from planner.motion.reach import Grid, Reach, Rungs, full_turn, reach
 from planner.motion.scene import Scene
 from planner.targets import Targets
 
@@ -188,7 +188,7 @@ def _preference(targets: Targets, grid: Grid) -> FloatArray | None:
         if full_turn(freedom):
             away = away - TWO_PI * np.round(away / TWO_PI)
         width = np.maximum(freedom.upper - freedom.lower, 1e-12)[:, None]
-        part = PREFER / targets.count * np.square(2.0 * away / width)
+        part = freedom.weight / targets.count * np.square(2.0 * away / width)
         out = part if out is None else out + part
     return out
 

@@ -254,7 +254,8 @@ def _lone_stages(task: TaskText, asked: set[str]) -> tuple[Stage, ...]:
 
 
 _LABEL = re.compile(
-    r"^(mount|unmount|transit|approach|cut|form|link|retreat|entry|exit|lead)(?:_([^_].*?))?(?:__\d+)?$", re.I
+    r"^(mount|unmount|transit|approach|cut|form|mill|link|retreat|entry|exit|lead)(?:_([^_].*?))?(?:__\d+)?$",
+    re.I,
 )
 
 

@@ -30,6 +30,8 @@ from planner.verify import (
     rules_handshake,
     rules_holder,
     rules_krl,
+    rules_mill_spindle,
+    rules_milling,
     rules_motion,
     rules_part,
     rules_power,
@@ -42,6 +44,7 @@ from planner.verify import (
 )
 from planner.verify.context import Context, Outcome
 from planner.verify.forming_state import Forming
+from planner.verify.mill_track import Milling
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.wire import Wire
 from planner.verify.wire import wires as all_wires
@@ -136,6 +139,14 @@ FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
 )
 FORMED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.formed", rules_forming.formed),)
 
+MILLED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.milled", rules_milling.milled),)
+MILLING: tuple[tuple[str, Callable[[Context, Milling], Outcome]], ...] = (
+    ("verify.mill_gouge", rules_milling.mill_gouge),
+    ("verify.mill_path", rules_milling.mill_path),
+    ("verify.mill_feed", rules_mill_spindle.mill_feed),
+    ("verify.spindle", rules_mill_spindle.spindle),
+)
+
 NEEDED = (
     "verify.setup",
     "verify.move_count",
@@ -147,13 +158,15 @@ NEEDED = (
 """What must hold for a motion to follow from the text."""
 
 RULES: tuple[str, ...] = tuple(
-    code for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, WIRE, OTHERS) for code, _ in table
+    code
+    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
+    for code, _ in table
 )
 """Codes of all rules."""
 
 TITLES: Mapping[str, str] = {
     code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
-    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, WIRE, OTHERS)
+    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
     for code, rule in table
 }
 """What each rule asks, by code."""
@@ -219,6 +232,13 @@ class Prover:
         outcome, formed = rules_forming.formed(context, forming)
         run.add("verify.formed", outcome)
         yield
+        milling = Milling(context)
+        outcome, milled = rules_milling.milled(context, milling)
+        run.add("verify.milled", outcome)
+        yield
+        for mill_code, mill_rule in MILLING:
+            run.add(mill_code, mill_rule(context, milling))
+            yield
         wires = all_wires(context)
         run.wires = wires
         for code, rule in WIRE:
@@ -232,7 +252,7 @@ class Prover:
         yield
         run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield
-        run.faces = (*rules_surface.with_end_error(context, wires, run.faces), *formed)
+        run.faces = (*rules_surface.with_end_error(context, wires, run.faces), *formed, *milled)
         models = functools.cache(functools.partial(self.model, context))
         run.add("verify.kinematics", rules_cell.kinematics(context, models))
         yield

@@ -124,16 +124,16 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
 
 
 def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray, clearance.Pairs]]:
-    """Samples of a setup by the pairs of bodies that may touch there: a bow's wire and the block in cuts, the
-    heads of forming tools and the sheet between them where they form it."""
+    """Samples of a setup by the pairs of bodies that may touch there: a bow's wire, or a cutter, and the
+    block in cuts, the heads of forming tools and the sheet between them where they form it."""
     claims = context.setup_claims[index]
     arms = [arm.name for arm in context.setups[index].cell.arms]
-    arms = [arm for arm in arms if arm in claims.straight or claims.forms(arm)]
+    arms = [arm for arm in arms if arm in claims.straight or claims.forms(arm) or claims.mills(arm)]
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
     labels = context.motion.labels()[rows]
     forms = np.stack([np.isin(labels, list(claims.forms(arm))) for arm in arms], axis=1)
-    cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)))) for arm in arms], axis=1)
+    cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)) | claims.mills(arm))) for arm in arms], axis=1)
     flags = np.concatenate([forms, cuts & ~forms], axis=1)
     out = []
     for flag in np.unique(flags, axis=0):

@@ -20,8 +20,8 @@ IntArray = NDArray[np.int64]
 
 
 def signals(context: Context) -> Outcome:
-    """Only the signals of the wires, and of clamps that sink, are switched, to 0 or 1, at once, by one task
-    between two synchronisation points."""
+    """Only the signals of wires, of spindles and of clamps that sink are switched, to 0 or 1, at once, by
+    one task between two synchronisation points."""
     issues = []
     known = {claim.signal.lower() for claim in context.contacts}
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
@@ -34,7 +34,7 @@ def signals(context: Context) -> Outcome:
                     continue
                 faults = []
                 if step.signal.lower() not in known:
-                    faults.append(f"{step.signal} is no signal of a wire or a clamp")
+                    faults.append(f"{step.signal} is no signal of a wire, a spindle or a clamp")
                 if step.value not in (0.0, 1.0):
                     faults.append(f"{step.signal} is set to {step.value:g}, neither 0 nor 1")
                 if step.delay:

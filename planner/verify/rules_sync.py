@@ -244,7 +244,7 @@ def arms_alone(context: Context) -> Outcome:
 
 def wire_alone(context: Context) -> Outcome:
     """No arm moves alone while a bent wire is mounted or powered: each one has one run of synchronised
-    stages. A powered bow goes straight, and arms without one keep still meanwhile."""
+    stages. A powered bow or spindle goes straight, and arms without one keep still meanwhile."""
     issues = _moves_with_power(context)
     for index, setup in enumerate(context.setup_claims):
         runs, wires = context.runs(index), len(setup.joined)
@@ -264,7 +264,7 @@ def wire_alone(context: Context) -> Outcome:
 
 
 def _moves_with_power(context: Context) -> list[Issue]:
-    """Moves that must not be while a signal that powers a wire is on."""
+    """Moves that must not be while a signal that powers a wire or a spindle is on."""
     signals = {claim.signal.lower() for claim in context.contacts}
     issues, on = [], set[str]()
     for number, stage in enumerate(context.job.stages):
@@ -276,7 +276,8 @@ def _moves_with_power(context: Context) -> list[Issue]:
                     on = on | {name} if step.value else on - {name}
                 if not isinstance(step, MoveStep) or not on:
                     continue
-                alone = not stage.synchronised and (bool(setup.joined) or task.arm.name not in setup.straight)
+                edged = task.arm.name in setup.straight or bool(setup.mills(task.arm.name))
+                alone = not stage.synchronised and (bool(setup.joined) or not edged)
                 if alone or (not setup.joined and step.by_joints):
                     how = "alone" if alone else "by joints"
                     message = f"an arm moves {how} while {', '.join(sorted(on))} is on"

@@ -9,7 +9,18 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, FeedWindow, HoldsStock, SheetState, StraightWire, WireJoins
+from planner.claims import (
+    Claim,
+    ContactOnlyIn,
+    FeedWindow,
+    HoldsStock,
+    MillsAlong,
+    MillsSurface,
+    SheetState,
+    SparesPart,
+    StraightWire,
+    WireJoins,
+)
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
 from planner.verify.steps import MessageStep, MoveStep
@@ -21,6 +32,10 @@ IntArray = NDArray[np.int64]
 
 FORMING_WAYS = ("", "_in", "_out")
 """What a forming segment's own moves, the way down onto the sheet and the way off it add to its name."""
+
+
+MILL = "mill"
+"""The kind of segments in which a cutter mills."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,6 +142,24 @@ class SetupClaims:
         claims = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
         names = [claim.segment.lower() for claim in claims if arm in claim.arms]
         return frozenset(name + way for name in names for way in FORMING_WAYS)
+
+    def mills(self, arm: str) -> frozenset[str]:
+        """Segments in which the cutter on ``arm`` may be in the block: those that state a feed and what they
+        mill, or at least what they spare, by an operation whose cutter may touch the block there."""
+        out: set[str] = set()
+        for group in self.groups:
+            kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
+            if MILL not in kinds:
+                continue
+            names: set[str] = set()
+            for claim in group:
+                if isinstance(claim, MillsSurface | SparesPart) and claim.arm == arm:
+                    names |= {name.lower() for name in claim.segments}
+                elif isinstance(claim, MillsAlong) and claim.arm == arm:
+                    names.add(claim.segment.lower())
+            fed = {c.segment.lower() for c in group if isinstance(c, FeedWindow)}
+            out |= {name + way for name in names for way in FORMING_WAYS} & fed
+        return frozenset(out)
 
     def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:
         """Segments in which the wire of ``arms`` may be in the foam: claimed, with a feed, by an operation

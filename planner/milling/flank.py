@@ -1,0 +1,140 @@
+"""Where a cylindrical flank has to stand to make a ruled surface.
+
+Along a ruling of a developable surface the normal is one and the same, and a cylinder touches the whole of
+it. A twisted ruling it can only touch in part. Here the cylinder touches both guides, each from outside at
+the distance of its radius (as in the two-guide positioning that Redonnet, Rubio and Dessein describe in
+"Side milling of ruled surfaces", Int. J. Adv. Manuf. Technol. 14, 1998; worked out anew). One freedom is
+left: how far the place on the upper guide is ahead of that on the lower one. It is chosen so that the
+largest distance of the cylinder from the surface between the guides is least.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from planner.milling.rulings import Strip
+
+FloatArray = NDArray[np.float64]
+
+LEVELS: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
+"""Places along a ruling, from the tip guide to the other, at which the cylinder is held against the
+surface."""
+AHEAD: Final = 0.8
+"""How far a place on the upper guide may be ahead, over the cutter's radius."""
+LOOKED: Final = 72
+"""Rulings at which the choice is made; it is smooth between them."""
+TRIED: Final = 9
+ZOOMS: Final = 4
+ROUNDS: Final = 40
+SETTLED: Final = 1e-12
+WINDOW: Final = 20
+"""Rulings on either side that are looked at for the place that a cylinder comes nearest to."""
+STIFF: Final = 1e-4
+"""What being ahead by a whole radius costs, over the radius: it settles surfaces that leave it open."""
+SOFT: Final = 3.0
+"""Rulings over which the choice is made smooth."""
+
+
+def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
+    """Places ``low`` and ``high`` (M, 3) [m] on the cutter's axis, opposite of both guides, for a cylinder of
+    ``radius`` [m] on the outer side of a strip with evenly spaced rulings."""
+    if radius == 0.0:
+        return strip.low, strip.high
+    ahead = _ahead(strip, radius)
+    return _touching(strip, radius, np.arange(len(strip.low)), ahead)
+
+
+def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    """How far (M, K) [m] cylinders about the axes from ``low`` to ``high`` (M, 3) are off the surface at the
+    levels: left where positive, cut too deep where negative."""
+    return _off(strip, radius, low, high, np.arange(len(strip.low), dtype=np.float64))
+
+
+def _ahead(strip: Strip, radius: float) -> FloatArray:
+    """How many rulings (M,) the place on the upper guide is ahead."""
+    count = len(strip.low)
+    if count < 5:
+        return np.zeros(count)
+    step = float(np.median(np.linalg.norm(np.diff(strip.high, axis=0), axis=1)))
+    most = min(AHEAD * radius / max(step, 1e-9), WINDOW - 2.0)
+    rows = np.unique(np.linspace(0, count - 1, min(count, LOOKED)).astype(np.int64))
+    best, width = np.zeros(len(rows)), most
+    for _ in range(ZOOMS):
+        tried = best[:, None] + np.linspace(-width, width, TRIED)
+        tried = np.clip(tried, -most, most)
+        cost = np.empty_like(tried)
+        for k in range(TRIED):
+            low, high = _touching(strip, radius, rows, tried[:, k])
+            worst = np.abs(_off(strip, radius, low, high, rows + 0.5 * tried[:, k])).max(axis=1)
+            cost[:, k] = worst + STIFF * radius * np.square(tried[:, k] * step / radius)
+        best = tried[np.arange(len(rows)), cost.argmin(axis=1)]
+        width *= 2.0 / (TRIED - 1)
+    spread = np.interp(np.arange(count), rows, best)
+    # the guides end: what is ahead of the last ruling is not there
+    room = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
+    spread = gaussian_filter1d(spread, SOFT, mode="nearest")
+    return np.asarray(np.clip(spread, -room, room))
+
+
+def _touching(
+    strip: Strip, radius: float, rows: NDArray[np.int64], ahead: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The axes (N, 3) of cylinders that touch the lower guide at rulings ``rows`` and the upper one ``ahead``
+    (N,) rulings farther on."""
+    first, second = strip.tangents()
+    below, tangent = strip.low[rows], first[rows]
+    at = np.clip(rows + ahead, 0, len(strip.low) - 1)
+    above, along = _at(strip.high, at), _unit(_at(second, at))
+    way = _unit(above - below)
+    for _ in range(ROUNDS):
+        low = below + radius * _unit(strip.out * np.cross(tangent, way))
+        high = above + radius * _unit(strip.out * np.cross(along, way))
+        fresh = _unit(high - low)
+        moved = float(np.abs(fresh - way).max(initial=0.0))
+        way = fresh
+        if moved < SETTLED:
+            break
+    return low, high
+
+
+def _off(strip: Strip, radius: float, low: FloatArray, high: FloatArray, about: FloatArray) -> FloatArray:
+    """How far (N, K) [m] the surface's lines at the levels stay off cylinders near rulings ``about`` (N,)."""
+    centre = np.clip(np.round(about).astype(np.int64), 0, len(strip.low) - 1)
+    rows = np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(strip.low) - 1)
+    way = _unit(high - low)
+    out = np.empty((len(low), len(LEVELS)))
+    for k, share in enumerate(LEVELS):
+        line = (1.0 - share) * strip.low + share * strip.high
+        rest = line[rows] - low[:, None]
+        rest -= np.einsum("nwd,nd->nw", rest, way)[..., None] * way[:, None]
+        square = np.einsum("nwd,nwd->nw", rest, rest)
+        near = rows[np.arange(len(rows)), square.argmin(axis=1)]
+        # beyond the ends of the guides there is no surface that a cylinder could be off
+        inside = (near > 0) & (near < len(strip.low) - 1)
+        out[:, k] = np.where(inside, _least(square) - radius, 0.0)
+    return out
+
+
+def _least(square: FloatArray) -> FloatArray:
+    """Root (N,) of the least of squares (N, W), by the parabola through it and its neighbours."""
+    k = np.clip(square.argmin(axis=1), 1, square.shape[1] - 2)
+    row = np.arange(len(square))
+    a, b, c = square[row, k - 1], square[row, k], square[row, k + 1]
+    bend = a - 2.0 * b + c
+    low = np.where(bend > 1e-18, b - np.square(a - c) / (8.0 * np.maximum(bend, 1e-18)), b)
+    return np.asarray(np.sqrt(np.maximum(np.minimum(low, square.min(axis=1)), 0.0)))
+
+
+def _at(rows: FloatArray, place: FloatArray) -> FloatArray:
+    """Rows (N, 3) at fractional indices ``place`` (N,)."""
+    first = np.clip(place.astype(np.int64), 0, len(rows) - 2)
+    share = (place - first)[:, None]
+    return np.asarray((1.0 - share) * rows[first] + share * rows[first + 1])
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

@@ -1,0 +1,245 @@
+"""One flank cut: from a ruled surface of the part to roughing passes and the finishing pass."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.issues import Issue, Severity, TandemError, has_errors
+from planner.milling import flank
+from planner.milling.leads import beyond, off_block, round_corner
+from planner.milling.operation import FlankCut, Milling
+from planner.milling.rulings import Strip, crossing, strips
+from planner.milling.thin import thinned
+from planner.milling.values import Run, plain_path
+from planner.problem import Cutter, Part, Ruled
+from planner.units import DEG, MM
+
+FloatArray = NDArray[np.float64]
+
+FINE: Final = 1.0 / 10.0
+"""Distance of the rulings at which the cutter is placed, over its radius."""
+MOST: Final = 6000
+CHORD: Final = 0.1
+"""Share of the tolerance that straight moves between targets may cost."""
+CLEAR: Final = 2.0 * MM
+"""How far the cutter is off the block at the ends of its ways in and out."""
+INNER: Final = 3.0 * DEG
+"""An inner corner that turns by more than this cannot be milled by a round cutter."""
+UNEQUAL: Final = 2.0
+"""Guides one of which is longer than the other by this factor are told: its end moves so much faster."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Placed:
+    """The cutter along a surface: its axis from ``low`` to ``high`` (N, 3) [m], opposite of both guides, and
+    ``off`` [m], how far it is off the surface at most."""
+
+    low: FloatArray
+    high: FloatArray
+    off: float
+
+
+def surface(part: Part | None, name: str) -> Ruled:
+    """The ruled surface of that name. Raises ``TandemError`` with ``milling.no_surface``."""
+    known = {} if part is None else {own.name: own for own in part.ruled}
+    if name not in known:
+        has = ", ".join(known) or "none"
+        raise TandemError(
+            Issue(
+                "milling.no_surface",
+                f"cuts: the part has no ruled surface {name}; it has {has}: name one of them, or give it "
+                "under part.ruled",
+                field="operations.cuts",
+            )
+        )
+    return known[name]
+
+
+@dataclasses.dataclass(frozen=True)
+class Passes:
+    """The passes of a cut; ``off`` [m], how far the cutter is off the surface at most in the last one, and
+    what the user is told."""
+
+    runs: tuple[Run, ...]
+    off: float
+    notes: tuple[Issue, ...]
+
+
+def passes(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter, box: FloatArray) -> Passes:
+    """Roughing passes and the finishing pass. Raises ``TandemError`` with codes ``milling.*``."""
+    told = check(op, cut, ruled, cutter)
+    if has_errors(told):
+        raise TandemError(told)
+    below = under(cut, cutter)
+    finish = placed(op, cut, ruled, cutter.radius)
+    deep = float(np.linalg.norm(finish.high - finish.low, axis=1).max()) + below
+    out = []
+    if cut.stepdown_mm is not None and cut.guides == "surface":
+        rough = placed(op, cut, ruled, cutter.radius + cut.leave_mm * MM)
+        count = max(int(np.ceil(deep / (cut.stepdown_mm * MM) - 1e-9)), 1)
+        for k in range(1, count + 1):
+            lift = deep * (1.0 - k / count) - below
+            out.append(_run(op, cut, f"{cut.flank}_r{k}", rough, lift, cutter, box))
+    out.append(_run(op, cut, cut.flank, finish, -below, cutter, box))
+    return Passes(tuple(out), finish.off, tuple(told))
+
+
+def under(cut: FlankCut, cutter: Cutter) -> float:
+    """How far [m] the tip is beyond the tip guide: the rounding of the cutter's end
+    does not reach the side."""
+    return cut.overrun_mm * MM + (cutter.corner if cut.guides == "surface" else 0.0)
+
+
+def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
+    """The cutter of ``radius`` [m] along the surface, in the direction asked for."""
+    pieces = _pieces(op, cut, ruled, radius)
+    around = radius if cut.guides == "surface" else 0.0
+    lows, highs, off = [], [], 0.0
+    last: Strip | None = None
+    for strip in pieces:
+        low, high = flank.axes(strip, around)
+        if around:
+            left = np.abs(flank.deviation(strip, around, low, high))
+            off = max(off, float(left.max()))
+        if last is not None and around:
+            foot = strip.low[0], strip.high[0]
+            rows = round_corner(foot, (lows[-1][-1], highs[-1][-1]), (low[0], high[0]))
+            lows.append(rows[0])
+            highs.append(rows[1])
+        lows.append(low)
+        highs.append(high)
+        last = strip
+    return Placed(np.concatenate(lows), np.concatenate(highs), off)
+
+
+def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issue]:
+    """What is wrong with guides, flute and corners for this cutter."""
+    field = f"operations.cuts.{cut.flank}"
+    pieces = _pieces(op, cut, ruled, cutter.radius)
+    out: list[Issue] = []
+    for strip in pieces:
+        row = crossing(strip)
+        if row is not None:
+            at = ", ".join(f"{v / MM:.1f}" for v in strip.low[row])
+            what = (
+                f"flank {cut.flank}: its guides run against each other near {at} mm, so that rulings cross; "
+            )
+            what += "reverse one of them, or give points that belong together (match: parameter)"
+            out.append(Issue("milling.guides", what, field=field))
+    lengths = [
+        sum(_length(side) for side in sides) for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
+    ]
+    ratio = max(lengths) / max(min(lengths), 1e-9)
+    if ratio > UNEQUAL:
+        what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and "
+        what += f"{lengths[1] / MM:.0f} mm long, so that "
+        what += f"one end of the flank moves {ratio:.1f} times as fast as the other; the feed "
+        what += "holds for the faster"
+        out.append(
+            Issue("milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=UNEQUAL)
+        )
+    high = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
+    need = high + under(cut, cutter)
+    if cut.guides == "surface" and need > cutter.flute + 1e-9:
+        what = f"flank {cut.flank} needs {need / MM:.1f} mm of flute (wall {high / MM:.1f}, beyond its guide "
+        what += f"{under(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; take a "
+        what += "longer flute, or "
+        what += "part the wall into surfaces one above the other"
+        out.append(
+            Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
+        )
+    if need > cutter.overhang:
+        what = (
+            f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder begins "
+        )
+        what += f"{cutter.overhang / MM:.1f} mm behind it; take a longer overhang"
+        out.append(
+            Issue("milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm")
+        )
+    if cut.guides == "surface":
+        out += _corners(cut, pieces, field)
+    return out
+
+
+def _corners(cut: FlankCut, pieces: list[Strip], field: str) -> list[Issue]:
+    out = []
+    for before, after in itertools.pairwise(pieces):
+        turn = float(np.arcsin(np.clip(after.tangents()[0][0] @ before.normals()[0][-1], -1.0, 1.0)))
+        if turn > INNER:
+            at = ", ".join(f"{v / MM:.1f}" for v in after.low[0])
+            what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {at} mm, "
+            what += "where a round "
+            what += (
+                "cutter leaves a fillet of its own radius; give the guides a radius there, or two surfaces"
+            )
+            out.append(
+                Issue("milling.corner", what, field=field, value=turn / DEG, limit=INNER / DEG, unit="deg")
+            )
+    return out
+
+
+def _pieces(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> list[Strip]:
+    whole = sum(
+        float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
+    )
+    step = max(radius * FINE, 0.5 * whole / MOST)
+    pieces = strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
+    if cut.direction == "against" or (
+        cut.direction in ("climb", "conventional") and cut.direction != _way(pieces[0])
+    ):
+        return [strip.reversed() for strip in pieces[::-1]]
+    return pieces
+
+
+def _way(strip: Strip) -> str:
+    """``climb`` or ``conventional``: a cutter that turns clockwise, seen from the spindle, climbs where it is
+    on the left of the surface, seen along the feed with the spindle up."""
+    left = np.cross(strip.high[0] - strip.low[0], strip.tangents()[0][0])
+    return "climb" if float(left @ strip.normals()[0][0]) > 0.0 else "conventional"
+
+
+def _run(
+    op: Milling, cut: FlankCut, name: str, on: Placed, lift: float, cutter: Cutter, box: FloatArray
+) -> Run:
+    """One pass with the tip ``lift`` [m] above the tip guide."""
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    rows = thinned(np.stack([on.low, on.high], axis=1), CHORD * tolerance, op.step_mm * MM)
+    low, high = on.low[rows], on.high[rows]
+    ends = []
+    for k, after in ((0, 1), (-1, -2)):
+        way = low[k] - low[after] + high[k] - high[after]
+        way /= max(float(np.linalg.norm(way)), 1e-12)
+        length = cut.lead_mm * MM if cut.lead_mm is not None else None
+        if length is None:
+            far = np.stack([low[k] + min(lift, 0.0) * _unit(high[k] - low[k]), high[k]])
+            length = off_block(far, way, box, cutter.radius + CLEAR)
+        ends.append(beyond(low[k], high[k], way, length)[0:2] if length > 1e-6 else None)
+    lows = [
+        *([] if ends[0] is None else [ends[0][0][1:]]),
+        low,
+        *([] if ends[1] is None else [ends[1][0][1:]]),
+    ]
+    highs = [
+        *([] if ends[0] is None else [ends[0][1][1:]]),
+        high,
+        *([] if ends[1] is None else [ends[1][1][1:]]),
+    ]
+    base, top = np.concatenate(lows), np.concatenate(highs)
+    axis = _unit(top - base)
+    first = 0 if ends[0] is None else 1
+    path = plain_path(base + lift * axis, axis, (cut.feed_mm_s or op.feed_mm_s) * MM)
+    reach = float(np.linalg.norm(on.high - on.low, axis=1).max()) - lift
+    return Run(name, path, first, first + len(rows) - 1, max(reach, 0.0))
+
+
+def _length(side: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum())
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

@@ -1,0 +1,163 @@
+"""A milling job: the cutter, its cuts as passes, and the faces of the part that it must spare."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.rulings import tessellate
+from planner.issues import Issue, TandemError
+from planner.milling import engrave_cut, flank_cut, lines_cut
+from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
+from planner.milling.over import Over
+from planner.milling.values import Run
+from planner.problem import Cutter, Mesh, Part, Setup
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+CHORD: Final = 2e-5
+"""[m] the triangles of a wanted ruled surface are as near to it as this."""
+UP: Final = 0.05
+"""Least z of a front's normals: it must look up to be seen from above."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Face:
+    """A face of the part, open, with normals away from it."""
+
+    name: str
+    mesh: Mesh
+
+
+@dataclasses.dataclass(frozen=True)
+class Done:
+    """A cut as passes, the last one of which makes the surface ``face`` (None: it follows curves).
+
+    ``tolerance`` [m]; ``off`` [m], how far the cutter is off the surface at most; ``depth`` [m], how deep it
+    goes into the part's front by intent.
+    """
+
+    cut: FlankCut | LinesCut | EngraveCut
+    runs: tuple[Run, ...]
+    face: Face | None
+    tolerance: float
+    off: float = 0.0
+    depth: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What one operation mills. ``faces``: all faces of the part that the problem knows."""
+
+    operation: Milling
+    cutter: Cutter
+    cuts: tuple[Done, ...]
+    faces: tuple[Face, ...]
+    box: FloatArray
+    notes: tuple[Issue, ...] = ()
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """All passes in order."""
+        return tuple(run for one in self.cuts for run in one.runs)
+
+
+def job(op: Milling, setup: Setup, part: Part | None) -> Job:
+    """The job, from the problem alone. Raises ``TandemError`` with the codes ``milling.*``."""
+    cutter = _cutter(op, setup)
+    box = setup.stock.box
+    faults: list[Issue] = []
+    notes: list[Issue] = []
+    done: list[Done] = []
+    over: Over | None = None
+    for cut in op.cuts:
+        try:
+            if isinstance(cut, FlankCut):
+                made, told = _flank(op, cut, part, cutter, box)
+                done.append(made)
+                notes += told
+            else:
+                front = _front(part)
+                over = over or Over(front.vertices, front.faces)
+                done.append(_on_front(op, cut, over, front, cutter))
+        except TandemError as error:
+            faults += error.issues
+    if faults:
+        raise TandemError(faults)
+    return Job(op, cutter, tuple(done), _faces(op, part), box, tuple(notes))
+
+
+def _cutter(op: Milling, setup: Setup) -> Cutter:
+    tool = setup.cell.arm(op.arms[0]).tool
+    if tool.cutter is None:
+        raise TandemError(
+            Issue(
+                "milling.tool",
+                f"arm {op.arms[0]} carries the tool {tool.name}, which has no cutter; give it a "
+                f"tool of kind mill",
+                field="cell.arms",
+                arm=op.arms[0],
+            )
+        )
+    return tool.cutter
+
+
+def _flank(
+    op: Milling, cut: FlankCut, part: Part | None, cutter: Cutter, box: FloatArray
+) -> tuple[Done, tuple[Issue, ...]]:
+    ruled = flank_cut.surface(part, cut.flank)
+    made = flank_cut.passes(op, cut, ruled, cutter, box)
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    face = None if cut.guides == "tool" else Face(cut.flank, tessellate(ruled, CHORD))
+    return Done(cut, made.runs, face, tolerance, made.off), made.notes
+
+
+def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter) -> Done:
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    if isinstance(cut, LinesCut):
+        runs = tuple(lines_cut.runs(op, cut, over, cutter))
+        return Done(cut, runs, Face("front", front), tolerance)
+    return Done(cut, tuple(engrave_cut.runs(op, cut, over, cutter)), None, tolerance, depth=cut.depth_mm * MM)
+
+
+def _front(part: Part | None) -> Mesh:
+    if part is None or part.front is None:
+        raise TandemError(
+            Issue(
+                "milling.no_surface",
+                "cuts: lines and engraving need a front of the part; give part.front",
+                field="operations.cuts",
+            )
+        )
+    corners = part.front.vertices[part.front.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)
+    if float(up.min()) < UP:
+        raise TandemError(
+            Issue(
+                "milling.front",
+                "the part's front turns away from the block's top, where it cannot be milled "
+                "from above; turn "
+                "the part in the block (in_stock), or part the front",
+                field="part.front",
+                value=float(up.min()),
+                limit=UP,
+            )
+        )
+    return part.front
+
+
+def _faces(op: Milling, part: Part | None) -> tuple[Face, ...]:
+    """Ruled surfaces but those that only lead a tool, front and back."""
+    if part is None:
+        return ()
+    led = {cut.flank for cut in op.cuts if isinstance(cut, FlankCut) and cut.guides == "tool"}
+    out = [Face(own.name, tessellate(own, CHORD)) for own in part.ruled if own.name not in led]
+    sides: Sequence[tuple[str, Mesh | None]] = (("front", part.front), ("back", part.back))
+    out += [Face(name, mesh) for name, mesh in sides if mesh is not None]
+    return tuple(out)

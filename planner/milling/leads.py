@@ -1,0 +1,64 @@
+"""Ways in and out of a cut: straight on until the cutter is off the block, and round convex corners."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+ROUND: Final = np.deg2rad(5.0)
+"""Turn of the cutter about a corner from target to target."""
+FARTHEST: Final = 5.0
+"""A way that is not off the block after so much [m] never is."""
+
+
+def off_block(ends: FloatArray, way: FloatArray, box: FloatArray, clear: float) -> float:
+    """How far [m] a cutter has to go along the unit vector ``way`` (3,) until all its ``ends`` (K, 3) are
+    ``clear`` [m] beyond one side of the block ``box`` (2, 3)."""
+    best = FARTHEST
+    for axis in range(3):
+        if way[axis] > 1e-6:
+            best = min(best, (box[1, axis] + clear - float(ends[:, axis].min())) / way[axis])
+        elif way[axis] < -1e-6:
+            best = min(best, (float(ends[:, axis].max()) - box[0, axis] + clear) / -way[axis])
+    return max(best, 0.0)
+
+
+def beyond(
+    low: FloatArray, high: FloatArray, way: FloatArray, length: float
+) -> tuple[FloatArray, FloatArray]:
+    """Axes (2, 3) each, from an axis ``low`` to ``high`` (3,) straight on along ``way`` by ``length`` [m]."""
+    move = np.array([[0.0], [length]]) * way
+    return low + move, high + move
+
+
+def round_corner(
+    foot: tuple[FloatArray, FloatArray],
+    before: tuple[FloatArray, FloatArray],
+    after: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Axes (K, 3) each between ``before`` and ``after`` [(3,), (3,)], at the same distances from the corner's
+    ruling ``foot`` [(3,), (3,)], both ends left out."""
+    sides = []
+    turns = []
+    for at, one, two in zip(foot, before, after, strict=True):
+        a, b = one - at, two - at
+        turns.append(
+            float(
+                np.arccos(
+                    np.clip(a @ b / max(float(np.linalg.norm(a)) * float(np.linalg.norm(b)), 1e-18), -1, 1)
+                )
+            )
+        )
+    count = max(int(np.ceil(max(turns) / ROUND)), 1)
+    share = np.arange(1, count)[:, None] / count
+    for at, one, two, turn in zip(foot, before, after, turns, strict=True):
+        a, b = one - at, two - at
+        if turn < 1e-9:
+            sides.append(at + (1.0 - share) * a + share * b)
+        else:
+            sides.append(at + (np.sin((1.0 - share) * turn) * a + np.sin(share * turn) * b) / np.sin(turn))
+    return sides[0], sides[1]

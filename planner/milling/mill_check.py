@@ -1,0 +1,150 @@
+"""What would go wrong in a milling job: deviations beyond the tolerance, cutters that do not fit, tools that
+go into the part."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.geometry.closest import small_pieces
+from planner.issues import Issue
+from planner.milling import body
+from planner.milling.job import Done, Face, Job
+from planner.milling.operation import FlankCut
+from planner.milling.values import Run
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+POINTS: Final = 120_000
+"""Most places of a face that a tool is held against."""
+SPARE: Final = 0.5
+"""Share of the tolerance that may lie between places of a face."""
+RISE: Final = 0.2
+"""Length of the ways down and up [m] that are looked at, along the tool's own axis."""
+ROUNDED: Final = 2e-5
+"""What facets of the part and of the path may hide [m]."""
+
+
+def check(job: Job) -> list[Issue]:
+    """Issues of all cuts."""
+    out = list(job.notes)
+    for one in job.cuts:
+        out += _twist(job, one)
+    for face in job.faces:
+        known: dict[float, tuple[FloatArray, IntArray]] = {}
+        for one in job.cuts:
+            out += _gouges(job, one, face, known)
+    return out
+
+
+def _twist(job: Job, one: Done) -> list[Issue]:
+    if one.off <= one.tolerance or not isinstance(one.cut, FlankCut):
+        return []
+    radius = job.cutter.radius
+    fits = radius * one.tolerance / one.off  # the deviation goes with the radius
+    what = f"flank {one.cut.flank}: its rulings are twisted, and the cutter of radius {radius / MM:g} mm is "
+    what += f"{one.off / MM:.3f} mm off them; allowed: {one.tolerance / MM:g}: take a radius of "
+    what += f"{fits / MM:.2f} mm or less, a larger shape_tol_mm, or part the surface"
+    return [
+        Issue(
+            "milling.twist",
+            what,
+            field=f"operations.cuts.{one.cut.flank}",
+            value=one.off / MM,
+            limit=one.tolerance / MM,
+            unit="mm",
+        )
+    ]
+
+
+def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray, IntArray]]) -> list[Issue]:
+    """Gouges of one cut into a face, one issue for each section; ``known``: places of the face by their
+    distance."""
+    out: list[Issue] = []
+    told: set[str] = set()
+    deep = one.depth if face.name == "front" else 0.0
+    for section in body.sections(job.cutter):
+        size = float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance))
+        if size not in known:
+            corners = face.mesh.vertices[face.mesh.faces]
+            pieces, owner = small_pieces(corners, max(size, 0.3 * MM), POINTS)
+            known[size] = pieces.sum(axis=1) / 3.0, owner
+        points, owner = known[size]
+        allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
+        for run in one.runs:
+            apart, where = body.off(points, *_way(run), section)
+            k = int(apart.argmin())
+            if apart[k] >= -allowed or section.name in told:
+                continue
+            told.add(section.name)
+            out.append(_gouge(job, one, run, face, section, points, owner, apart, k, int(where[k]), allowed))
+    return out
+
+
+def _way(run: Run) -> tuple[FloatArray, FloatArray]:
+    """Tips and axes of a run with the ways down and up along the tool's own axis."""
+    path = run.path
+    start, end = path.tip[0] + RISE * path.axis[0], path.tip[-1] + RISE * path.axis[-1]
+    tip = np.concatenate([start[None], path.tip, end[None]])
+    return tip, np.concatenate([path.axis[:1], path.axis, path.axis[-1:]])
+
+
+def _gouge(
+    job: Job,
+    one: Done,
+    run: Run,
+    face: Face,
+    section: body.Section,
+    points: FloatArray,
+    owner: IntArray,
+    apart: FloatArray,
+    k: int,
+    where: int,
+    allowed: float,
+) -> Issue:
+    at = ", ".join(f"{v / MM:.1f}" for v in points[k])
+    target = f"mill/{run.name}/{max(where - run.first, 1)}"
+    measure = {"value": float(-apart[k] / MM), "limit": allowed / MM, "unit": "mm"}
+    own = one.face is not None and one.face.name == face.name
+    fits = largest_that_fits(face, points, owner, k, section.radius) if section.name == "cutter" else None
+    if fits is not None and fits < section.radius and (own or one.depth > 0.0):
+        what = f"{run.name}: the cutter of radius {section.radius / MM:g} mm does not fit into "
+        what += f"{face.name} at {at} mm, "
+        what += f"it would take {-apart[k] / MM:.2f} mm too much; the largest radius that fits "
+        what += f"there is {fits / MM:.2f} mm"
+        return Issue("milling.tool_radius", what, target=target, **measure)  # type: ignore[arg-type]
+    what = f"{run.name}: the {section.name} goes {-apart[k] / MM:.2f} mm into {face.name} at "
+    what += f"{at} mm (target {target}); "
+    what += f"allowed: {allowed / MM:.2f} mm; "
+    what += (
+        "take a thinner cutter, another axis, or other leads"
+        if section.name == "cutter"
+        else "take a longer or slimmer tool, or lean its axis away"
+    )
+    return Issue("milling.gouge", what, target=target, **measure)  # type: ignore[arg-type]
+
+
+def largest_that_fits(face: Face, points: FloatArray, owner: IntArray, k: int, radius: float) -> float | None:
+    """Radius [m] of the largest ball that touches the face near point ``k`` without holding another of its
+    points; None where no smaller one than ``radius`` is bounded by it.
+
+    A ball of radius r about p + r n holds q where |q - p|^2 < 2 r (q - p) n.
+    """
+    tree = cKDTree(points)
+    some = np.asarray(tree.query_ball_point(points[k], radius), dtype=np.int64)
+    corners = face.mesh.vertices[face.mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
+    some = some[:: max(1, len(some) // 400)]
+    way = points[some][None] - points[some][:, None]
+    height = np.einsum("ijd,id->ij", way, normal[owner[some]])
+    square = np.einsum("ijd,ijd->ij", way, way)
+    real = height > 0.02 * np.sqrt(square)
+    found = np.where(real, square / np.maximum(2.0 * height, 1e-12), np.inf)
+    least = float(found.min(initial=np.inf))
+    return least if np.isfinite(least) else None

@@ -1,0 +1,56 @@
+"""What must hold of a milling job, as claims, from the problem alone."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.claims import Claim, ContactOnlyIn, FeedWindow, MillsAlong, MillsSurface, SparesPart
+from planner.milling.job import Done, Job
+from planner.milling.operation import FlankCut
+from planner.units import DEG, MM
+
+TURN: Final = 0.5 * DEG
+"""How far a tool may be turned off the axis that it is to follow."""
+
+
+def claims(job: Job) -> tuple[Claim, ...]:
+    """Claims on the spindle, on the feed and the shape of each cut, and on the part
+    that all of them spare."""
+    op = job.operation
+    out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
+    for one in job.cuts:
+        feed = (one.cut.feed_mm_s or op.feed_mm_s) * MM
+        fast = max(feed, op.rapid_mm_s * MM)
+        for run in one.runs:
+            out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
+            out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
+            out.append(FeedWindow(f"mill/{run.name}_out", 0.0, fast))
+        out += _shape(job, one)
+        segments = tuple(f"mill/{run.name}" for run in one.runs)
+        for face in job.faces:
+            deep = one.depth if face.name == "front" else 0.0
+            mesh = (face.mesh.vertices, face.mesh.faces)
+            out.append(SparesPart(segments, op.arms[0], job.cutter, *mesh, deep, one.tolerance))
+    return tuple(out)
+
+
+def _shape(job: Job, one: Done) -> list[Claim]:
+    """The surface that a cut makes; where it follows curves, those."""
+    op = job.operation
+    if one.face is not None:
+        # roughing passes leave the surface to the last one
+        finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
+        segments = tuple(f"mill/{run.name}" for run in finish)
+        mesh = (one.face.mesh.vertices, one.face.mesh.faces)
+        return [MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share)]
+    return [
+        MillsAlong(
+            f"mill/{run.name}",
+            op.arms[0],
+            run.path.tip[run.first : run.last + 1],
+            run.path.axis[run.first : run.last + 1],
+            one.tolerance,
+            TURN,
+        )
+        for run in one.runs
+    ]

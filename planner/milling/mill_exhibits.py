@@ -1,0 +1,61 @@
+"""What the report shows of a milling job: the tool and the spindle for the
+setup sheet, the cuts, the ways."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from planner.milling.job import Job
+from planner.milling.operation import FlankCut, LinesCut
+from planner.milling.route import Route
+from planner.units import MM
+
+SHOWN: Final = 80
+"""Curves that the picture of the ways shows at most."""
+
+
+def exhibits(job: Job, route: Route) -> dict[str, Any]:
+    """Exhibits by name, in the forms that the report knows."""
+    return {"setup": _setup(job), "cuts": _cuts(job), "paths": _paths(job)}
+
+
+def _setup(job: Job) -> dict[str, Any]:
+    op, cutter = job.operation, job.cutter
+    size = f"{2e3 * cutter.radius:g} mm, flute {cutter.flute / MM:g} mm"
+    corner = f", corner {cutter.corner / MM:g} mm" if cutter.kind == "bull" else ""
+    items: list[tuple[Any, ...]] = [
+        ("cutter", f"{cutter.kind}, {size}{corner}"),
+        ("overhang of the cutter", f"{cutter.overhang / MM:g}", "mm from the holder's nose to the tip"),
+        ("TCP", "the tip of the cutter, on its axis; z out of the spindle"),
+        ("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)"),
+        ("spindle signal", op.signal),
+        ("feed", f"{op.feed_mm_s:g}", "mm/s"),
+        ("safe plane", f"{op.safe_mm:g} mm off the block, side {op.safe_side}"),
+    ]
+    return {"kind": "setup", "title": "Milling", "items": items}
+
+
+def _cuts(job: Job) -> dict[str, Any]:
+    rows = []
+    for one in job.cuts:
+        kind = (
+            "flank"
+            if isinstance(one.cut, FlankCut)
+            else "lines"
+            if isinstance(one.cut, LinesCut)
+            else "engraving"
+        )
+        for run in one.runs:
+            way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
+            off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""
+            rows.append((run.name, kind, len(run.path), f"{way:.2f}", off, f"{one.tolerance / MM:g}"))
+    columns = ("pass", "kind", "targets", "way [m]", "cutter off the surface [mm]", "allowed [mm]")
+    return {"kind": "table", "title": "Passes in order", "columns": columns, "rows": rows}
+
+
+def _paths(job: Job) -> dict[str, Any]:
+    runs = job.runs
+    curves = [run.path.tip for run in runs[:: max(1, len(runs) // SHOWN)]]
+    return {"kind": "paths", "title": "Way of the cutter's tip", "curves": curves}

@@ -1,0 +1,95 @@
+"""The process ``milling``: from surfaces, curves and a cutter to the poses of one arm that mills them.
+
+See ``job`` (cuts as passes), ``flank_cut``, ``lines_cut`` and ``engrave_cut`` (each kind), ``route`` (the
+ways between), ``mill_check`` (what would go wrong), ``mill_claims`` (what must hold).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim
+from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.milling import mill_claims
+from planner.milling.frames import poses, spin
+from planner.milling.job import Job, job
+from planner.milling.mill_check import check
+from planner.milling.mill_exhibits import exhibits
+from planner.milling.operation import Milling
+from planner.milling.route import Route, lay_out
+from planner.problem import Part, Setup
+from planner.targets import Action, Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+
+FROM_REST: Final = 0.66
+"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+LEVER: Final = 0.05
+"""A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
+
+
+def make_targets(operation: Milling, setup: Setup, part: Part | None) -> Targets:
+    """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
+    made = job(operation, setup, part)
+    route = lay_out(operation, made.runs, made.box)
+    issues = check(made)
+    if has_errors(issues):
+        raise TandemError(aggregate(issues))
+    return _targets(made, setup, route, aggregate(issues))
+
+
+def claims(operation: Milling, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """What must hold of the job, from the problem alone."""
+    return mill_claims.claims(job(operation, setup, part))
+
+
+def _targets(made: Job, setup: Setup, route: Route, issues: tuple[Issue, ...]) -> Targets:
+    op = made.operation
+    arm, count = op.arms[0], len(route.segment)
+    actions = _actions(made, setup, route)
+    stop = route.stop.copy()
+    stop[[action.at for action in actions]] = True
+    return Targets(
+        arms=op.arms,
+        pose={arm: poses(route.tip, route.axis)},
+        frame={arm: "stock"},
+        freedoms=(spin(arm, op.orient, count),),
+        feed=np.where(np.append(False, stop[:-1]) | stop, FROM_REST, 1.0) * route.feed,
+        feed_min=np.zeros(count),
+        travel=_travel(route),
+        stop=stop,
+        segment=route.segment,
+        actions=actions,
+        claims=mill_claims.claims(made),
+        exhibits=exhibits(made, route),
+        issues=issues,
+    )
+
+
+def _travel(route: Route) -> FloatArray:
+    """Way (N,) [m] of the fastest point of the cutter that works, on the move to each target."""
+    out = np.zeros(len(route.tip))
+    for reach in (0.0, np.maximum(route.reach[1:], LEVER)[:, None]):
+        ends = route.tip[1:] + reach * route.axis[1:], route.tip[:-1] + reach * route.axis[:-1]
+        out[1:] = np.maximum(out[1:], np.linalg.norm(ends[0] - ends[1], axis=1))
+    return out
+
+
+def _actions(made: Job, setup: Setup, route: Route) -> tuple[Action, ...]:
+    """What the operator is told and asked, and the spindle."""
+    op, size = made.operation, (setup.stock.upper - setup.stock.lower) / MM
+    tool = f"{made.cutter.kind} mill of {2e3 * made.cutter.radius:g} mm, {op.spindle_rpm:g} 1/min"
+    last = len(route.segment) - 1
+    return (
+        Action(0, "message", f"Block {size[0]:g} x {size[1]:g} x {size[2]:g} mm; {tool}"),
+        Action(0, "confirm", "Block and cutter clamped, nobody in the cell?"),
+        Action(0, "on", signal=op.signal),
+        Action(0, "wait", seconds=op.spin_up_s),
+        Action(last, "off", signal=op.signal),
+        Action(last, "wait", seconds=op.spin_down_s),
+        Action(last, "confirm", "Spindle stands, take the part out?"),
+    )

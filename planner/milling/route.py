@@ -1,0 +1,126 @@
+"""The whole way of the cutter: over the block on the safe plane to each pass,
+down, along it, and off again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.issues import Issue, TandemError
+from planner.milling.operation import Milling, SafeSide
+from planner.milling.values import Run
+from planner.units import DEG, MM
+
+FloatArray = NDArray[np.float64]
+
+SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
+    "left": (0, 0),
+    "right": (0, 1),
+    "front": (1, 0),
+    "back": (1, 1),
+    "top": (2, 1),
+}
+"""Axis of the stock frame and end (0 low, 1 high) of each side."""
+LEAST: Final = 15.0 * DEG
+"""Tools must rise from the block's side by this angle at least, or they never reach the safe plane."""
+SHARP: Final = 31.0 * DEG
+"""The tool stops where its way turns by more than this."""
+STILL: Final = 1e-6
+"""Moves that are shorter than this [m] have no direction."""
+RUN: Final = 2000
+"""The tool stops at this many targets of a pass at least, where its way turns most, so that programs can be
+split there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """N targets: ``tip``, ``axis`` (N, 3), ``feed`` (N,) [m/s], ``reach`` (N,) [m] as in :class:`Run`,
+    ``segment`` and ``stop`` (N,)."""
+
+    tip: FloatArray
+    axis: FloatArray
+    feed: FloatArray
+    reach: FloatArray
+    segment: tuple[str, ...]
+    stop: NDArray[np.bool_]
+
+
+def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
+    """The route through all passes over the block ``box`` (2, 3) [m]. Tools rise along their own axes to the
+    safe plane and go straight on it. Raises ``TandemError`` with ``milling.safe_plane``."""
+    tips: list[FloatArray] = []
+    axes: list[FloatArray] = []
+    feeds: list[FloatArray] = []
+    reach: list[float] = []
+    labels: list[str] = []
+    stops: list[NDArray[np.bool_]] = []
+    rapid, plunge = op.rapid_mm_s * MM, op.plunge_mm_s * MM
+    for number, run in enumerate(passes):
+        path, count = run.path, len(run.path)
+        start = _above(op, path.tip[0], path.axis[0], box, run.name)
+        end = _above(op, path.tip[-1], path.axis[-1], box, run.name)
+        tips += [start[None], path.tip, end[None]]
+        axes += [path.axis[:1], path.axis, path.axis[-1:]]
+        feeds += [np.array([rapid, plunge]), path.feed[1:], np.array([rapid])]
+        reach += [0.0, *[run.reach] * count, 0.0]
+        into, out = run.first + 1, count - 1 - run.last
+        labels += ["approach" if number == 0 else "link"]
+        labels += [f"mill/{run.name}_in"] * into + [f"mill/{run.name}"] * (run.last - run.first)
+        labels += [f"mill/{run.name}_out"] * (out + 1)
+        stops.append(np.concatenate([[True], _stops(path.tip), [True]]))
+    # the way up of the last pass goes on as the retreat
+    tip, axis = np.concatenate(tips), np.concatenate(axes)
+    rise = tip[-1] + op.safe_mm * MM * axis[-1]
+    return Route(
+        np.concatenate([tip, rise[None]]),
+        np.concatenate([axis, axis[-1:]]),
+        np.append(np.concatenate(feeds), rapid),
+        np.array([*reach, 0.0]),
+        (*labels, "retreat"),
+        np.append(np.concatenate(stops), True),
+    )
+
+
+def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name: str) -> FloatArray:
+    """The place (3,) on the safe plane, or beyond it, from which a tool comes down along its axis."""
+    side, end = SIDES[op.safe_side]
+    sign = 1.0 if end else -1.0
+    rise = sign * float(axis[side])
+    if rise < np.sin(LEAST):
+        lean = np.rad2deg(np.arccos(np.clip(rise, -1.0, 1.0)))
+        raise TandemError(
+            Issue(
+                "milling.safe_plane",
+                f"{name}: the tool stands {lean:.0f} degrees off the {op.safe_side} of the block, "
+                f"so that it cannot "
+                f"rise to the safe plane there; allowed are {90.0 - LEAST / DEG:.0f}: choose "
+                f"another safe_side",
+                field="operations.safe_side",
+                value=float(lean),
+                limit=90.0 - LEAST / DEG,
+                unit="deg",
+            )
+        )
+    level = box[end, side] + sign * op.safe_mm * MM
+    return np.asarray(tip + max(sign * (level - tip[side]) / rise, 0.0) * axis)
+
+
+def _stops(tip: FloatArray) -> NDArray[np.bool_]:
+    """(N,) where the tool stops: at both ends, at sharp corners, and here and there in long passes."""
+    out = np.zeros(len(tip), dtype=bool)
+    out[[0, -1]] = True
+    step = np.diff(tip, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    long = np.flatnonzero(length > STILL)
+    if len(long) > 1:
+        way = step[long] / length[long, None]
+        cosine = np.einsum("nd,nd->n", way[1:], way[:-1])
+        out[long[1:][cosine < np.cos(SHARP)]] = True
+    for first in range(RUN, len(tip) - RUN // 2, RUN):
+        if not out[first - RUN // 2 : first + RUN // 2].any():
+            out[first] = True
+    return out

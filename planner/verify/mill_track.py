@@ -1,0 +1,137 @@
+"""Where milling tools are while they mill: tips and axes in the block's frame, as few places of the replay as
+the motion between them allows."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim, MillsAlong, MillsSurface, SparesPart
+from planner.geometry.closest import small_pieces
+from planner.geometry.rigid import inverse
+from planner.problem import Cutter
+from planner.verify.context import Context
+from planner.verify.speed import during
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+WAYS = ("", "_in", "_out")
+"""What the moves that mill, the way down onto the block and the way off it add to a segment's name."""
+FINEST = 0.4e-3
+"""Places of a face are no nearer to one another than this [m]; their number is bounded by ``MOST``."""
+MOST = 240_000
+LEVER = 0.15
+"""A point so far behind the tip [m] counts, with the tip, for the way between places."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """T samples of one arm in some segments: ``rows`` (T,) of the motion, ``tip``, ``axis`` (T, 3) [m] of the
+    TCP and against its z axis, from tip to spindle, in the block's frame; ``joined`` (T - 1,): the next row
+    is the next sample; ``label`` (T,) of the move under way."""
+
+    rows: IntArray
+    tip: FloatArray
+    axis: FloatArray
+    joined: BoolArray
+    label: NDArray[np.str_]
+
+    def spaced(self, step: float) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
+        way of tip and shank, which goes straight between samples."""
+        if not len(self.rows):
+            return self.tip, self.axis, self.rows
+        ends = np.stack([self.tip, self.tip + LEVER * self.axis], axis=1)
+        way = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
+        along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, way, 0.0))])
+        marks = np.arange(0.0, along[-1], step)
+        at = np.unique(np.concatenate([marks, along[np.append(True, ~self.joined)], along[-1:]]))
+        # where the way is longer than the step from sample to sample, places lie between these
+        to = np.clip(np.searchsorted(along, at, side="left"), 0, len(along) - 1)
+        back = np.maximum(to - 1, 0)
+        span = along[to] - along[back]
+        share = np.where(span > 0.0, (at - along[back]) / np.maximum(span, 1e-12), 1.0)[:, None]
+        tip = self.tip[back] + share * (self.tip[to] - self.tip[back])
+        axis = self.axis[back] + share * (self.axis[to] - self.axis[back])
+        first = np.flatnonzero(np.append(True, ~self.joined))  # the first of each stretch, as it stands
+        tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
+        rows = np.concatenate([self.rows[to], self.rows[first]])
+        return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
+
+
+class Milling:
+    """The milling of one proof: its claims by setup, and tracks worked out when asked."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
+            (index, claim)
+            for index, setup in enumerate(context.setup_claims)
+            for group in setup.groups
+            for claim in group
+            if isinstance(claim, MillsSurface | MillsAlong | SparesPart)
+        )
+        self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
+        self._places: dict[tuple[bytes, float], FloatArray] = {}
+
+    @property
+    def surfaces(self) -> tuple[tuple[int, MillsSurface], ...]:
+        """Surfaces that are milled."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsSurface))
+
+    @property
+    def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
+        """Curves that tips follow."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong))
+
+    @property
+    def spared(self) -> tuple[tuple[int, SparesPart], ...]:
+        """Faces that tools must not go into."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, SparesPart))
+
+    @cached_property
+    def labels(self) -> frozenset[str]:
+        """Labels of all moves in which a face is spared, a surface made or a curve followed."""
+        names: list[str] = []
+        for _, claim in self.by_setup:
+            names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
+        return frozenset(name.lower() + way for name in names for way in WAYS)
+
+    def mounted(self, index: int, arm: str) -> Cutter | None:
+        """The cutter of the tool on ``arm`` in setup ``index``."""
+        return self.context.setups[index].cell.arm(arm).tool.cutter
+
+    def places(self, claim: SparesPart, radius: float) -> FloatArray:
+        """Places (P, 3) of a face so near to one another that a solid of ``radius`` [m] between them is in it
+        by half of the tolerance at most."""
+        size = max(float(np.sqrt(3.0 * radius * claim.tolerance)), FINEST)
+        key = hashlib.sha256(claim.vertices.tobytes() + claim.faces.tobytes()).digest(), size
+        if key not in self._places:
+            pieces, _ = small_pieces(claim.vertices[claim.faces], size, MOST)
+            self._places[key] = np.concatenate([pieces.mean(axis=1), claim.vertices])
+        return self._places[key]
+
+    def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
+        """The track of ``arm`` in setup ``index`` on moves of these labels, in lower case."""
+        key = (index, arm, labels)
+        if key not in self._tracks:
+            self._tracks[key] = self._track(*key)
+        return self._tracks[key]
+
+    def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
+        context, motion = self.context, self.context.motion
+        names = np.asarray([label.lower() for label in motion.node_label])
+        chosen = np.isin(names, labels)[motion.node] & (context.sample_setup == index)
+        rows = np.flatnonzero(during(chosen))
+        if arm not in motion.tcp or not len(rows):
+            none = np.zeros((0, 3))
+            return Track(rows[:0], none, none, np.zeros(0, bool), np.zeros(0, "<U1"))
+        seen = inverse(context.stock_poses(index, rows)) @ motion.tcp[arm][rows]
+        joined = (np.diff(rows) == 1) & chosen[rows[1:]]
+        return Track(rows, seen[:, :3, 3], -seen[:, :3, 2], joined, names[motion.node[rows]])

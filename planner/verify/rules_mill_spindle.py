@@ -1,0 +1,139 @@
+"""Rules on milling: the feed of the tip, and a spindle that is up to speed
+wherever the cutter is in the block."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import FeedWindow, MillsAlong
+from planner.issues import Issue
+from planner.problem import Stock
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_sample
+from planner.verify.mill_track import WAYS, Milling, Track
+from planner.verify.rapid_steps import SignalStep
+from planner.verify.setups import MILL
+
+FloatArray = NDArray[np.float64]
+
+NONE = "nothing is milled"
+SHOWN = 50
+"""Issues of one segment at most."""
+FEED_SLACK = 1.05
+"""The replay's ramps and corners may pass the feed by this factor."""
+
+
+def mill_feed(context: Context, milling: Milling) -> Outcome:
+    """While it mills, and on its ways in and out, the tip moves no faster than it may."""
+    motion = context.motion
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    claims = [c for c in context.feeds if c.segment.lower().split("/")[0] == MILL]
+    for claim in claims:
+        index = context.of_segment[claim.segment.lower()]
+        arm = _arm(milling, claim)
+        track = milling.track(index, arm, (claim.segment.lower(),)) if arm else None
+        if track is None or not len(track.joined):
+            continue
+        time = np.diff(motion.time[track.rows])
+        speed = np.linalg.norm(np.diff(track.tip, axis=0), axis=1) / np.maximum(time, 1e-6)
+        speed = np.where(track.joined, speed, 0.0)
+        share = speed / claim.upper
+        if share.max() > worst:
+            worst, where = float(share.max()), claim.segment
+        bad = np.flatnonzero(share > FEED_SLACK)
+        for k in bad[:: max(1, len(bad) // SHOWN)]:
+            what = (
+                f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; allowed: {mm(claim.upper):g}"
+            )
+            measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
+            issues.append(at_sample("verify.mill_feed", what, motion, arm, int(track.rows[k + 1]), measure))
+    fed = {claim.segment.lower() for claim in claims}
+    lacks = sorted(label for label in _labels(context) if label not in fed)
+    issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
+    return Outcome(tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NONE)
+
+
+def spindle(context: Context, milling: Milling) -> Outcome:
+    """The cutter is in the block only while its spindle has been on for long enough, and on segments that
+    mill."""
+    motion = context.motion
+    issues: list[Issue] = []
+    seen = False
+    for index, setup in enumerate(context.setups):
+        claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]
+        for arm in setup.cell.arms:
+            cutter = arm.tool.cutter
+            if cutter is None or arm.name not in motion.tcp:
+                continue
+            labels = tuple(sorted({label.lower() for label in motion.node_label}))
+            track = milling.track(index, arm.name, labels)
+            inside = np.flatnonzero(_in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
+            if not len(inside):
+                continue
+            seen = True
+            names = track.label[inside]
+            stray = inside[np.array([n.split("/")[0] != MILL for n in names])]
+            for i in stray[:1]:
+                what = f"the cutter is in the block in {track.label[i]}, where nothing is milled"
+                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[i])))
+            if not claims:
+                what = f"{arm.name} mills in setup {index + 1}, which claims no spindle"
+                issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[inside[0]])))
+            for claim in claims:
+                on = _on_for(context, claim.signal, motion.time[track.rows[inside]])
+                for i in np.flatnonzero(on < claim.heat_up - 1e-6)[:1]:
+                    got = f"for {on[i]:.1f} s" if on[i] >= 0.0 else "not"
+                    what = f"the cutter is in the block and {claim.signal} is {got} on; wanted: "
+                    what += f"{claim.heat_up:g} s"
+                    measure = (float(max(on[i], 0.0)), claim.heat_up, "s")
+                    row = int(track.rows[inside[i]])
+                    issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
+    return Outcome(tuple(issues), where="" if seen else NONE)
+
+
+def _in_block(track: Track, length: float, radius: float, stock: Stock) -> NDArray[np.bool_]:
+    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
+    out = np.zeros(len(track.rows), dtype=bool)
+    for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
+        at = track.tip + back * track.axis
+        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
+        # the first ball is the tip's end, a disk: less than its radius counts there
+        near = 1e-6 if back == 0.0 else radius
+        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
+    return out
+
+
+def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
+    """How long (T,) [s] a signal has been on at some times; -1 where it is off."""
+    steps = [
+        (at, step.value)
+        for at, _, _, step in context.motion.step_time
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+    ]
+    steps.sort(key=lambda item: item[0])
+    out = np.full(len(time), -1.0)
+    since = None
+    for k, (at, value) in enumerate(steps):
+        since = (at if since is None else since) if value else None
+        until = steps[k + 1][0] if k + 1 < len(steps) else np.inf
+        if since is not None:
+            rows = (time >= at) & (time < until)
+            out[rows] = time[rows] - since
+    return out
+
+
+def _arm(milling: Milling, claim: FeedWindow) -> str:
+    """The arm that mills a segment, by the claims on it; empty for none."""
+    segment = claim.segment.lower()
+    for _, own in milling.by_setup:
+        names = (own.segment,) if isinstance(own, MillsAlong) else own.segments  # type: ignore[union-attr]
+        if any(segment == name.lower() + way for name in names for way in WAYS):
+            return own.arm  # type: ignore[union-attr]
+    return ""
+
+
+def _labels(context: Context) -> set[str]:
+    labels = {label.lower() for label in context.motion.node_label}
+    return {label for label in labels if label.split("/")[0] == MILL}

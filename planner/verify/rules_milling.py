@@ -1,0 +1,229 @@
+"""Rules on milling: what the swept cutter leaves and takes, the curves that it
+follows, the spindle, the feed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.claims import MillsAlong, MillsSurface, SparesPart
+from planner.geometry.closest import small_pieces
+from planner.issues import Issue
+from planner.verify.context import Context, Outcome, mm
+from planner.verify.findings import at_node, at_sample
+from planner.verify.mill_body import SIGHT, Solid, solids, sweep
+from planner.verify.mill_track import WAYS, Milling, Track
+from planner.verify.result import CutFace
+from planner.verify.setups import MILL
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NONE = "nothing is milled"
+SHOWN = 50
+"""Issues of one rule and segment at most."""
+FACETS = 5e-5
+"""What facets, and places between which nothing is looked at, may hide [m]."""
+_PLACES = 30_000
+_FINEST = 0.4e-3
+_GOUGE = 1.6
+"""Gouges are looked for at places so much farther apart, of which a quarter of the tolerance is hidden."""
+
+
+def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, ...]]:
+    """The swept cutter makes the wanted surface within the tolerance, but for a stated share of it, with the
+    cutter that is mounted, and nothing is milled that is not claimed."""
+    issues = _unclaimed(context, milling)
+    faces: list[CutFace] = []
+    for index, claim in milling.surfaces:
+        issues += _same_cutter(milling, index, claim)
+        face = cut_face(milling, index, claim)
+        faces.append(face)
+        if face.share < claim.share:
+            what = (
+                f"{face.segment}: {100 * face.share:.2f} % of the surface are within "
+                f"{mm(claim.tolerance):g} mm; "
+                f"wanted: {100 * claim.share:g} %"
+            )
+            measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
+            issues.append(Issue("verify.milled", what, field=face.segment, **measure))  # type: ignore[arg-type]
+    if not faces:
+        return Outcome(tuple(issues), where=NONE), ()
+    worst = min(faces, key=lambda face: face.share - face.wanted_share)
+    share, wanted = 100 * worst.share, 100 * worst.wanted_share
+    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.segment), tuple(faces)
+
+
+def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
+    """What the swept cutting part leaves of a surface (positive) or takes too much (negative); NaN where it
+    never comes near."""
+    corners = claim.vertices[claim.faces]
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    size = max(float(np.sqrt(area.sum() / _PLACES)) * 2.0, _FINEST)
+    pieces, _ = small_pieces(corners, size, 2 * _PLACES)
+    area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
+    points = pieces.mean(axis=1)
+    labels = tuple(name.lower() for name in claim.segments)
+    track = milling.track(index, claim.arm, labels)
+    solid = solids(claim.cutter)[0]
+    tip, axis, _ = track.spaced(_step(solid, claim.tolerance))
+    off, _ = sweep(points, tip, axis, solid)
+    known = off < SIGHT
+    share = float(area[known & (np.abs(off) <= claim.tolerance)].sum() / max(float(area.sum()), 1e-30))
+    weight = max(float(area[known].sum()), 1e-30)
+    rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / weight))
+    largest = float(np.abs(off[known]).max(initial=0.0))
+    deviation = np.where(known, off, np.nan)
+    name = (
+        claim.segments[0]
+        if len(claim.segments) == 1
+        else f"{claim.segments[0]} and {len(claim.segments) - 1} more"
+    )
+    return CutFace(name, points, deviation, area, claim.tolerance, share, claim.share, rms, largest)
+
+
+def _step(solid: Solid, tolerance: float) -> float:
+    """Way between places [m] of which a round tool hides a tenth of the tolerance at most: s^2 / 8 r."""
+    narrow = solid.widest if solid.beside[0] == solid.widest else 0.5 * solid.widest
+    return float(np.clip(np.sqrt(0.8 * narrow * tolerance), 0.3e-3, 3e-3))
+
+
+def mill_gouge(context: Context, milling: Milling) -> Outcome:
+    """At every instant, also on its ways in and out, neither cutter nor shank, holder and spindle are in a
+    face of the part by more than the tolerance; a cutter that engraves is as deep as wanted."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for index, claim in milling.spared:
+        issues += _same_cutter(milling, index, claim)
+        labels = tuple(name.lower() + way for name in claim.segments for way in WAYS)
+        track = milling.track(index, claim.arm, labels)
+        if not len(track.rows):
+            continue
+        for solid in solids(claim.cutter):
+            allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
+            points = milling.places(claim, solid.widest)
+            tip, axis, rows = track.spaced(_GOUGE * _step(solid, claim.tolerance))
+            off, place = sweep(points, tip, axis, solid)
+            k = int(off.argmin())
+            if -off[k] - allowed > worst:
+                worst, limit = float(-off[k]) - allowed, mm(allowed)
+                where = f"{solid.name} in {context.motion.node_label[context.motion.node[rows[place[k]]]]}"
+            deep = np.flatnonzero(off < -allowed)
+            first = np.unique(place[deep], return_index=True)[1]
+            for i in deep[first][:: max(1, len(first) // SHOWN)]:
+                at = ", ".join(f"{mm(v):.1f}" for v in points[i])
+                what = f"the {solid.name} is {mm(-off[i]):.3f} mm in the part at {at} mm; allowed: "
+                what += f"{mm(allowed):.3f} mm"
+                measure = (mm(float(-off[i])), mm(allowed), "mm")
+                row = int(rows[place[i]])
+                issues.append(at_sample("verify.mill_gouge", what, context.motion, claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def mill_path(context: Context, milling: Milling) -> Outcome:
+    """Where a tool follows curves, its tip stays on them and its axis along theirs, within the tolerances,
+    and passes all of them in order."""
+    issues: list[Issue] = []
+    worst, limit, where = 0.0, None, ""
+    for index, claim in milling.curves:
+        track = milling.track(index, claim.arm, (claim.segment.lower(),))
+        if not len(track.rows):
+            issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
+            continue
+        off, turn, at = follow(claim, track)
+        share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
+        if share > worst:
+            worst, limit, where = share, 1.0, claim.segment
+        bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
+        for i in bad[:: max(1, len(bad) // SHOWN)]:
+            what = (
+                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve and the axis "
+                f"{np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
+                f"{np.rad2deg(claim.turn):.2f} deg"
+            )
+            measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
+            row = int(track.rows[i])
+            issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
+        missed = _missed(claim, track)
+        back = float(np.maximum(np.maximum.accumulate(at) - at, 0.0).max())
+        if missed or back > 4.0 * claim.tolerance + 1e-3:
+            word = (
+                f"{missed} of {len(claim.tip)} places are never passed"
+                if missed
+                else f"goes back by {mm(back):.2f} mm"
+            )
+            issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=claim.segment))
+    return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
+
+
+def follow(claim: MillsAlong, track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """How far (T,) [m] the tip is off the curve, how far [rad] the axis is off that there, and where on the
+    curve it is [m along it]. Of two stretches that meet the one farther on counts."""
+    length = np.linalg.norm(np.diff(claim.tip, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    a, way = claim.tip[:-1], np.diff(claim.tip, axis=0)
+    square = np.maximum((way * way).sum(axis=1), 1e-24)
+    count = len(track.tip)
+    off, turn, at = np.empty(count), np.empty(count), np.empty(count)
+    last = 0.0
+    ahead = 0.05 + 20.0 * claim.tolerance
+    for i in range(count):
+        low = max(int(np.searchsorted(along, last - ahead, side="right")) - 1, 0)
+        high = min(int(np.searchsorted(along, last + ahead)) + 1, len(a))
+        part = slice(low, max(high, low + 1))
+        rest = track.tip[i] - a[part]
+        share = np.clip((rest * way[part]).sum(axis=1) / square[part], 0.0, 1.0)
+        apart = np.linalg.norm(rest - share[:, None] * way[part], axis=1)
+        k = int(apart.argmin())
+        off[i], at[i] = apart[k], along[low + k] + share[k] * length[low + k]
+        wanted = claim.axis[low + k] + share[k] * (claim.axis[low + k + 1] - claim.axis[low + k])
+        cosine = float(track.axis[i] @ wanted) / max(float(np.linalg.norm(wanted)), 1e-12)
+        turn[i] = np.arccos(np.clip(cosine, -1.0, 1.0))
+        last = at[i]
+    return off, turn, at
+
+
+def _missed(claim: MillsAlong, track: Track) -> int:
+    """How many places of the curve the tip never passes within twice the tolerance and its own steps."""
+    step = float(np.linalg.norm(np.diff(track.tip, axis=0), axis=1).max(initial=0.0))
+    apart = cKDTree(track.tip).query(claim.tip)[0]
+    return int((apart > 2.0 * claim.tolerance + step).sum())
+
+
+def _unclaimed(context: Context, milling: Milling) -> list[Issue]:
+    """Moves of segments that mill, of which nothing is claimed, and claimed ones that never come."""
+    motion = context.motion
+    arm = context.job.tasks[0].arm.name
+    out: list[Issue] = []
+    seen: set[str] = set()
+    for node, label in enumerate(motion.node_label):
+        name = label.lower()
+        if name.split("/")[0] == MILL and name not in milling.labels and name not in seen:
+            what = f"the programs mill in {label}, of which the problem claims nothing"
+            out.append(at_node("verify.milled", what, motion, arm, node))
+        seen.add(name)
+    lacks = {name.lower() for _, c in milling.surfaces for name in c.segments} - seen
+    out += [Issue("verify.milled", f"{name} is never milled", field=name) for name in sorted(lacks)]
+    return out
+
+
+def _same_cutter(milling: Milling, index: int, claim: MillsSurface | SparesPart) -> list[Issue]:
+    own, said = milling.mounted(index, claim.arm), claim.cutter
+    if (
+        own is not None
+        and own.kind == said.kind
+        and all(
+            np.allclose(getattr(own, name), getattr(said, name), atol=1e-9)
+            for name in ("radius", "corner", "flute", "overhang", "shank", "behind")
+            if np.shape(getattr(own, name)) == np.shape(getattr(said, name))
+        )
+        and np.shape(own.behind) == np.shape(said.behind)
+    ):
+        return []
+    what = f"the tool of {claim.arm} in setup {index + 1} has another cutter than the claimed one"
+    return [Issue("verify.milled", what, arm=claim.arm)]
