@@ -29,6 +29,7 @@ from planner import (
 )
 from planner.forming import operation as forming
 from planner.hotwire import operation, straight_operation
+from planner.milling import operation as milling
 from planner.verify import prove
 
 HERE = Path(__file__).parent
@@ -71,6 +72,10 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Process `forming`", "forming", forming.Forming),
     ("`adsif` of `forming`", "", forming.Adsif),
     ("`die` of `forming`", "", forming.Die),
+    ("Process `milling`", "milling", milling.Milling),
+    ("`cuts` of `milling`: a flank", "", milling.FlankCut),
+    ("`cuts` of `milling`: lines", "", milling.LinesCut),
+    ("`cuts` of `milling`: an engraving", "", milling.EngraveCut),
     ("Process `targets`", "process-targets", posed.Posed),
     ("`free` of `targets`, each", "", posed.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell_file.CellFile),
@@ -82,6 +87,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Tool `ball_tool`", "", cell_file.BallToolFile),
     ("Tool `disk_tool`", "", cell_file.DiskToolFile),
     ("Tool `heat_tool`", "", cell_file.HeatToolFile),
+    ("Tool `mill`", "", cell_file.MillFile),
+    ("`holder` of `mill`, each", "", cell_file.HolderPieceFile),
     ("Tool `plain`", "", cell_file.PlainToolFile),
     ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
     ("`cell.controller`", "", controller_file.ControllerFile),

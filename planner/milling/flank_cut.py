@@ -99,7 +99,9 @@ def placed(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> Placed:
     """The cutter of ``radius`` [m] along the surface, in the direction asked for."""
     pieces = _pieces(op, cut, ruled, radius)
     around = radius if cut.guides == "surface" else 0.0
-    lows, highs, off = [], [], 0.0
+    lows: list[FloatArray] = []
+    highs: list[FloatArray] = []
+    off = 0.0
     last: Strip | None = None
     for strip in pieces:
         low, high = flank.axes(strip, around)

@@ -26,6 +26,8 @@ SPARE: Final = 0.5
 """Share of the tolerance that may lie between places of a face."""
 RISE: Final = 0.2
 """Length of the ways down and up [m] that are looked at, along the tool's own axis."""
+APART: Final = 0.25
+"""Places of a face that bound a ball are so far apart at least, over the cutter's radius."""
 ROUNDED: Final = 2e-5
 """What facets of the part and of the path may hide [m]."""
 
@@ -144,7 +146,8 @@ def largest_that_fits(face: Face, points: FloatArray, owner: IntArray, k: int, r
     way = points[some][None] - points[some][:, None]
     height = np.einsum("ijd,id->ij", way, normal[owner[some]])
     square = np.einsum("ijd,ijd->ij", way, way)
-    real = height > 0.02 * np.sqrt(square)
+    # facets are chords: places that are near to one another see corners where the face is round
+    real = (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))
     found = np.where(real, square / np.maximum(2.0 * height, 1e-12), np.inf)
     least = float(found.min(initial=np.inf))
     return least if np.isfinite(least) else None

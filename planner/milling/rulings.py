@@ -31,12 +31,13 @@ class Strip:
         sizes = [np.linalg.norm(t, axis=1, keepdims=True) for t in (low, high)]
         still = 1e-3 * np.maximum(*sizes)
         low, high = np.where(sizes[0] > still, low, high), np.where(sizes[1] > still, high, low)
-        return tuple(t / np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-15) for t in (low, high))
+        return _unit(low), _unit(high)
 
     def normals(self) -> tuple[FloatArray, FloatArray]:
         """Outward unit normals (M, 3) of the surface at both guides."""
         along = self.high - self.low
-        return tuple(_unit(self.out * np.cross(t, along)) for t in self.tangents())
+        first, second = self.tangents()
+        return _unit(self.out * np.cross(first, along)), _unit(self.out * np.cross(second, along))
 
     def reversed(self) -> Strip:
         """The same piece the other way."""

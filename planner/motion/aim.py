@@ -109,7 +109,10 @@ def _held(scene: Scene, targets: Targets) -> tuple[Any, ...]:
 
 def _free(targets: Targets) -> tuple[Any, ...]:
     return tuple(
-        f if _aim(f) is None else dataclasses.replace(f, prefer=None, aim=None) for f in targets.freedoms
+        dataclasses.replace(f, prefer=None, aim=None)
+        if isinstance(f, ScrewFreedom) and _aim(f) is not None
+        else f
+        for f in targets.freedoms
     )
 
 

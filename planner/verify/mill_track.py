@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, MillsAlong, MillsSurface, SparesPart
+from planner.claims import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
 from planner.problem import Cutter
@@ -70,7 +70,7 @@ class Milling:
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
+        self.by_setup: tuple[tuple[int, MillsSurface | MillsAlong | SparesPart], ...] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
             for group in setup.groups

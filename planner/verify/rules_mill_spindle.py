@@ -12,8 +12,8 @@ from planner.problem import Stock
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_track import WAYS, Milling, Track
-from planner.verify.rapid_steps import SignalStep
 from planner.verify.setups import MILL
+from planner.verify.steps import SignalStep
 
 FloatArray = NDArray[np.float64]
 
@@ -128,9 +128,9 @@ def _arm(milling: Milling, claim: FeedWindow) -> str:
     """The arm that mills a segment, by the claims on it; empty for none."""
     segment = claim.segment.lower()
     for _, own in milling.by_setup:
-        names = (own.segment,) if isinstance(own, MillsAlong) else own.segments  # type: ignore[union-attr]
+        names = (own.segment,) if isinstance(own, MillsAlong) else own.segments
         if any(segment == name.lower() + way for name in names for way in WAYS):
-            return own.arm  # type: ignore[union-attr]
+            return own.arm
     return ""
 
 

@@ -192,7 +192,7 @@ def _missed(claim: MillsAlong, track: Track) -> int:
     """How many places of the curve the tip never passes within twice the tolerance and its own steps."""
     step = float(np.linalg.norm(np.diff(track.tip, axis=0), axis=1).max(initial=0.0))
     apart = cKDTree(track.tip).query(claim.tip)[0]
-    return int((apart > 2.0 * claim.tolerance + step).sum())
+    return int(np.count_nonzero(np.asarray(apart) > 2.0 * claim.tolerance + step))
 
 
 def _unclaimed(context: Context, milling: Milling) -> list[Issue]:

@@ -1,0 +1,179 @@
+"""Milling that cannot be: each with its code, the place or the largest cutter that fits, and a remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import processes
+from planner.issues import Issue, Severity, TandemError
+from tests.milling.small_mill import BALL, PANEL, WALL, problem
+
+ENGRAVE = {"engrave": [{"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}], "depth_mm": 0.5}
+
+
+def issues(
+    folder: Path, base: dict[str, Any], tool: dict[str, Any] | None = None, **fields: Any
+) -> list[Issue]:
+    """Issues of making the targets."""
+    try:
+        read = problem(folder, base, tool, **fields)
+        return list(processes.make_targets(read, 0).issues)
+    except TandemError as error:
+        return list(error.issues)
+
+
+def only(found: list[Issue], code: str) -> Issue:
+    own = [issue for issue in found if issue.code == code]
+    assert own, found
+    return own[0]
+
+
+def ruled(start: list[list[float]], end: list[list[float]], **more: Any) -> dict[str, Any]:
+    surface = {"name": "wall", "start": {"polyline_mm": start}, "end": {"polyline_mm": end}, **more}
+    return {"ruled": [surface], "in_stock": {}}
+
+
+def test_a_good_wall_has_none(tmp_path: Path) -> None:
+    assert not issues(tmp_path, WALL)
+
+
+def test_a_tool_without_a_cutter(tmp_path: Path) -> None:
+    read = problem(tmp_path, WALL)
+    tool = {"kind": "ball_tool"}
+    data = dict(WALL)
+    data["cell"] = {**WALL["cell"], "arms": [{**WALL["cell"]["arms"][0], "tool": tool}]}
+    assert read.cell.arms[0].tool.cutter is not None
+    assert "mill" in only(issues(tmp_path, data), "milling.tool").message
+
+
+def test_a_surface_that_the_part_does_not_have(tmp_path: Path) -> None:
+    assert "wall" in only(issues(tmp_path, WALL, cuts=[{"flank": "door"}]), "milling.no_surface").message
+    lines = [{"lines": "front", "stepover_mm": 3}]
+    assert "part.front" in only(issues(tmp_path, WALL, cuts=lines), "milling.no_surface").message
+
+
+def test_a_wall_higher_than_the_flute(tmp_path: Path) -> None:
+    found = only(issues(tmp_path, WALL, {"flute_mm": 30}), "milling.flute")
+    assert found.value == pytest.approx(39.0, abs=2.0)
+    assert found.limit == 30
+
+
+def test_a_holder_below_the_top_of_the_wall(tmp_path: Path) -> None:
+    found = issues(tmp_path, WALL, {"flute_mm": 35, "overhang_mm": 36})
+    assert only(found, "milling.holder").limit == pytest.approx(36.0)
+
+
+def test_a_cutter_too_thick_for_a_round_names_the_largest_that_fits(tmp_path: Path) -> None:
+    """A wall along a half circle of radius 10 mm, milled from inside: 10 mm is the largest radius."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 61)
+    arc = [[float(10 * np.sin(t)), float(10 * np.cos(t)), 12.0] for t in turn]
+    top = [[x, y, 40.0] for x, y, _ in arc]
+    part = ruled(arc, top)
+    fits = issues(tmp_path, WALL, part=part, cuts=[{"flank": "wall", "lead_mm": 0}])
+    assert not [i for i in fits if i.severity is Severity.ERROR]
+    found = issues(tmp_path, WALL, {"diameter_mm": 24}, part=part, cuts=[{"flank": "wall", "lead_mm": 0}])
+    issue = only(found, "milling.tool_radius")
+    told = float(issue.message.split("largest radius that fits there is ")[1].split(" mm")[0])
+    assert told == pytest.approx(10.0, rel=0.1)
+
+
+def test_twisted_rulings_name_a_cutter_that_is_good_enough(tmp_path: Path) -> None:
+    part = ruled([[-20, -20, 12], [20, 20, 12]], [[-20, 20, 50], [20, -20, 50]])
+    found = only(
+        issues(
+            tmp_path,
+            WALL,
+            {"diameter_mm": 20, "flute_mm": 70, "overhang_mm": 90},
+            part=part,
+            shape_tol_mm=0.005,
+        ),
+        "milling.twist",
+    )
+    assert found.value is not None and found.value > 0.005
+    assert "radius of" in found.message
+
+
+def test_an_inner_corner(tmp_path: Path) -> None:
+    low = [[-40, 0, 12], [0, 20, 12], [40, 0, 12]]
+    part = ruled(low, [[x, y, 45] for x, y, _ in low])
+    found = only(issues(tmp_path, WALL, part=part), "milling.corner")
+    assert "0.0, 20.0" in found.message
+
+
+def test_an_outer_corner_is_gone_around(tmp_path: Path) -> None:
+    low = [[-40, 0, 12], [0, 20, 12], [40, 0, 12]]
+    assert not issues(tmp_path, WALL, part=ruled(low, [[x, y, 45] for x, y, _ in low], flip=True))
+
+
+def test_guides_of_very_different_lengths_are_told(tmp_path: Path) -> None:
+    part = ruled([[-50, 0, 12], [50, 0, 12]], [[-10, 0, 45], [10, 0, 45]])
+    found = only(
+        issues(tmp_path, WALL, {"overhang_mm": 100, "flute_mm": 70}, part=part), "milling.guide_lengths"
+    )
+    assert found.value == pytest.approx(5.0, rel=0.02)
+    assert found.severity is Severity.WARNING
+
+
+def test_guides_that_run_against_each_other(tmp_path: Path) -> None:
+    low, high = (
+        [[-40.0, 0.0, 12.0], [0.0, 1.0, 12.0], [40.0, 0.0, 12.0]],
+        [[-40.0, 0, 45], [20.0, 0, 45], [-10.0, 0, 45]],
+    )
+    smooth = {"corner_deg": 179}
+    surface = {
+        "name": "wall",
+        "start": {"polyline_mm": low, **smooth},
+        "end": {"polyline_mm": high, **smooth},
+        "match": "parameter",
+    }
+    found = issues(tmp_path, WALL, part={"ruled": [surface], "in_stock": {}})
+    assert {i.code for i in found} & {"milling.guides", "part.corners"}
+
+
+def test_a_tool_that_never_rises_to_the_safe_plane(tmp_path: Path) -> None:
+    part = ruled([[-40, -20, 30], [40, -20, 30]], [[-40, 20, 31], [40, 20, 31]])
+    found = only(issues(tmp_path, WALL, {"flute_mm": 60}, part=part), "milling.safe_plane")
+    assert "safe_side" in found.message
+
+
+def test_a_face_that_looks_down(tmp_path: Path) -> None:
+    flipped = {"front": PANEL["part"]["front"], "in_stock": {"rpy_deg": [180, 0, 0], "xyz_mm": [0, 0, 330]}}
+    found = issues(tmp_path, PANEL, BALL, part=flipped, cuts=[ENGRAVE])
+    assert {i.code for i in found} & {"milling.front", "part.stock_too_small"}
+
+
+def test_a_pattern_off_the_panel(tmp_path: Path) -> None:
+    far = {**ENGRAVE, "engrave": [{"polyline_mm": [[0, 0, 0], [100, 0, 0]]}]}
+    assert "curve 1" in only(issues(tmp_path, PANEL, BALL, cuts=[far]), "milling.off_surface").message
+
+
+def test_lines_that_cannot_be(tmp_path: Path) -> None:
+    wide = [{"lines": "front", "stepover_mm": 3, "margin_mm": 400}]
+    assert only(issues(tmp_path, PANEL, BALL, cuts=wide), "milling.pattern")
+    flat = [{"lines": "front", "scallop_mm": 0.05}]
+    assert "stepover_mm" in only(issues(tmp_path, PANEL, cuts=flat), "milling.pattern").message
+
+
+def test_a_holder_that_leans_into_the_panel(tmp_path: Path) -> None:
+    cut = {**ENGRAVE, "lead_deg": 59}
+    found = issues(
+        tmp_path,
+        PANEL,
+        {**BALL, "overhang_mm": 13, "holder": [{"length_mm": 60, "diameter_mm": 60}]},
+        cuts=[cut],
+    )
+    assert "holder" in only(found, "milling.gouge").message
+
+
+def test_an_axis_curve_that_runs_the_other_way(tmp_path: Path) -> None:
+    cut = {
+        "engrave": [{"polyline_mm": [[-30, 0, 0], [30, 0, 0]]}],
+        "axis": "curves",
+        "axis_curves": [{"polyline_mm": [[30, 0, 80], [-30, 0, 80]]}],
+        "depth_mm": 0.5,
+    }
+    assert "same direction" in only(issues(tmp_path, PANEL, BALL, cuts=[cut]), "milling.guides").message
