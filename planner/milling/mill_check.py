@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.geometry.closest import small_pieces
+from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
+from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
 from planner.milling import body
 from planner.milling.job import Done, Face, Job
@@ -26,6 +27,8 @@ SPARE: Final = 0.5
 """Share of the tolerance that may lie between places of a face."""
 RISE: Final = 0.2
 """Length of the ways down and up [m] that are looked at, along the tool's own axis."""
+CREASE: Final = float(np.deg2rad(20.0))
+"""Facets that turn by more than this over an edge meet in a crease."""
 APART: Final = 0.25
 """Places of a face that bound a ball are so far apart at least, over the cutter's radius."""
 ROUNDED: Final = 2e-5
@@ -139,12 +142,14 @@ def largest_that_fits(face: Face, points: FloatArray, owner: IntArray, k: int, r
     """
     tree = cKDTree(points)
     some = np.asarray(tree.query_ball_point(points[k], radius), dtype=np.int64)
-    corners = face.mesh.vertices[face.mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     some = some[:: max(1, len(some) // 400)]
+    corners = face.mesh.vertices[face.mesh.faces][owner[some]]
+    share = closest_on_triangles(points[some], corners[:, 0], corners[:, 1], corners[:, 2])
+    smooth = corner_normals(TriangleMesh(face.mesh.vertices, face.mesh.faces), CREASE)[owner[some]]
+    normal = np.einsum("nk,nkd->nd", share, smooth)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     way = points[some][None] - points[some][:, None]
-    height = np.einsum("ijd,id->ij", way, normal[owner[some]])
+    height = np.einsum("ijd,id->ij", way, normal)
     square = np.einsum("ijd,ijd->ij", way, way)
     # facets are chords: places that are near to one another see corners where the face is round
     real = (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))
