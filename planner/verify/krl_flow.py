@@ -47,6 +47,8 @@ from planner.verify.values import (
 MAX_CALLS = 10
 MAIN = "main"
 """What the procedure of the main program is called in steps: its own name is the problem's."""
+_BLOCK = "l_block_"
+"""How the loads of a tool together with a block are called."""
 _FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _STILL = np.zeros(6)
 _ANY = 1.0
@@ -224,6 +226,8 @@ class Runner:
         carried = "" if load == _own_load(tool) else load
         if carried == self.carried:
             return
+        if carried and not carried.startswith(_BLOCK):
+            self._fail(self.load_line, f"{load} is neither the load of {tool} nor one of it with a block")
         mine, _ = self._tool(line)
         whole: Load = self.data.items[load].value
         found = held(whole, mine.load, mine.pose) if carried else NOTHING

@@ -86,6 +86,7 @@ STAGES: _RuleTable = (
     ("verify.held_frame", rules_frames.held_frame),
     ("verify.load", rules_frames.load),
     ("verify.base_frames", rules_frames.base_frames),
+    ("verify.status", rules_krl.status),
     ("verify.move_kinds", rules_data.move_kinds),
     ("verify.zone_size", rules_data.zone_size),
     ("verify.zero_length", rules_data.zero_length),
@@ -96,7 +97,6 @@ MOTION: _RuleTable = (
     ("verify.corner", rules_motion.corners),
     ("verify.continuity", rules_motion.continuity),
     ("verify.confdata", rules_motion.confdata),
-    ("verify.status", rules_krl.status),
     ("verify.joint_limits", rules_motion.joint_limits),
     ("verify.rod_limits", rules_motion.rod_limits),
     ("verify.joint_speed", rules_motion.joint_speed),
@@ -154,6 +154,7 @@ NEEDED = (
     "verify.handshake",
     "verify.arms_alone",
     "verify.held_frame",
+    "verify.status",
 )
 """What must hold for a motion to follow from the text."""
 

@@ -208,7 +208,7 @@ def load(context: Context) -> Outcome:
 def _carried(step: CarryStep, wanted: HoldsStock | None, stock: Stock, index: int) -> tuple[str, int | None]:
     """What is wrong with a load, and the setup whose block it is, None for no load."""
     if wanted is None:
-        none = step.load.mass <= NO_LOAD + 1e-9
+        none = abs(step.load.mass) <= NO_LOAD + 1e-9
         return ("" if none else f"a load of {step.load.mass:g} kg, but no block is held"), None
     if abs(step.load.mass - wanted.mass) > MASS:
         return f"the load is {step.load.mass:g} kg; the block is {wanted.mass:.4f} kg", index

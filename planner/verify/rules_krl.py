@@ -13,7 +13,6 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.job import TaskText
 from planner.verify.krl_status import select
-from planner.verify.motion import Motion
 from planner.verify.moves import flange_at, solutions
 from planner.verify.steps import MoveStep
 from planner.verify.values import JointTarget, RobTarget, StatusTarget
@@ -28,8 +27,8 @@ _CREEP_TURN = np.deg2rad(0.15)
 """Moves slower than this [m/s, rad/s] are as fast as KRL lets them be; no feed or limit is so low."""
 SHARE = 0.01
 """How much the times of two moves that run together may differ: speeds have few digits."""
-AGREE = np.deg2rad(0.01)
-"""How far the motion may be from the joints that Status and Turn select [rad]: the target is rounded."""
+_ANOTHER = np.deg2rad(0.01)
+"""Joints that differ by more [rad] are another solution."""
 
 
 def move_kinds(task: TaskText) -> list[Issue]:
@@ -114,55 +113,35 @@ def _creeps(move: MoveStep) -> bool:
 
 
 def status(context: Context) -> Outcome:
-    """KRL: Status and Turn alone select one joint solution within the limits, the one that the motion has,
-    whether or not Turn counts for axes near zero; straight moves begin at such a target."""
+    """KRL: Status and Turn of each pose that is a target by joints select one solution within the limits,
+    whether or not Turn counts for axes near zero."""
     issues: list[Issue] = []
     near: list[str] = []
-    worst, found = 0.0, False
+    targets = 0
     for task in context.job.tasks:
-        if task.krl is None:
-            continue
-        found = True
-        rows = _rows(context.motion, task)
-        moves = [step for step in task.steps if isinstance(step, MoveStep)]
-        for row, move in zip(rows, moves, strict=True):
-            if isinstance(move.target, StatusTarget):
-                here = context.motion.q[task.arm.name][context.motion.node_sample[row]]
-                wrong, off, axes = _chosen(context, task, move, here)
+        for move in task.steps:
+            if isinstance(move, MoveStep) and isinstance(move.target, StatusTarget):
+                targets += 1
+                wrong, axes = _chosen(context, task, move, move.target)
                 issues += [at_step("verify.status", what, task, move) for what in wrong]
-                worst = max(worst, off)
                 near += [f"axis {axis} at {move.target_name}" for axis in axes]
-    told = f"near zero: {', '.join(near)}" if near else ""
-    return Outcome(
-        tuple(issues), float(np.rad2deg(worst)), float(np.rad2deg(AGREE)), "deg", told if found else "no KRL"
-    )
-
-
-def _rows(motion: Motion, task: TaskText) -> np.ndarray:
-    """Nodes (M,) of a task's moves, in order."""
-    return np.flatnonzero(motion.node_line[task.arm.name] > 0)
+    told = f"{targets} targets"
+    return Outcome(tuple(issues), where=f"{told}; near zero: {', '.join(near)}" if near else told)
 
 
 def _chosen(
-    context: Context, task: TaskText, move: MoveStep, here: np.ndarray
-) -> tuple[list[str], float, tuple[int, ...]]:
-    """What is wrong with Status and Turn of a move after which the joints are ``here`` (6,), how far they are
-    off [rad], and axes near zero."""
-    target = move.target
+    context: Context, task: TaskText, move: MoveStep, target: StatusTarget
+) -> tuple[list[str], tuple[int, ...]]:
+    """What is wrong with Status and Turn of a move's target, and axes near zero."""
     machine, base = robot(task.arm.robot), context.bases[task.arm.name]
-    if not isinstance(target, StatusTarget):
-        return [], 0.0, ()
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:
         count = "no joint solution" if not len(found.q) else f"{len(found.q)} joint solutions"
-        return [f"{bits} select {count} within the limits; one is needed"], 0.0, ()
+        return [f"{bits} select {count} within the limits; one is needed"], ()
     wrong = []
-    off = float(np.abs(found.q[0] - here).max())
-    if off > AGREE:
-        wrong.append(f"{bits} select joints that are {np.rad2deg(off):.3f} deg off the motion's")
     for axis in found.near_zero:
         other = select(machine, flange_at(move, base), target.status, target.turn ^ (1 << (axis - 1)))
-        if any(np.abs(q - found.q[0]).max() > AGREE for q in other.q):
+        if any(np.abs(q - found.q[0]).max() > _ANOTHER for q in other.q):
             wrong.append(f"{bits}: axis {axis} is near zero, and without its turn another solution fits")
-    return wrong, off, found.near_zero
+    return wrong, found.near_zero

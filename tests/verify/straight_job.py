@@ -41,6 +41,8 @@ PLACES = (
 SIGNAL = "doWirePower"
 DOWN = np.array([0.0, 0.0, -1.0])
 FEED, AIR = 0.008, 0.05
+NEAR = {"irb140": [0.0, 0.0, 0.0, 0.0, 90.0, 0.0], "kr10_r1100": [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]}
+"""Joints [deg] near home, by robot."""
 BOWS = (bow(0.4, 0.4), bow(0.3, 0.4))
 STEPS = (
     ("Mount the tool bow_400 on arm left.", "Clamp the block as the setup sheet says."),
@@ -85,22 +87,23 @@ def face(k):
     return np.concatenate(guides(k, u)), strip(u)
 
 
-def cell(k=0):
+def cell(k=0, model="irb140"):
     """The cell with the bow of setup ``k``."""
-    arm = Arm("left", "irb140", np.eye(4), BOWS[k], np.zeros(6))
+    arm = Arm("left", model, np.eye(4), BOWS[k], np.zeros(6))
     pose = PLACES[0] @ frames(np.array([[-0.16, -0.1, 0.2]]), np.array([[-0.16, 0.1, 0.2]]), DOWN)[0]
-    home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, [0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
+    home = home_of(dataclasses.replace(arm, tool=BOWS[0]), pose, NEAR[model])
     arms = (dataclasses.replace(arm, home=home),)
-    return Cell("straight", arms, (), Controller(("T_ROB1",), ("ROB_1",), wire_signal=SIGNAL))
+    io = {"left": {SIGNAL: 17}}
+    return Cell("straight", arms, (), Controller(("T_ROB1",), ("ROB_1",), wire_signal=SIGNAL, io=io))
 
 
-def problem(**settings):
+def problem(model="irb140", **settings):
     """The problem of the job."""
     stock = Stock(SIZE, PLACES[0], np.eye(3), oversize=OVER)
     turned = {"place": PLACES[1], "attitude": PLACES[1][:3, :3]}
     return Problem(
         "straight",
-        cell(),
+        cell(model=model),
         stock,
         None,
         (Operation("top", "straight_wire", ("left",), True), Operation("back", "straight_wire", ("left",))),
@@ -143,7 +146,7 @@ def way(k, count):
     return wire(k, u), rows
 
 
-def plan(count=24, over=None):
+def plan(count=24, over=None, model="irb140"):
     """The plan; ``over``: height [m] in the block at which the first bow goes home above it."""
     parts = []
     for k, name in enumerate(("top", "back")):
@@ -158,7 +161,8 @@ def plan(count=24, over=None):
             low[:, 0, 3] = PLACES[0][0, 3] + np.array([0.14, -0.14])
             low[:, 2, 3] = PLACES[0][2, 3] + over
             ways = ways[0], {"left": low}
-        here = dataclasses.replace(cell(k), arms=(dataclasses.replace(cell().arms[0], tool=BOWS[k]),))
+        arm = cell(model=model).arms[0]
+        here = dataclasses.replace(cell(k, model), arms=(dataclasses.replace(arm, tool=BOWS[k]),))
         rows = way(k, count)[1]
         parts.append(
             operation_plan(
@@ -178,6 +182,6 @@ def plan(count=24, over=None):
 
 
 @functools.cache
-def programs(count=24):
+def programs(count=24, model="irb140"):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(count), problem())
+    return write.programs(plan(count, model=model), problem(model))
