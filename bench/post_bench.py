@@ -1,4 +1,5 @@
-"""Writing of RAPID programs: 100,000 moves for each of two robots, beside plain formatting of numbers."""
+"""Writing of programs: 100,000 moves by RAPID for each of two robots, and for one by RAPID and by KRL, beside
+plain formatting of numbers."""
 
 from __future__ import annotations
 
@@ -8,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from planner.plans import Plan
 from planner.post.write import programs
-from tests.post import synthetic
+from planner.problem import Problem
+from tests.post import krl_job, synthetic
 
 MOVES = 100_000
 REPEATS = 3
@@ -19,11 +22,22 @@ def run() -> list[dict[str, Any]]:
     """Rows of the table."""
     count = MOVES + 1
     labels = ["mount", *(f"{'link' if i // 2500 % 2 else 'cut/a'}" for i in range(MOVES))]
+    stops = range(2500, count, 2500)
     problem = synthetic.problem()
     q = {"left": synthetic.sweep(count, 3.0), "right": synthetic.sweep(count, 3.0)}
-    stops = range(2500, count, 2500)
-    plan = synthetic.plan(synthetic.operation(problem, q, labels, stop=stops, actions=()))
-    rows = np.random.default_rng(0).uniform(-999.0, 999.0, (2 * MOVES, 7)).tolist()
+    both = synthetic.plan(synthetic.operation(problem, q, labels, stop=stops, actions=()))
+    rows = [_row("RAPID", both, problem, "goal 10 s a robot")]
+    for model, language in (("irb140", "RAPID"), ("kr10_r1100", "KRL")):
+        start = krl_job.START if language == "KRL" else synthetic.START
+        joints = synthetic.sweep(count, 3.0, start)
+        plan, job = krl_job.alone(model, q=joints, labels=labels, stop=stops, actions=())
+        rows.append(_row(language, plan, job, "goal 5 s"))
+    return rows
+
+
+def _row(language: str, plan: Plan, problem: Problem, goal: str) -> dict[str, Any]:
+    robots = len(plan.operations[0].q)
+    rows = np.random.default_rng(0).uniform(-999.0, 999.0, (robots * MOVES, 7)).tolist()
     spans, peers = [], []
     for _ in range(REPEATS):
         start = time.perf_counter()
@@ -35,15 +49,12 @@ def run() -> list[dict[str, Any]]:
         peers.append(time.perf_counter() - start)
     size = sum(len(text) for text in files.values())
     median = statistics.median(spans)
-    note = (
-        f"{len(files)} files, {size / 1e6:.0f} MB; goal 10 s a robot; peer: seven numbers a move by format()"
-    )
-    return [
-        {
-            "name": f"RAPID, 2 x {MOVES} moves",
-            "median_s": median,
-            "spread": max(spans) - min(spans),
-            "ratio": median / statistics.median(peers),
-            "note": note,
-        }
-    ]
+    model = problem.cell.arms[0].robot
+    note = f"{len(files)} files, {size / 1e6:.0f} MB; {goal}; peer: seven numbers a move by format()"
+    return {
+        "name": f"{language}, {model}, {robots} x {MOVES} moves",
+        "median_s": median,
+        "spread": max(spans) - min(spans),
+        "ratio": median / statistics.median(peers),
+        "note": note,
+    }

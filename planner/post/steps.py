@@ -121,6 +121,8 @@ class _Builder:
         stop = _stops(targets, keep)
         meets = np.zeros(len(keep), dtype=np.int64)
         if self.handshake is not None and len(targets.arms) > 1:
+            numbered = [arm for arm in targets.arms if robot(arms[arm].robot).family == "KUKA"]
+            stop = stop | _pauses([written[arm] for arm in numbered], keep)
             stop = meeting_rows(stop, self.handshake.every)
             meets = stop.astype(np.int64)
         duration = _durations(plan, keep)
@@ -308,6 +310,17 @@ def _stops(targets: Targets, keep: IntArray) -> BoolArray:
     if len(stop):
         stop[-1] = True
     return stop
+
+
+def _pauses(written: Sequence[tuple[FloatArray, FloatArray]], keep: IntArray) -> BoolArray:
+    """Whether (M,) the kept moves stop because one of these arms, which cannot pass through a corner into
+    standing still, stands still in this move or in the next one."""
+    still = np.zeros(len(keep), dtype=bool)
+    stations = np.concatenate([[0], keep])
+    for position, quaternion in written:
+        goes = np.any(np.diff(position[stations], axis=0) != 0.0, axis=1)
+        still |= ~(goes | np.any(np.diff(quaternion[stations], axis=0) != 0.0, axis=1))
+    return np.asarray(still | np.append(still[1:], False))
 
 
 def _durations(plan: OperationPlan, keep: IntArray) -> FloatArray:
