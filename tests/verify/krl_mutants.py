@@ -343,7 +343,11 @@ def _bump(rng, row):
 
 @mutator("verify.tool_data")
 def wrong_tool(rng, texts):
-    return edit(rng, texts, MAIN, r"^\$TOOL=", lambda row: _swapped(row, "t_bow_400", "t_bow_300"))
+    """The other operation's tool, with its load."""
+    rows = rows_of(texts, MAIN)
+    i = pick(rng, where(rows, r"^\$TOOL="))
+    rows[i : i + 2] = [_swapped(row, "bow_400", "bow_300") for row in rows[i : i + 2]]
+    return put(texts, MAIN, rows)
 
 
 @mutator("verify.syntax")
