@@ -44,14 +44,24 @@ def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
     ``radius`` [m] on the outer side of a strip with evenly spaced rulings."""
     if radius == 0.0:
         return strip.low, strip.high
-    ahead = _ahead(strip, radius)
-    return _touching(strip, radius, np.arange(len(strip.low)), ahead)
+    # straight on beyond both ends, so that what is ahead of the last ruling is there
+    longer = Strip(_on(strip.low), _on(strip.high), strip.out)
+    ahead = _ahead(longer, radius)
+    low, high = _touching(longer, radius, np.arange(len(longer.low)), ahead)
+    return low[WINDOW:-WINDOW], high[WINDOW:-WINDOW]
 
 
 def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
     """How far (M, K) [m] cylinders about the axes from ``low`` to ``high`` (M, 3) are off the surface at the
     levels: left where positive, cut too deep where negative."""
     return _off(strip, radius, low, high, np.arange(len(strip.low), dtype=np.float64))
+
+
+def _on(side: FloatArray) -> FloatArray:
+    """A guide (M + 2 WINDOW, 3) that goes on by ``WINDOW`` even steps at both ends."""
+    more = np.arange(1, WINDOW + 1)[:, None]
+    before, behind = side[0] - side[1], side[-1] - side[-2]
+    return np.concatenate([side[0] + more[::-1] * before, side, side[-1] + more * behind])
 
 
 def _ahead(strip: Strip, radius: float) -> FloatArray:

@@ -212,31 +212,40 @@ def _run(
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     rows = thinned(np.stack([on.low, on.high], axis=1), CHORD * tolerance, op.step_mm * MM)
     low, high = on.low[rows], on.high[rows]
-    ends = []
-    for k, after in ((0, 1), (-1, -2)):
-        way = low[k] - low[after] + high[k] - high[after]
-        way /= max(float(np.linalg.norm(way)), 1e-12)
-        length = cut.lead_mm * MM if cut.lead_mm is not None else None
-        if length is None:
-            far = np.stack([low[k] + min(lift, 0.0) * _unit(high[k] - low[k]), high[k]])
-            length = off_block(far, way, box, cutter.radius + CLEAR)
-        ends.append(beyond(low[k], high[k], way, length)[0:2] if length > 1e-6 else None)
-    lows = [
-        *([] if ends[0] is None else [ends[0][0][1:]]),
-        low,
-        *([] if ends[1] is None else [ends[1][0][1:]]),
-    ]
-    highs = [
-        *([] if ends[0] is None else [ends[0][1][1:]]),
-        high,
-        *([] if ends[1] is None else [ends[1][1][1:]]),
-    ]
-    base, top = np.concatenate(lows), np.concatenate(highs)
+    into = _lead(cut, low, high, (0, 1), lift, cutter, box)
+    out = _lead(cut, low, high, (-1, -2), lift, cutter, box)
+    base = np.concatenate([into[0][::-1], low, out[0]])
+    top = np.concatenate([into[1][::-1], high, out[1]])
     axis = _unit(top - base)
-    first = 0 if ends[0] is None else 1
+    first = len(into[0])
     path = plain_path(base + lift * axis, axis, (cut.feed_mm_s or op.feed_mm_s) * MM)
     reach = float(np.linalg.norm(on.high - on.low, axis=1).max()) - lift
     return Run(name, path, first, first + len(rows) - 1, max(reach, 0.0))
+
+
+def _lead(
+    cut: FlankCut,
+    low: FloatArray,
+    high: FloatArray,
+    rows: tuple[int, int],
+    lift: float,
+    cutter: Cutter,
+    box: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Axes (K, 3) each that go on beyond the first of two rows, away from the second."""
+    k, after = rows
+    low_way, high_way = low[k] - low[after], high[k] - high[after]
+    way = low_way + high_way
+    way /= max(float(np.linalg.norm(way)), 1e-12)
+    if cut.lead_mm is None:
+        far = np.stack([low[k] + min(lift, 0.0) * _unit(high[k] - low[k]), high[k]])
+        length = off_block(far, way, box, cutter.radius + CLEAR)
+    else:
+        length = cut.lead_mm * MM
+    if length < 1e-6:
+        return low[:0], high[:0]
+    one, other = beyond(low[k], high[k], low_way, high_way, length)
+    return one[1:], other[1:]
 
 
 def _length(side: FloatArray) -> float:

@@ -11,6 +11,8 @@ FloatArray = NDArray[np.float64]
 
 ROUND: Final = np.deg2rad(5.0)
 """Turn of the cutter about a corner from target to target."""
+PIECES: Final = 6
+"""Targets of a way in or out on which the tool still turns."""
 FARTHEST: Final = 5.0
 """A way that is not off the block after so much [m] never is."""
 
@@ -28,11 +30,18 @@ def off_block(ends: FloatArray, way: FloatArray, box: FloatArray, clear: float) 
 
 
 def beyond(
-    low: FloatArray, high: FloatArray, way: FloatArray, length: float
+    low: FloatArray, high: FloatArray, low_way: FloatArray, high_way: FloatArray, length: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Axes (2, 3) each, from an axis ``low`` to ``high`` (3,) straight on along ``way`` by ``length`` [m]."""
-    move = np.array([[0.0], [length]]) * way
-    return low + move, high + move
+    """Axes (K, 3) each, on from an axis ``low`` to ``high`` (3,) whose ends move by ``low_way`` and
+    ``high_way`` (3,) at once, by ``length`` [m]: first as the surface would go on, so that the tool
+    does not stop turning at once, then more and more straight."""
+    scale = max(float(np.linalg.norm(low_way)), float(np.linalg.norm(high_way)), 1e-12)
+    straight = 0.5 * (low_way + high_way) / scale
+    turn = 0.5 * (high_way - low_way) / scale
+    whole = length / max(float(np.linalg.norm(straight)), 0.1)
+    at = np.linspace(0.0, whole, PIECES + 1)[:, None]
+    slowing = at - at * at / (2.0 * whole)
+    return low + at * straight - slowing * turn, high + at * straight + slowing * turn
 
 
 def round_corner(

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import CutsSurface, StraightWire
+from planner.claims import CutsSurface, MillsAlong, SparesPart, StraightWire
 from planner.problem import Tool
 from planner.targets import Targets, works
 
@@ -41,9 +41,14 @@ def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
     """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
 
     A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
-    it. Whatever follows poses or joins two arms keeps to :data:`DEVIATION` everywhere.
+    it. A cutter may take a share of what its surfaces allow. Whatever follows poses or joins two arms keeps
+    to :data:`DEVIATION` everywhere.
     """
     least = np.full(len(labels), DEVIATION)
+    milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
+    if milled:
+        part = np.full(len(labels), max(DEVIATION, 1e3 * SURFACE_SHARE * min(milled)))
+        return np.where(np.array([works(label) for label in labels]), part, least)
     if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
         return least
     surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
