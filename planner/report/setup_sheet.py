@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.catalogue import robot
 from planner.claims import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
@@ -81,9 +82,25 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) 
     )
     waits = sum(a.seconds for a in targets.actions)
     items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
-    named = zip(problem.cell.arms, problem.cell.controller.tasks, strict=False)
-    tasks = ", ".join(f"{arm.name}: {task}" for arm, task in named)
-    return markup.facts([*items, ("tasks", tasks), *_wires(problem)])
+    return markup.facts([*items, *_controllers(problem), *_wires(problem)])
+
+
+def _controllers(problem: Problem) -> list[tuple[object, object]]:
+    """Tasks of ABB's arms; of KUKA's the dialect, what the controller must have, and numbers of signals."""
+    controller = problem.cell.controller
+    krl = [arm.name for arm in problem.cell.arms if robot(arm.robot).family == "KUKA"]
+    named = [
+        f"{arm.name}: {task}"
+        for arm, task in zip(problem.cell.arms, controller.tasks, strict=False)
+        if arm.name not in krl
+    ]
+    out: list[tuple[object, object]] = [("tasks", ", ".join(named))] if named else []
+    dialect = {"krc4": "KRC4, KSS 8.3 on", "krc2": "KRC2"}[controller.dialect]
+    for arm in krl:
+        numbers = controller.io.get(arm, {})
+        listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
+        out.append((f"KRL of {arm}", f"{dialect}; $ROBROOT zero{listed}"))
+    return out
 
 
 def _wires(problem: Problem) -> list[tuple[object, object]]:

@@ -228,3 +228,14 @@ def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, p
     controller = dataclasses.replace(problem.cell.controller, sync="handshake")
     apart = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
     assert "doPartner of left to diPartner of right" in str(setup_sheet.sheet(apart, plan))
+
+
+def test_setup_sheet_names_what_a_kuka_controller_must_have(problem: Problem, plan: Plan) -> None:
+    controller = dataclasses.replace(problem.cell.controller, io={"left": {"doSpindle": 17}}, dialect="krc2")
+    arms = (dataclasses.replace(problem.cell.arms[0], robot="kr60_ha"), *problem.cell.arms[1:])
+    cell = dataclasses.replace(problem.cell, controller=controller, arms=arms)
+    shown = str(setup_sheet.sheet(dataclasses.replace(problem, cell=cell), plan))
+    assert "KRL of left" in shown
+    assert "KRC2; $ROBROOT zero; doSpindle is number 17" in shown
+    assert "right: T_ROB2" in shown
+    assert "left: T_ROB1" not in shown
