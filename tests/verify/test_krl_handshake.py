@@ -1,0 +1,106 @@
+"""Two controllers of which one or both speak KRL: their handshakes are proven, and every fault in every
+statement of the protocol is caught."""
+
+from __future__ import annotations
+
+import functools
+import re
+
+import pytest
+
+from planner.post import write
+from planner.verify import rules_handshake, rules_sync
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from tests.post import krl_job
+
+KUKAS = ("kr10_r1100", "kr10_r1100")
+MIXED = ("irb140", "kr10_r1100")
+FORMS = [("four_phase", 1), ("toggle", 3)]
+OUT = re.compile(r"\$OUT\[1\]=(TRUE|FALSE)")
+IN = re.compile(r"WHILE \$IN\[1\]==(TRUE|FALSE)")
+CALL = re.compile(r"test_meet(_[01])?\(\)")
+GUARD = 11
+"""Lines of a guarded wait, its comment counted."""
+
+
+@functools.cache
+def job(models, kind, every):
+    plan, problem = krl_job.two(models, kind, every)
+    return problem, write.programs(plan, problem)
+
+
+def context(models, kind, every, programs=None):
+    problem, texts = job(models, kind, every)
+    return Context(problem, {"panel": ()}, texts if programs is None else programs)
+
+
+def broken(models, kind, every, programs):
+    """Whether the text, the handshake or the counts of moves are at fault."""
+    found = context(models, kind, every, programs)
+    if not found.readable:
+        return True
+    issues = rules_handshake.handshake(found).issues
+    if found.playable:
+        issues += (*rules_sync.move_count(found).issues, *rules_sync.stop_before_logic(found).issues)
+    return bool(issues)
+
+
+@pytest.mark.parametrize(("kind", "every"), FORMS)
+def test_a_pair_of_two_brands_is_proven_by_every_rule(kind, every):
+    problem, texts = job(MIXED, kind, every)
+    proof = Prover(problem, {"panel": ()}).prove(texts)
+    assert [str(issue) for issue in proof.issues] == []
+    assert proof.ok
+    assert "meetings" in proof.rule("verify.handshake").where
+
+
+@pytest.mark.parametrize(("kind", "every"), FORMS)
+def test_two_krl_programs_meet_as_often_as_the_mixed_pair(kind, every):
+    ours, mixed = context(KUKAS, kind, every), context(MIXED, kind, every)
+    assert rules_handshake.handshake(ours).issues == ()
+    assert rules_handshake.handshake(ours).where == rules_handshake.handshake(mixed).where
+    readings = ours.job.readings
+    for arm in ("left", "right"):
+        wanted = [(a.kind, a.wire, a.value) for a in mixed.job.readings[arm].actions]
+        assert [(a.kind, a.wire, a.value) for a in readings[arm].actions] == wanted
+
+
+def faults(rows, i):
+    """What is done to a statement of the protocol at a row."""
+    row = rows[i]
+    if OUT.match(row):
+        yield "left out", [*rows[:i], *rows[i + 1 :]]
+        yield "doubled", [*rows[:i], row, *rows[i:]]
+        yield "other output", [*rows[:i], row.replace("[1]", "[2]"), *rows[i + 1 :]]
+        yield "other level", [*rows[:i], _other(row), *rows[i + 1 :]]
+    elif IN.match(row):
+        yield "left out", [*rows[: i - 2], *rows[i - 2 + GUARD :]]
+        yield "other input", [*rows[:i], row.replace("[1]", "[2]"), *rows[i + 1 :]]
+        yield "other level", [*rows[:i], _other(row), *rows[i + 1 :]]
+        yield "not repeated", [*rows[:i], row.replace("WHILE", "IF"), *rows[i + 1 :]]
+    elif CALL.match(row):
+        yield "left out", [*rows[:i], *rows[i + 1 :]]
+        yield "doubled", [*rows[:i], row, *rows[i:]]
+        yield "on the fly", [*rows[: i - 1], rows[i - 1] + " C_SPL", *rows[i:]]
+
+
+def _other(row):
+    return row.replace("TRUE", "\0").replace("FALSE", "TRUE").replace("\0", "FALSE")
+
+
+@pytest.mark.parametrize(("kind", "every"), FORMS)
+def test_every_fault_in_every_statement_is_caught(kind, every):
+    _, texts = job(KUKAS, kind, every)
+    passed, tried = [], 0
+    for file, text in texts.items():
+        rows = text.split("\r\n")
+        for i in range(len(rows)):
+            for what, changed in faults(rows, i):
+                tried += 1
+                mutant = {**texts, file: "\r\n".join(changed)}
+                assert mutant != texts
+                if not broken(KUKAS, kind, every, mutant):
+                    passed.append((file, i + 1, what))
+    assert tried >= 100
+    assert passed == []
