@@ -29,6 +29,7 @@ from planner import (
 )
 from planner.forming import operation as forming
 from planner.hotwire import operation, straight_operation
+from planner.milling import gcode_file
 from planner.milling import operation as milling
 from planner.verify import prove
 
@@ -76,6 +77,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cuts` of `milling`: a flank", "", milling.FlankCut),
     ("`cuts` of `milling`: lines", "", milling.LinesCut),
     ("`cuts` of `milling`: an engraving", "", milling.EngraveCut),
+    ("`cuts` of `milling`: a G-code file", "", gcode_file.GCodeCut),
+    ("`gcode` of such a cut", "", gcode_file.GCodeFile),
     ("Process `targets`", "process-targets", posed.Posed),
     ("`free` of `targets`, each", "", posed.FreeAxis),
     ("`cell`, or the file that it names", "cell", cell_file.CellFile),

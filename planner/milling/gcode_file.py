@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from planner.milling.gcode_rotary import CONVENTIONS, ConventionName, convention
 from planner.milling.gcode_state import INCH, NOWHERE, Dialect, FeedMode, Triple
 from planner.part_file import PlaceFile
-from planner.schema import Strict, Vector
+from planner.schema import Name, Strict, Vector
 from planner.units import DEG, MM
 
 Offset = Literal["G54", "G55", "G56", "G57", "G58", "G59"]
@@ -126,6 +126,17 @@ class GCodeFile(Strict):
             angle=self.angle_tol_deg * DEG,
             place=self.origin.matrix(),
         )
+
+
+class GCodeCut(Strict):
+    """What a G-code file cuts, at its own feeds; its rapid moves are replaced by safe ones."""
+
+    gcode: GCodeFile
+    name: Name = "program"
+    shape_tol_mm: Annotated[
+        float | None,
+        Field(ge=0.005, le=20, description="of the tip to the file's way; none: that of the operation"),
+    ] = None
 
 
 def _metres(vector: Vector) -> Triple:

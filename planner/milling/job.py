@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from planner.geometry.rulings import tessellate
 from planner.issues import Issue, TandemError
-from planner.milling import engrave_cut, flank_cut, lines_cut
+from planner.milling import engrave_cut, flank_cut, gcode_cut, lines_cut
+from planner.milling.gcode_file import GCodeCut
 from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.over import Over
 from planner.milling.values import Run
@@ -42,7 +43,7 @@ class Done:
     goes into the part's front by intent.
     """
 
-    cut: FlankCut | LinesCut | EngraveCut
+    cut: FlankCut | LinesCut | EngraveCut | GCodeCut
     runs: tuple[Run, ...]
     face: Face | None
     tolerance: float
@@ -75,9 +76,13 @@ def job(op: Milling, setup: Setup, part: Part | None) -> Job:
     notes: list[Issue] = []
     done: list[Done] = []
     over: Over | None = None
-    for cut in op.cuts:
+    for number, cut in enumerate(op.cuts):
         try:
-            if isinstance(cut, FlankCut):
+            if isinstance(cut, GCodeCut):
+                made, told = _program(op, cut, f"operations.cuts.{number}")
+                done.append(made)
+                notes += told
+            elif isinstance(cut, FlankCut):
                 made, told = _flank(op, cut, part, cutter, box)
                 done.append(made)
                 notes += told
@@ -115,6 +120,12 @@ def _flank(
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     face = None if cut.guides == "tool" else Face(cut.flank, tessellate(ruled, CHORD))
     return Done(cut, made.runs, face, tolerance, made.off), made.notes
+
+
+def _program(op: Milling, cut: GCodeCut, field: str) -> tuple[Done, tuple[Issue, ...]]:
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    read = gcode_cut.passes(cut, op.step_mm * MM, tolerance, field)
+    return Done(cut, read.runs, None, tolerance), read.notes
 
 
 def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter) -> Done:

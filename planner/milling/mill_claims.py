@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 from planner.claims import Claim, ContactOnlyIn, FeedWindow, MillsAlong, MillsSurface, SparesPart
+from planner.milling.gcode_file import GCodeCut
 from planner.milling.job import Done, Job
 from planner.milling.operation import FlankCut
+from planner.milling.values import Run, ToolPath
 from planner.units import DEG, MM
 
 TURN: Final = 0.5 * DEG
@@ -19,9 +21,9 @@ def claims(job: Job) -> tuple[Claim, ...]:
     op = job.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
     for one in job.cuts:
-        feed = (one.cut.feed_mm_s or op.feed_mm_s) * MM
-        fast = max(feed, op.rapid_mm_s * MM)
         for run in one.runs:
+            feed = _feed(job, one, run)
+            fast = max(feed, op.rapid_mm_s * MM)
             out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
             out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
             out.append(FeedWindow(f"mill/{run.name}_out", 0.0, fast))
@@ -32,6 +34,18 @@ def claims(job: Job) -> tuple[Claim, ...]:
             mesh = (face.mesh.vertices, face.mesh.faces)
             out.append(SparesPart(segments, op.arms[0], job.cutter, *mesh, deep, one.tolerance))
     return tuple(out)
+
+
+def _feed(job: Job, one: Done, run: Run) -> float:
+    """The highest feed [m/s] of a pass; a G-code file has its own."""
+    if isinstance(one.cut, GCodeCut):
+        return float(_followed(run).feed[1:].max())
+    return (one.cut.feed_mm_s or job.operation.feed_mm_s) * MM
+
+
+def _followed(run: Run) -> ToolPath:
+    """What a pass follows: the way that its path stands for, between its ways in and out."""
+    return run.path[run.first : run.last + 1] if run.follow is None else run.follow
 
 
 def _shape(job: Job, one: Done) -> list[Claim]:
@@ -47,8 +61,8 @@ def _shape(job: Job, one: Done) -> list[Claim]:
         MillsAlong(
             f"mill/{run.name}",
             op.arms[0],
-            run.path.tip[run.first : run.last + 1],
-            run.path.axis[run.first : run.last + 1],
+            _followed(run).tip,
+            _followed(run).axis,
             one.tolerance,
             TURN,
         )

@@ -7,11 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from planner.milling.gcode_file import GCodeCut
 from planner.milling.job import Job
 from planner.milling.operation import FlankCut, LinesCut
 from planner.milling.route import Route
 from planner.units import MM
 
+KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G-code"))
 SHOWN: Final = 80
 """Curves that the picture of the ways shows at most."""
 
@@ -40,13 +42,7 @@ def _setup(job: Job) -> dict[str, Any]:
 def _cuts(job: Job) -> dict[str, Any]:
     rows = []
     for one in job.cuts:
-        kind = (
-            "flank"
-            if isinstance(one.cut, FlankCut)
-            else "lines"
-            if isinstance(one.cut, LinesCut)
-            else "engraving"
-        )
+        kind = next((name for model, name in KINDS if isinstance(one.cut, model)), "engraving")
         for run in one.runs:
             way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
             off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""

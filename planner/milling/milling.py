@@ -6,6 +6,7 @@ ways between), ``mill_check`` (what would go wrong), ``mill_claims`` (what must 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -50,7 +51,7 @@ def claims(operation: Milling, setup: Setup, part: Part | None) -> tuple[Claim, 
 def _targets(made: Job, setup: Setup, route: Route, issues: tuple[Issue, ...]) -> Targets:
     op = made.operation
     arm, count = op.arms[0], len(route.segment)
-    actions = _actions(made, setup, route)
+    actions = tuple(sorted(_actions(made, setup, route), key=lambda action: action.at))
     stop = route.stop.copy()
     stop[[action.at for action in actions]] = True
     return Targets(
@@ -84,12 +85,30 @@ def _actions(made: Job, setup: Setup, route: Route) -> tuple[Action, ...]:
     op, size = made.operation, (setup.stock.upper - setup.stock.lower) / MM
     tool = f"{made.cutter.kind} mill of {2e3 * made.cutter.radius:g} mm, {op.spindle_rpm:g} 1/min"
     last = len(route.segment) - 1
+    asked = made.runs[0].before
     return (
         Action(0, "message", f"Block {size[0]:g} x {size[1]:g} x {size[2]:g} mm; {tool}"),
+        *([Action(0, "confirm", asked)] if asked else []),
         Action(0, "confirm", "Block and cutter clamped, nobody in the cell?"),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
+        *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
         Action(last, "confirm", "Spindle stands, take the part out?"),
     )
+
+
+def _between(made: Job, route: Route) -> Iterator[Action]:
+    """What is asked on the safe plane between passes, with the spindle standing, and waits within them."""
+    op = made.operation
+    starts = [i for i, label in enumerate(route.segment) if label in ("approach", "link")]
+    for number, (run, start) in enumerate(zip(made.runs, starts, strict=True)):
+        if run.before and number > 0:
+            yield Action(start, "off", signal=op.signal)
+            yield Action(start, "wait", seconds=op.spin_down_s)
+            yield Action(start, "confirm", run.before)
+            yield Action(start, "on", signal=op.signal)
+            yield Action(start, "wait", seconds=op.spin_up_s)
+        for row, seconds in run.waits:
+            yield Action(start + 1 + row, "wait", seconds=seconds)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from planner.milling.gcode_file import GCodeCut
 from planner.part_ruled_file import GuideFile
 from planner.problem import Stock
 from planner.schema import Angle, Name, Strict
@@ -111,7 +112,7 @@ class EngraveCut(_Cut):
 
 def _cut_kind(value: object) -> str:
     """Which kind of cut is meant, so that its faults are told of that one alone."""
-    for kind, model in (("lines", LinesCut), ("engrave", EngraveCut)):
+    for kind, model in (("lines", LinesCut), ("engrave", EngraveCut), ("gcode", GCodeCut)):
         if kind in value if isinstance(value, dict) else isinstance(value, model):
             return kind
     return "flank"
@@ -120,7 +121,8 @@ def _cut_kind(value: object) -> str:
 AnyCut = Annotated[
     Annotated[FlankCut, Tag("flank")]
     | Annotated[LinesCut, Tag("lines")]
-    | Annotated[EngraveCut, Tag("engrave")],
+    | Annotated[EngraveCut, Tag("engrave")]
+    | Annotated[GCodeCut, Tag("gcode")],
     Discriminator(_cut_kind),
 ]
 
@@ -174,7 +176,7 @@ class Milling(Strict):
         return stock
 
 
-def cut_name(cut: FlankCut | LinesCut | EngraveCut) -> str:
+def cut_name(cut: FlankCut | LinesCut | EngraveCut | GCodeCut) -> str:
     """The name of a cut, by which its segments are called."""
     if isinstance(cut, FlankCut):
         return cut.flank

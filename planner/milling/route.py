@@ -110,7 +110,8 @@ def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name
 
 
 def _stops(tip: FloatArray) -> NDArray[np.bool_]:
-    """(N,) where the tool stops: at both ends, at sharp corners, and here and there in long passes."""
+    """(N,) where the tool stops: at both ends, at sharp corners, at turns in place, and here and there in
+    long passes."""
     out = np.zeros(len(tip), dtype=bool)
     out[[0, -1]] = True
     step = np.diff(tip, axis=0)
@@ -120,6 +121,8 @@ def _stops(tip: FloatArray) -> NDArray[np.bool_]:
         way = step[long] / length[long, None]
         cosine = np.einsum("nd,nd->n", way[1:], way[:-1])
         out[long[1:][cosine < np.cos(SHARP)]] = True
+    moving = length > STILL
+    out[1:-1] |= moving[1:] != moving[:-1]  # before and after turns in place
     for first in range(RUN, len(tip) - RUN // 2, RUN):
         if not out[first - RUN // 2 : first + RUN // 2].any():
             out[first] = True

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from planner.claims import MillsAlong, MillsSurface, SparesPart
+from planner.claims import MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, solids, sweep
-from planner.verify.mill_track import WAYS, Milling, Track
+from planner.verify.mill_follow import follow
+from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
 
@@ -135,7 +135,8 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if not len(track.rows):
             issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
             continue
-        off, turn, at = follow(claim, track)
+        found = follow(claim, track.tip, track.axis)
+        off, turn = found.off, found.turn
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
             worst, limit, where = share, 1.0, claim.segment
@@ -149,50 +150,10 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
             measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
             row = int(track.rows[i])
             issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
-        missed = _missed(claim, track)
-        back = float(np.maximum(np.maximum.accumulate(at) - at, 0.0).max())
-        if missed or back > 4.0 * claim.tolerance + 1e-3:
-            word = (
-                f"{missed} of {len(claim.tip)} places are never passed"
-                if missed
-                else f"goes back by {mm(back):.2f} mm"
-            )
+        if found.missed:
+            word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
             issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=claim.segment))
     return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
-
-
-def follow(claim: MillsAlong, track: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """How far (T,) [m] the tip is off the curve, how far [rad] the axis is off that there, and where on the
-    curve it is [m along it]. Of two stretches that meet the one farther on counts."""
-    length = np.linalg.norm(np.diff(claim.tip, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(length)])
-    a, way = claim.tip[:-1], np.diff(claim.tip, axis=0)
-    square = np.maximum((way * way).sum(axis=1), 1e-24)
-    count = len(track.tip)
-    off, turn, at = np.empty(count), np.empty(count), np.empty(count)
-    last = 0.0
-    ahead = 0.05 + 20.0 * claim.tolerance
-    for i in range(count):
-        low = max(int(np.searchsorted(along, last - ahead, side="right")) - 1, 0)
-        high = min(int(np.searchsorted(along, last + ahead)) + 1, len(a))
-        part = slice(low, max(high, low + 1))
-        rest = track.tip[i] - a[part]
-        share = np.clip((rest * way[part]).sum(axis=1) / square[part], 0.0, 1.0)
-        apart = np.linalg.norm(rest - share[:, None] * way[part], axis=1)
-        k = int(apart.argmin())
-        off[i], at[i] = apart[k], along[low + k] + share[k] * length[low + k]
-        wanted = claim.axis[low + k] + share[k] * (claim.axis[low + k + 1] - claim.axis[low + k])
-        cosine = float(track.axis[i] @ wanted) / max(float(np.linalg.norm(wanted)), 1e-12)
-        turn[i] = np.arccos(np.clip(cosine, -1.0, 1.0))
-        last = at[i]
-    return off, turn, at
-
-
-def _missed(claim: MillsAlong, track: Track) -> int:
-    """How many places of the curve the tip never passes within twice the tolerance and its own steps."""
-    step = float(np.linalg.norm(np.diff(track.tip, axis=0), axis=1).max(initial=0.0))
-    apart = cKDTree(track.tip).query(claim.tip)[0]
-    return int(np.count_nonzero(np.asarray(apart) > 2.0 * claim.tolerance + step))
 
 
 def _unclaimed(context: Context, milling: Milling) -> list[Issue]:

@@ -262,6 +262,83 @@ def closing(rings: int, around: int = 48) -> str:
     return "v 0 0 20\n" + "\n".join(faces) + "\n"
 
 
+def gcode_faults() -> dict[str, tuple[str, list[str]]]:
+    """G-code files, and the codes that each gives: units, feeds and planes stated nowhere; axes of no
+    machine; slips and words that no robot carries out."""
+    return {
+        "gcode_unstated": (
+            "\n".join(
+                [
+                    "G90 S12000 M3",
+                    "G0 X-50 Y0 Z20",
+                    "G1 Z-2 F900",
+                    "G2 X50 I50 J0",
+                    "X0",
+                    "G0 Z20",
+                    "M30",
+                    "",
+                ]
+            ),
+            ["gcode.unit", "gcode.feed", "gcode.plane"],
+        ),
+        "gcode_no_machine": (
+            "\n".join(
+                [
+                    "G21 G90 G94 S12000 M3 F1200",
+                    "G0 X-100 Y0 Z20 A30 C90",
+                    "G1 Z-2",
+                    "X100 A25",
+                    "G0 Z20",
+                    "M30",
+                    "",
+                ]
+            ),
+            ["gcode.rotary"],
+        ),
+        "gcode_malformed": (
+            "\n".join(
+                [
+                    "G21 G90 G17 G94 S12000 M3 F1200",
+                    "G0 X0 Y0 Z20",
+                    "G1 Z-2",
+                    "G2 X10 Y0 I3 J0 (the centre is not in the middle)",
+                    "G81 X20 Y20 Z-5 R2 (a canned cycle)",
+                    "M8",
+                    "G1 X=40",
+                    "G42 D1 X50",
+                    "T2 M6",
+                    "T3 M6",
+                    "M3",
+                    "G55 X10",
+                    "G4 P500",
+                    "G0 Z20",
+                    "M30",
+                    "",
+                ]
+            ),
+            ["gcode.arc", "gcode.word", "gcode.syntax", "gcode.tool", "gcode.offset", "gcode.mode"],
+        ),
+    }
+
+
+def gcode_problem(name: str) -> dict[str, Any]:
+    """A block that is milled by a G-code file of which nothing else is stated."""
+    return {
+        "tandem": 1,
+        "name": name,
+        "cell": "../cells/irb6640_mill.yaml",
+        "stock": {"size_mm": [320, 240, 80], "place": {"xyz_mm": [1500, 0, 900]}},
+        "operations": [
+            {
+                "name": "panel",
+                "process": "milling",
+                "arms": ["robot"],
+                "cuts": [{"gcode": {"file": f"{name}.nc", "origin": {"xyz_mm": [0, 0, 80]}}}],
+            }
+        ],
+    }
+
+
 def main() -> None:
     """Write all files beside this one."""
     folder = Path(__file__).parent
@@ -278,6 +355,13 @@ def main() -> None:
             "# Written by make_problems.py. This problem cannot be solved.\n" + text
         )
         (folder / f"{name}.obj").write_text(mesh)
+        expect[f"{name}.yaml"] = codes
+    for name, (program, codes) in gcode_faults().items():
+        text = yaml.safe_dump(gcode_problem(name), sort_keys=False, default_flow_style=None, width=110)
+        (folder / f"{name}.yaml").write_text(
+            "# Written by make_problems.py. This problem cannot be solved.\n" + text
+        )
+        (folder / f"{name}.nc").write_text(program)
         expect[f"{name}.yaml"] = codes
     for name, text in airfoils().items():
         (folder / name).write_text(text)

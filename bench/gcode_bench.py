@@ -1,0 +1,109 @@
+"""G-code in: a million lines read, beside a plain loop over them, and 100,000 lines planned and proven."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.milling import gcode
+from planner.milling.gcode_file import GCodeFile
+
+LINES = 1_000_000
+PLANNED = 332
+"""Lines of the raster that is planned, each of 301 places: 100,000 lines of the file."""
+PROBLEM = """\
+tandem: 1
+name: gcode_100k
+cell: {cell}
+stock:
+  size_mm: [320, 240, 80]
+  place: {{xyz_mm: [1500, 0, 900]}}
+settings: {{clearance_mm: 8}}
+operations:
+  - name: panel
+    process: milling
+    arms: [robot]
+    shape_tol_mm: 0.1
+    cuts:
+      - {{gcode: {{file: job.nc, origin: {{xyz_mm: [0, 0, 80]}}, tool_axis: ijk}}}}
+"""
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [_read(Path(folder) / "million.nc"), _plan(Path(folder))]
+
+
+def raster(rows: int) -> list[str]:
+    """Lines of a zigzag over a wavy face, the tool along its normals, places 1 mm apart."""
+    across = np.linspace(-150.0, 150.0, 301)
+    out = []
+    for number, y in enumerate(np.linspace(-110.0, 110.0, rows)):
+        x = across if number % 2 == 0 else across[::-1]
+        z = -5.0 + 3.0 * np.sin(x / 25.0) * np.sin(y / 25.0)
+        slope = [
+            -0.12 * np.cos(x / 25.0) * np.sin(y / 25.0),
+            -0.12 * np.sin(x / 25.0) * np.cos(y / 25.0),
+            np.ones_like(x),
+        ]
+        normal = np.stack(slope, axis=1) / np.linalg.norm(slope, axis=0)[:, None]
+        for place, (i, j, k) in zip(zip(x, z, strict=True), normal, strict=True):
+            out.append(f"X{place[0]:.3f}Y{y:.3f}Z{place[1]:.3f}I{i:.6f}J{j:.6f}K{k:.6f}")
+    return out
+
+
+def program(lines: list[str]) -> str:
+    """A whole file of these places."""
+    head = ["G21 G90 G94 G17", "S12000 M3 F3000", "G0 X-150 Y-110 Z20 I0 J0 K1", f"G1 {lines[0]}"]
+    return "\n".join([*head, *lines[1:], "G0 Z30", "M5", "M30", ""])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    lines = raster(PLANNED)
+    path.write_text(program(lines * (LINES // len(lines) + 1)))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.perf_counter()
+    spec = GCodeFile.model_validate({"file": path, "origin": {}, "tool_axis": "ijk"})
+    count = sum(len(block.path) for block in gcode.blocks(spec.dialect("gcode")))
+    span = time.perf_counter() - start
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024.0
+    start = time.perf_counter()
+    with path.open() as stream:
+        for line in stream:
+            line.split("X")
+    peer = time.perf_counter() - start
+    note = (
+        f"{count} moves, {count / span:.0f} lines/s, {grown:.0f} MB more; peer: a loop that splits each line"
+    )
+    return {"name": "G-code, a million lines", "median_s": span, "ratio": span / peer, "note": note}
+
+
+def _plan(folder: Path) -> dict[str, Any]:
+    (folder / "job.nc").write_text(program(raster(PLANNED)))
+    cell = Path(__file__).parent.parent / "problems" / "cells" / "irb6640_mill.yaml"
+    (folder / "problem.yaml").write_text(PROBLEM.format(cell=cell))
+    start = time.perf_counter()
+    command = [
+        sys.executable,
+        "-m",
+        "planner",
+        "plan",
+        str(folder / "problem.yaml"),
+        "-o",
+        str(folder / "out"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    span = time.perf_counter() - start
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    told = [line for line in done.stdout.splitlines() if "targets" in line]
+    proven = "proven" if done.returncode == 0 else "NOT proven"
+    note = f"{proven}, {told[-1] if told else 'no plan'}; peak memory {peak:.0f} MB, goal 2000 MB"
+    return {"name": "G-code, 100,000 lines planned", "median_s": span, "note": note}

@@ -1,0 +1,15 @@
+G21 G90 G17 G94 S12000 M3 F1200
+G0 X0 Y0 Z20
+G1 Z-2
+G2 X10 Y0 I3 J0 (the centre is not in the middle)
+G81 X20 Y20 Z-5 R2 (a canned cycle)
+M8
+G1 X=40
+G42 D1 X50
+T2 M6
+T3 M6
+M3
+G55 X10
+G4 P500
+G0 Z20
+M30
