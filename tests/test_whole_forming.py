@@ -141,6 +141,17 @@ def test_small_jobs_of_other_modes_are_proven(tmp_path: Path, mode: str) -> None
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("shift", [10, 30, 40])
+def test_a_support_that_is_shifted_up_to_the_wall_s_angle_is_proven(tmp_path: Path, shift: int) -> None:
+    outcome = planned(tmp_path, "dpif_l", shift_deg=shift)
+    assert outcome.verified, outcome.issues
+    former, support = (centres(outcome, arm, "form/f1") for arm in ("left", "right"))
+    line = (former - support) / np.linalg.norm(former - support, axis=1)[:, None]
+    turned = np.rad2deg(np.arccos(np.clip(line[:, 2], -1.0, 1.0)))
+    assert turned.max() == pytest.approx(40.0 - shift, abs=0.5)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
 def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
     outcome = planned(tmp_path, "spif", path=kind)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim
 from planner.forming import forming_claims, holder
-from planner.forming.forming_check import check
+from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
 from planner.forming.job import Job, job, segment
@@ -44,7 +44,7 @@ MOST: Final = 4000
 def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
     made = job(operation, setup, part)
-    refused = list(holder.issues(made))
+    refused = [*holder.issues(made), *shift_issues(made)]
     if refused:
         raise TandemError(refused)
     paths = [(one, lay(made, one)) for one in made.passes]

@@ -120,9 +120,14 @@ class Face:
             if len(rows):
                 which, triangle = self._tree.near_ways(start[rows], end[rows], need[rows])
                 which = rows[which]
-                near = _apart(start[which], end[which], self.corners[triangle])
+                near = apart(start[which], end[which], self.corners[triangle])
                 np.minimum.at(out, which, near)
         return np.where(out < need, out, np.inf)
+
+    def near_ways(self, start: FloatArray, end: FloatArray, need: FloatArray) -> tuple[IntArray, IntArray]:
+        """Pairs of straight ways from ``start`` to ``end`` (K, 3) and triangles that may be nearer than
+        ``need`` (K,) [m]."""
+        return self._tree.near_ways(start, end, need)
 
     def _foot(self, points: FloatArray, triangle: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Barycentric weights (M, 3) and places (M, 3) of triangles (M,) nearest to points (M, 3), and how
@@ -152,7 +157,7 @@ def _border(vertices: FloatArray, faces: IntArray) -> BoolArray:
     return np.asarray((count[which.ravel()] == 1).reshape(-1, 3))
 
 
-def _apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
+def apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
     """How near (M,) [m] the straight ways (M, 3) come to triangles (M, 3, 3): to their edges, or through
     them. What their ends are off is not asked."""
     out = np.full(len(start), np.inf)

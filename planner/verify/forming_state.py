@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState
+from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_track import Pieces, Track, pieces, track
@@ -71,6 +71,11 @@ class Forming:
     def states(self) -> tuple[tuple[int, SheetState], ...]:
         """All claims of what tools meet, with their setups."""
         return tuple((index, claim) for index, claim in self.by_setup if isinstance(claim, SheetState))
+
+    @cached_property
+    def gapped(self) -> frozenset[str]:
+        """Segments in which two tools hold the sheet between them."""
+        return frozenset(claim.segment.lower() for _, claim in self.by_setup if isinstance(claim, ToolGap))
 
     @cached_property
     def labels(self) -> frozenset[str]:

@@ -13,6 +13,7 @@ from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
+from planner.verify.forming_reached import least, levels
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.forming_track import Track, track
 from planner.verify.rules_forming import NONE, spread
@@ -27,6 +28,7 @@ LOOKED = 0.001
 """Where bounds do not settle it, tools are looked at whenever they have moved so far [m]."""
 ROUGH = 0.15
 """Bounds by the nearest place may be too near by this share."""
+BESIDE = 1e-12
 _BLOCK = 32
 _PLACES = 60_000
 
@@ -51,7 +53,8 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                 what = f"{arm} has no program for {state.segment}"
                 issues.append(Issue("verify.sheet", what, field=state.segment))
                 continue
-            for deep, row in _all(formed, way, state, number):
+            held = state.segment.lower() in forming.gapped
+            for deep, row in _all(formed, way, state, number, held):
                 k = int(np.argmax(deep)) if len(deep) else -1
                 if k >= 0 and deep[k] - state.tolerance > worst:
                     worst, limit, where = float(deep[k]) - state.tolerance, mm(state.tolerance), state.segment
@@ -68,8 +71,11 @@ def sheet(context: Context, forming: Forming) -> Outcome:
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
 
 
-def _all(one: Formed | None, way: Track, state: SheetState, number: int) -> list[tuple[FloatArray, IntArray]]:
-    """How deep [m] things are inside a tool, and at which rows of the track."""
+def _all(
+    one: Formed | None, way: Track, state: SheetState, number: int, held: bool
+) -> list[tuple[FloatArray, IntArray]]:
+    """How deep [m] things are inside a tool, and at which rows of the track; ``held``: two tools hold the
+    sheet between them."""
     profile = state.heads[number]
     column = way.arms.index(state.arms[number])
     centre, axis = way.centre[:, column], way.axis[:, column]
@@ -79,25 +85,49 @@ def _all(one: Formed | None, way: Track, state: SheetState, number: int) -> list
     out = [whole.into(state.fixed, centre, axis, still, state.tolerance)]
     if len(state.carried):
         out.append(whole.into(state.carried, centre, axis, _sunk(way, state), state.tolerance))
-    if one is not None:
-        # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
-        face = _Head(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
-        out.append(face.into(_places(one), centre, axis, still, state.tolerance))
-    if one is not None and not former:
-        # on its own side of the face, and of the flat sheet around it
-        ball = max(-float(profile[0, 0]), 0.0)
-        room = -state.side * one.face.nearest(centre[one.knots]).signed
-        out.append((ball - room, one.knots))
-        first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
-        step = np.linalg.norm(centre[last] - centre[first], axis=1)
-        least = 0.5 * (
-            room[np.searchsorted(one.knots, first)] + room[np.searchsorted(one.knots, last)] - step
-        )
-        doubt = np.flatnonzero(least - off < ball - state.tolerance)
-        need = ball - state.tolerance + off[doubt]
-        between = one.face.least(centre[first[doubt]], centre[last[doubt]], need) - off[doubt]
-        out.append((ball - between, last[doubt]))
+    if one is None:
+        return out
+    # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
+    face = _Head(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
+    level = None if former or not held else levels(one)
+    there = None if level is None else (state.side, _at_rows(one, level))
+    out.append(face.into(_places(one), centre, axis, still, state.tolerance, there))
+    if not former:
+        out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
     return out
+
+
+def _at_rows(one: Formed, level: FloatArray) -> FloatArray:
+    """What is known at the knots of a pass, at all rows of its track: that of the knot at it or behind it."""
+    rows = np.searchsorted(one.knots, np.arange(len(one.track.rows)))
+    return level[np.minimum(rows, len(level) - 1)]
+
+
+def _own_side(
+    one: Formed, centre: FloatArray, ball: float, state: SheetState, level: FloatArray | None
+) -> list[tuple[FloatArray, IntArray]]:
+    """How deep [m] the other tool's ball is in the face, and in the flat sheet around it, or on their wrong
+    side, with rows of the track. Where ``level`` (K + 1,) [m] at the knots says what of the face is there,
+    that alone counts, and all the sheet is flat before any is."""
+    first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
+    begin, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
+    step = np.linalg.norm(centre[last] - centre[first], axis=1)
+    near = one.face.nearest(centre[one.knots])
+    room = -state.side * near.signed
+    doubt = np.flatnonzero(0.5 * (room[begin] + room[end] - step) - off < ball - state.tolerance)
+    one_end, other_end = centre[first[doubt]], centre[last[doubt]]
+    need = ball - state.tolerance + off[doubt]
+    if level is None:
+        between = one.face.least(one_end, other_end, need)
+        return [(ball - room, one.knots), (ball - between + off[doubt], last[doubt])]
+    flat = state.side * one.claim.start
+    # beyond the border of the face its height over the flat is what is signed
+    around = np.abs(np.abs(near.signed) - near.apart) > BESIDE
+    before = ~one.track.own[one.knots] & (level >= flat)
+    height = state.side * centre[one.knots, 2] - flat
+    deep = np.where(before, ball + height, np.where(around, ball - room, -np.inf))
+    between = least(one.face, one_end, other_end, need, state.side, level[end[doubt]])
+    return [(deep, one.knots), (ball - between + off[doubt], last[doubt])]
 
 
 def _sunk(way: Track, state: SheetState) -> FloatArray:
@@ -133,10 +163,17 @@ class _Head:
         self.balls = _cover(back, radius)
 
     def into(
-        self, points: FloatArray, centre: FloatArray, axis: FloatArray, rise: FloatArray, need: float
+        self,
+        points: FloatArray,
+        centre: FloatArray,
+        axis: FloatArray,
+        rise: FloatArray,
+        need: float,
+        there: tuple[int, FloatArray] | None = None,
     ) -> tuple[FloatArray, IntArray]:
         """How deep (R,) [m] points (P, 3), moved along z by ``rise`` (T,) [m], are inside the tool, at those
-        rows (R,) of its way ``centre``, ``axis`` (T, 3) at which bounds do not say that none is."""
+        rows (R,) of its way ``centre``, ``axis`` (T, 3) at which bounds do not say that none is. Points count
+        that are ``there``: as high (T,) [m] as that toward a side, or higher."""
         if not len(points):
             return np.zeros(0), np.zeros(0, dtype=np.int64)
         tree = cKDTree(points)
@@ -147,7 +184,8 @@ class _Head:
             own |= _near(tree, middle, size - need)
         rows = np.flatnonzero(doubt.any(axis=0))
         rows = rows[_thinned(centre[rows] - 0.5 * self.back[-1] * axis[rows], rise[rows])]
-        return self._depth(tree, points, centre[rows], axis[rows], rise[rows], doubt[:, rows]), rows
+        kept = None if there is None else (there[0], there[1][rows])
+        return self._depth(tree, points, centre[rows], axis[rows], rise[rows], doubt[:, rows], kept), rows
 
     def _depth(
         self,
@@ -157,6 +195,7 @@ class _Head:
         axis: FloatArray,
         rise: FloatArray,
         doubt: BoolArray,
+        there: tuple[int, FloatArray] | None,
     ) -> FloatArray:
         """``doubt`` (K, R): the rows at which a point may be in each of the balls that cover the tool."""
         deep = np.full(len(centre), -np.inf)
@@ -177,7 +216,10 @@ class _Head:
                 rest[:, 2] += rise[which]
                 behind = -np.einsum("nd,nd->n", rest, axis[which])
                 beside = np.sqrt(np.maximum(np.einsum("nd,nd->n", rest, rest) - behind**2, 0.0))
-                np.maximum.at(deep, which, self._inside(behind, beside))
+                inside = self._inside(behind, beside)
+                if there is not None:
+                    inside = np.where(there[0] * near[:, 2] >= there[1][which], inside, -np.inf)
+                np.maximum.at(deep, which, inside)
         return deep
 
     def _inside(self, behind: FloatArray, beside: FloatArray) -> FloatArray:

@@ -190,7 +190,7 @@ def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze:
 
 def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_path: Path) -> None:
     part = shapes.cone(45.0, 0.018, 0.03, 240)
-    for shift in (20.0, 90.0):
+    for shift in (20.0, 45.0):
         found = problem(tmp_path, "dpif_l", part, shift_deg=shift, stepdown_mm=3)
         targets = processes.make_targets(found, 0)
         left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
@@ -199,6 +199,13 @@ def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_
         wall = (radius > 0.014) & (radius < 0.018)
         angle = np.arccos(line[wall, 2]) / DEG
         np.testing.assert_allclose(angle, max(45.0 - shift, 0.0), atol=0.6)
+
+
+def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
+    told = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
+    assert "shift_deg is 41, allowed is 0 to 40.0" in told
+    with pytest.raises(TandemError, match="shift_deg belongs to mode dpif_l"):
+        problem(tmp_path, "dsif", shift_deg=10)
 
 
 @pytest.mark.parametrize("outline", ["star", "notched"])

@@ -142,7 +142,7 @@ def into_the_wall_beside(rng, texts):
     """The support runs into a wall that is formed already."""
     rows = segment(texts, "form_f1")
     for n, k in enumerate(rows[30:50]):
-        texts = moved(texts, k, [60.0 - 3.0 * abs(n - 10), 0.0, -3.0], (2,))
+        texts = moved(texts, k, [70.0 - 3.0 * abs(n - 10), 0.0, -3.0], (2,))
     return texts
 
 
