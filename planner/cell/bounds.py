@@ -23,6 +23,8 @@ IntArray = NDArray[np.intp]
 
 SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
+FINE: Final = 2e-5
+"""Length [m] of axis within which the place nearest to a box is found."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,8 +108,7 @@ class Bounds:
         two = turns[at, self.part[second]] @ self.frame[second], self.support[second]
         gap[touch] = np.maximum(gap[touch], _separation(w[touch], between[touch], one, two))
         np.minimum.at(lower, row, gap)
-        for k, near in enumerate(boxes):
-            np.minimum.at(lower, near.row, self._below(near, k))
+        self._below(lower, boxes, limit)
         return lower, upper
 
     def _near(
@@ -138,12 +139,37 @@ class Bounds:
         row, which = np.nonzero(_box(local, self.half[k]) < reach + limit)
         return _NearBox(row, a[which], local[row, which], axis[row, a[which]] @ pose[:3, :3])
 
-    def _below(self, near: _NearBox, k: int) -> FloatArray:
-        """Lower bounds of the distances of outer capsules to box k: distance changes by at most the way."""
-        value = self._on_axis(near, self.outer[0], k)
-        step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
-        low = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-        return np.asarray(np.minimum(low.min(axis=1), value.min(axis=1)) - self.outer[1][near.solid])
+    def _below(self, lower: FloatArray, boxes: Sequence[_NearBox], limit: float) -> None:
+        """Takes lower bounds of the distances of outer capsules to the boxes into ``lower`` (B,).
+
+        A first bound from a few points of each axis, as distance changes by at most the way, settles most;
+        those that may be the least of their row, and below ``limit``, are worked out.
+        """
+        first, most = [], lower.copy()
+        for k, near in enumerate(boxes):
+            value = self._on_axis(near, self.outer[0], k)
+            step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
+            low = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
+            radius = self.outer[1][near.solid]
+            first.append(np.minimum(low.min(axis=1), value.min(axis=1)) - radius)
+            np.minimum.at(most, near.row, value.min(axis=1) - radius)
+        for k, (near, low) in enumerate(zip(boxes, first, strict=True)):
+            open_ = np.flatnonzero((low < most[near.row]) & (low < limit))
+            some = _NearBox(near.row[open_], near.solid[open_], near.place[open_], near.along[open_])
+            low[open_] = np.maximum(low[open_], self._to_box(some, k))
+            np.minimum.at(lower, near.row, low)
+
+    def _to_box(self, near: _NearBox, k: int) -> FloatArray:
+        """Distances (M,) of outer capsules to box k, too small by half of ``FINE`` at most: along an axis the
+        distance to a box is convex, so that its slope tells on which side of a point it is least."""
+        half = self.outer[0][near.solid]
+        low, high = -half, half
+        for _ in range(int(np.ceil(np.log2(max(2.0 * float(half.max(initial=0.0)) / FINE, 1.0))))):
+            middle = 0.5 * (low + high)
+            falls = _slope(near.place + middle[:, None] * near.along, near.along, self.half[k]) < 0.0
+            low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+        value = _box(near.place + (0.5 * (low + high))[:, None] * near.along, self.half[k])
+        return np.asarray(value - 0.5 * (high - low) - self.outer[1][near.solid])
 
     def _on_axis(self, near: _NearBox, length: FloatArray, k: int) -> FloatArray:
         """Distances (M, SAMPLES) to box k of points along the axes, out to the half lengths ``length``
@@ -304,3 +330,13 @@ def _box(points: FloatArray, half: FloatArray) -> FloatArray:
     inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
     x, y, z = np.maximum(x, 0.0), np.maximum(y, 0.0), np.maximum(z, 0.0)
     return np.asarray(np.sqrt(x * x + y * y + z * z) + inside)
+
+
+def _slope(points: FloatArray, along: FloatArray, half: FloatArray) -> FloatArray:
+    """How the signed distance of points (M, 3) to a box about the origin changes (M,) along ``along`` (M, 3),
+    up to a positive factor."""
+    over = np.abs(points) - half
+    out = np.maximum(over, 0.0)
+    inside = over.max(axis=1) <= 0.0
+    out[inside] = np.eye(3)[over[inside].argmax(axis=1)]
+    return np.asarray(np.einsum("mc,mc->m", out * np.sign(points), along))
