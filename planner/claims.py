@@ -184,7 +184,7 @@ class FormsSheet:
     ``side`` is +1 where the ball is above that face, -1 below. Nowhere on its way does the ball, or the rest
     of the tool behind it, cut into the face by more than ``tolerance`` [m]. Of the face's area that is
     neither flat at ``start`` nor flat at ``end`` [m, levels z] the share ``share`` is touched by the swept
-    ball within ``scallop`` [m].
+    ball within ``scallop`` (F,) [m], what the steps of the path leave standing at each triangle.
     """
 
     segment: str
@@ -196,7 +196,7 @@ class FormsSheet:
     start: float
     end: float
     tolerance: float
-    scallop: float
+    scallop: NDArray[np.float64]
     share: float = 0.95
 
 

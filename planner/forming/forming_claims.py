@@ -18,7 +18,7 @@ from planner.claims import (
     SupportsBorder,
     ToolGap,
 )
-from planner.forming import holder
+from planner.forming import holder, ridges
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
@@ -26,13 +26,11 @@ from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
 from planner.forming_tools import profile
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+from planner.geometry.mesh import TriangleMesh
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-FLATTEST: Final = 2.0 * DEG
-"""Walls flatter than this count as flat: no finite steps leave them without ridges."""
 SPARE: Final = 4.0 * DEG
 """The line of two tools is between the face's normal and the vertical, to which the support is turned where
 it would cut into the flat or where a shift is stated, and off that by this much at most."""
@@ -62,20 +60,13 @@ def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim,
     return tuple(out)
 
 
-def scallop(job: Job, one: Pass) -> float:
-    """Height [m] of the ridges that the steps leave on ``share`` of the walls: the stated one, or that of the
-    stated step h = R - sqrt(R^2 - (dz / (2 sin a))^2), at the wall angle a that the share stays above."""
+def scallop(job: Job, one: Pass) -> FloatArray:
+    """Height (F,) [m] of the ridges that the path leaves at the triangles of a pass: the stated one, or that
+    of the stated step."""
     op, radius = job.operation, job.heads[job.former(one)].radius
-    if op.scallop_mm is not None:
-        return op.scallop_mm * MM
-    mesh = TriangleMesh(one.vertices, one.faces)
-    angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
-    area = np.where(angle > FLATTEST, face_areas(mesh), 0.0)
-    order = np.argsort(angle)
-    passed = np.cumsum(area[order]) / max(float(area.sum()), 1e-12)
-    flattest = float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - op.share)))]])
-    half = min(0.5 * (op.stepdown_mm or 0.0) * MM / np.sin(max(flattest, FLATTEST)), radius)
-    return float(radius - np.sqrt(radius**2 - half**2))
+    if op.stepdown_mm is None:
+        return np.full(len(one.faces), (op.scallop_mm or 0.0) * MM)
+    return ridges.heights(TriangleMesh(one.vertices, one.faces), radius, op.stepdown_mm * MM, op.share)
 
 
 def _state(job: Job, one: Pass, state: State) -> SheetState:

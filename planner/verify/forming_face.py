@@ -48,7 +48,8 @@ class Nearest:
 
 
 class Face:
-    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up."""
+    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up; ``rows`` are, of the
+    given ones, those that have an area."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
         corners = vertices[faces]
@@ -56,6 +57,7 @@ class Face:
         size = np.linalg.norm(cross, axis=1)
         kept = size > 1e-16
         self.vertices, self.faces = vertices, faces[kept]
+        self.rows = np.flatnonzero(kept)
         self.corners = corners[kept]
         self.area = 0.5 * size[kept]
         self.normal = cross[kept] / size[kept, None]

@@ -24,9 +24,8 @@ def levels(one: Formed) -> FloatArray:
     own = one.track.own[one.knots]
     low = np.full(len(one.knots), np.inf)
     np.minimum.at(low, near.row, claim.side * near.tied[:, 2])
-    touches = own & (near.apart <= claim.radius + claim.scallop + claim.tolerance)
     start = claim.side * claim.start
-    return np.minimum(np.minimum.accumulate(np.where(touches, low, np.inf)), start)
+    return np.minimum(np.minimum.accumulate(np.where(own & one.touches, low, np.inf)), start)
 
 
 def least(

@@ -39,6 +39,39 @@ class Formed:
         """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
         return self.face.nearest(self.track.centre[self.knots, 0], TIED)
 
+    @cached_property
+    def touches(self) -> NDArray[np.bool_]:
+        """Knots (K + 1,) at which the ball is off the nearest place of the face by no more than the steps of
+        the path leave there."""
+        reach = self.claim.radius + self.claim.scallop[self.face.rows[self.near.triangle]]
+        out = np.zeros(len(self.knots), dtype=np.bool_)
+        np.logical_or.at(out, self.near.row, self.near.apart[self.near.row] <= reach + self.claim.tolerance)
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """Two tools in one segment and the gap between them: ``pieces`` those of the segment itself, ``knots``
+    (K,) rows of the track where they meet, ``near`` what of the face is nearest to the forming ball there.
+
+    The wanted gap is between ``low`` and ``high`` (K,) [m].
+    """
+
+    claim: ToolGap
+    track: Track
+    pieces: Pieces
+    knots: IntArray
+    face: Face
+    near: Nearest
+    low: FloatArray
+    high: FloatArray
+
+    @cached_property
+    def got(self) -> FloatArray:
+        """The gap (K,) [m] at the knots: the distance of the balls less their radii."""
+        centre = self.track.centre[self.knots]
+        return np.asarray(np.linalg.norm(centre[:, 0] - centre[:, 1], axis=1) - sum(self.claim.radii))
+
 
 TIED = 5e-6
 """Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
@@ -62,6 +95,11 @@ class Forming:
         return tuple(
             self._formed(claim, index) for index, claim in self.by_setup if isinstance(claim, FormsSheet)
         )
+
+    @cached_property
+    def opened(self) -> tuple[Opened, ...]:
+        """All gaps that are claimed; without knots where the arms never form the segment together."""
+        return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
 
     def of(self, segment: str) -> Formed | None:
         """The pass of a segment, None where its tools follow poses without a face."""
@@ -92,3 +130,13 @@ class Forming:
         parts = pieces(way, SPARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
         return Formed(claim, index, way, parts, knots, Face(claim.vertices, claim.faces, claim.radius))
+
+    def _opened(self, claim: ToolGap, index: int) -> Opened:
+        way = track(self.context, claim.segment, index, claim.arms)
+        parts = pieces(way, SPARE * claim.tolerance)
+        own = way.own[parts.first]
+        parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
+        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        face = Face(claim.vertices, claim.faces, claim.radii[0])
+        near = face.nearest(way.centre[knots, 0], TIED)
+        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap))

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.claims import FollowsOpposite, SupportsBorder, ToolGap
+from planner.claims import FollowsOpposite, SupportsBorder
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.forming_face import Face, Nearest
-from planner.verify.forming_state import SPARE, TIED, Forming
+from planner.verify.forming_state import SPARE, TIED, Forming, Opened
 from planner.verify.forming_track import Track, pieces, track
 from planner.verify.rules_forming import NONE, SHOWN, spread
 
@@ -29,27 +29,19 @@ def gap(context: Context, forming: Forming) -> Outcome:
     thick, and they face each other as wanted; of two controllers, whichever is a step ahead."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
-    for index, claim in forming.by_setup:
-        if not isinstance(claim, ToolGap):
-            continue
-        way = track(context, claim.segment, index, claim.arms)
-        parts = pieces(way, SPARE * claim.tolerance)
-        own = way.own[parts.first]
-        first, last, off = parts.first[own], parts.last[own], parts.off[own]
+    for one in forming.opened:
+        claim, way, low, high = one.claim, one.track, one.low, one.high
+        first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
             issues.append(Issue("verify.gap", what, field=claim.segment))
             continue
-        knots = np.unique(np.concatenate([first, last]))
-        face = Face(claim.vertices, claim.faces, claim.radii[0])
-        found = face.nearest(way.centre[knots, 0], TIED)
-        low, high = face.value(found, claim.gap)
-        one, two = np.searchsorted(knots, first), np.searchsorted(knots, last)
+        start, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
         least, most = _between(way, first, last)
         both = sum(claim.radii)
         # within a piece the wanted gap is between those at its ends
-        wide = most - both - np.maximum(high[one], high[two])
-        narrow = np.minimum(low[one], low[two]) - (least - both)
+        wide = most - both - np.maximum(high[start], high[end])
+        narrow = np.minimum(low[start], low[end]) - (least - both)
         error = np.maximum(wide, narrow) + 2.0 * off
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
@@ -61,8 +53,8 @@ def gap(context: Context, forming: Forming) -> Outcome:
             measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
             row = int(way.rows[last[i]])
             issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-        issues += _facing(context, claim, way, knots, face, found)
-        issues += _a_step_apart(context, claim, way, knots, low, high)
+        issues += _facing(context, one)
+        issues += _a_step_apart(context, one)
     if limit is None:
         return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NONE)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
@@ -79,11 +71,10 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
     return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
 
 
-def _facing(
-    context: Context, claim: ToolGap, way: Track, knots: IntArray, face: Face, found: Nearest
-) -> list[Issue]:
+def _facing(context: Context, one: Opened) -> list[Issue]:
     """Knots at which the line of the centres does not lie between the face's normal and the vertical."""
-    off = _turned(way, knots, face, found, claim.side, upright=True)
+    claim, way, knots = one.claim, one.track, one.knots
+    off = _turned(way, knots, one.face, one.near, claim.side, upright=True)
     issues = []
     for k in spread(off > claim.turn):
         what = (
@@ -126,14 +117,13 @@ def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
     return np.asarray(np.where(within, np.minimum(beside, nearest), nearest))
 
 
-def _a_step_apart(
-    context: Context, claim: ToolGap, way: Track, knots: IntArray, low: FloatArray, high: FloatArray
-) -> list[Issue]:
+def _a_step_apart(context: Context, one: Opened) -> list[Issue]:
     """Where two controllers meet only now and then: the gap for all instants of one arm and of the other
     between two meetings."""
     issues: list[Issue] = []
     if context.problem.cell.controller.sync != "handshake":
         return issues
+    claim, way, knots, low, high = one.claim, one.track, one.knots, one.low, one.high
     both = sum(claim.radii)
     for rows in _intervals(context, way, knots):
         former, other = way.centre[knots[rows], 0], way.centre[knots[rows], 1]

@@ -46,8 +46,10 @@ def test_a_face_is_there_down_to_where_the_ball_has_been():
         apart=np.array([radius, radius, radius, radius, 3 * radius, radius]),
     )
     own = np.array([False, True, True, True, True, True])
-    claim = SimpleNamespace(side=1, start=0.0, radius=radius, scallop=1e-4, tolerance=5e-5)
-    one = SimpleNamespace(claim=claim, near=near, track=SimpleNamespace(own=own), knots=np.arange(6))
+    claim = SimpleNamespace(side=1, start=0.0, radius=radius, tolerance=5e-5)
+    touches = near.apart <= radius
+    track = SimpleNamespace(own=own)
+    one = SimpleNamespace(claim=claim, near=near, track=track, knots=np.arange(6), touches=touches)
     np.testing.assert_allclose(forming_reached.levels(one), [0.0, -1e-3, -3e-3, -3e-3, -3e-3, -5e-3])
 
 

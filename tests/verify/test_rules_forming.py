@@ -202,7 +202,7 @@ def test_a_dropped_stretch_of_targets_is_a_gouge_or_a_lost_gap():
 CLAIMS = {
     "twice": ("verify.feature_order", {"FormsInOrder": {"segments": ("form/f1", "form/f2")}}),
     "more of the face": ("verify.formed", {"FormsSheet": {"share": 0.9999}}),
-    "a finer scallop": ("verify.formed", {"FormsSheet": {"scallop": 2e-5}}),
+    "a finer scallop": ("verify.formed", {"FormsSheet": {"scallop": np.full(len(job.face()[1]), 2e-5)}}),
     "from below": ("verify.gouge", {"FormsSheet": {"side": -1}}),
     "a larger ball": ("verify.gouge", {"FormsSheet": {"radius": 1.05 * job.BALL}}),
     "a thicker sheet": ("verify.gap", {"ToolGap": {"gap": np.full(len(job.face()[0]), 1.05 * job.SHEET)}}),
@@ -261,3 +261,30 @@ def test_two_controllers_a_step_apart_keep_the_gap_within_its_bound(every, bound
     claims = job.claims(ToolGap={"handshake": bound})
     proof = Prover(problem, claims).prove(texts, last="verify.gap")
     assert ("verify.gap" in broken(proof)) != holds
+
+
+def test_the_simulated_part_is_where_the_ball_leaves_the_sheet():
+    """The dish is part of a sphere: down to the last loop the sheet stays above it, toward the tool, by
+    ridges, and below it nowhere."""
+    lines = clean().part_obj.split("\n")
+    assert [line for line in lines if line.startswith("o ")] == ["o form_f1"]
+    places = np.array([line.split()[1:] for line in lines if line.startswith("v ")], dtype=float) * 1e-3
+    wanted = job.face()[0]
+    assert places.shape == wanted.shape
+    dish = wanted[:, 2] < job.SHEET - 1e-6
+    inward = job.SPHERE - np.linalg.norm(places[dish] - job.centre_of_sphere(), axis=1)
+    assert inward.min() > -1e-5
+    walls = wanted[dish, 2] > job.centre_of_sphere()[2] - job.SPHERE * np.cos(job.LAST)
+    assert np.quantile(inward[walls], 0.95) < job.SCALLOP
+    rim = np.hypot(wanted[:, 0], wanted[:, 1]) > job.OUTER - 1e-6
+    np.testing.assert_allclose(places[rim], wanted[rim], atol=6e-8)
+
+
+def test_the_gap_over_time_is_told():
+    """Between two balls that face each other along the sphere's radius, within what is allowed."""
+    series = clean().series
+    got, low, high = (series[f"gap/1/{what}"] for what in ("got", "low", "high"))
+    assert len(got) == len(series["gap/1/time"]) > 50
+    assert np.all(np.diff(series["gap/1/time"]) > 0.0)
+    assert np.all((low <= got) & (got <= high))
+    np.testing.assert_allclose(0.5 * (low + high), got, atol=job.GAP_TOLERANCE)
