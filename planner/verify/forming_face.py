@@ -52,6 +52,7 @@ class Face:
     given ones, those that have an area."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
+        self.given = (vertices, faces)
         corners = vertices[faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=1)

@@ -82,6 +82,8 @@ class Forming:
 
     def __init__(self, context: Context) -> None:
         self.context = context
+        self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
+        self._faces: list[tuple[float, Face]] = []
         self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
@@ -123,20 +125,36 @@ class Forming:
         names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
         return frozenset(name.lower() + way for name in names for way in FORMING_WAYS)
 
+    def _track(self, segment: str, index: int, arms: tuple[str, ...]) -> Track:
+        """The track of a segment, worked out once."""
+        key = (segment.lower(), index, arms)
+        if key not in self._tracks:
+            self._tracks[key] = track(self.context, segment, index, arms)
+        return self._tracks[key]
+
+    def _face(self, vertices: FloatArray, faces: IntArray, scale: float) -> Face:
+        """A face, worked out once for claims of the same triangles."""
+        for known, face in self._faces:
+            same = known == scale and np.array_equal(face.given[0], vertices)
+            if same and np.array_equal(face.given[1], faces):
+                return face
+        self._faces.append((scale, Face(vertices, faces, scale)))
+        return self._faces[-1][1]
+
     def _formed(self, claim: FormsSheet, index: int) -> Formed:
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
         arms = [arm for arm in arms if arm in self.context.motion.tcp]
-        way = track(self.context, claim.segment, index, (claim.arm, *arms))
+        way = self._track(claim.segment, index, (claim.arm, *arms))
         parts = pieces(way, SPARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
-        return Formed(claim, index, way, parts, knots, Face(claim.vertices, claim.faces, claim.radius))
+        return Formed(claim, index, way, parts, knots, self._face(claim.vertices, claim.faces, claim.radius))
 
     def _opened(self, claim: ToolGap, index: int) -> Opened:
-        way = track(self.context, claim.segment, index, claim.arms)
+        way = self._track(claim.segment, index, claim.arms)
         parts = pieces(way, SPARE * claim.tolerance)
         own = way.own[parts.first]
         parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
         knots = np.unique(np.concatenate([parts.first, parts.last]))
-        face = Face(claim.vertices, claim.faces, claim.radii[0])
+        face = self._face(claim.vertices, claim.faces, claim.radii[0])
         near = face.nearest(way.centre[knots, 0], TIED)
         return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap))

@@ -80,7 +80,7 @@ def drift(context: Context, found: Intervals) -> FloatArray:
     :data:`MARKS` instants each, evenly along the way, plus what both distances may change to half-way to the
     next instants: with the line between the points to first order, across it to second.
     """
-    a, b = (context.motion.tcp[task.arm.name][:, :3, 3] for task in context.job.tasks)
+    a, b = (context.motion.tcp[task.arm.name].place for task in context.job.tasks)
     steps = [np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)]
     both = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])
     out = np.zeros(len(found.first))
@@ -138,7 +138,7 @@ def step_apart(context: Context, models: Models) -> Outcome:
 def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, float | None]:
     """Issues of claims on the gap, the largest change [m], and the least that is allowed."""
     change = drift(context, found)
-    labels = context.motion.labels()[found.last]
+    labels = context.motion.labels(found.last)
     issues: list[Issue] = []
     limits = []
     for index, setup in enumerate(context.setup_claims):

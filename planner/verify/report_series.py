@@ -36,13 +36,13 @@ def series(
     motion = context.motion
     stride = max(1, len(motion.time) // _MOST)
     rows = np.arange(0, len(motion.time), stride)
-    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels()[rows]}
+    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
     for arm, q in motion.q.items():
         out[f"joints/{arm}"] = q[rows]
         out[f"speed/{arm}"] = _peaks(motion.speed(arm), rows)
         out[f"acceleration/{arm}"] = _peaks(motion.acceleration(arm), rows)
         way = np.linalg.norm(
-            np.diff(motion.tcp[arm][:, :3, 3], axis=0, prepend=motion.tcp[arm][:1, :3, 3]), axis=1
+            np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]), axis=1
         )
         step = np.diff(motion.time, prepend=motion.time[:1] - 1.0)
         out[f"tcp_speed/{arm}"] = _peaks((way / np.maximum(step, 1e-6))[:, None], rows)[:, 0]

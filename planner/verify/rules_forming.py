@@ -163,7 +163,7 @@ def feed(context: Context, forming: Forming) -> Outcome:
         for arm in claim.arms:
             if arm not in motion.tcp or not len(rows):
                 continue
-            way = np.linalg.norm(motion.tcp[arm][rows, :3, 3] - motion.tcp[arm][rows - 1, :3, 3], axis=1)
+            way = np.linalg.norm(motion.tcp[arm].place[rows] - motion.tcp[arm].place[rows - 1], axis=1)
             speed = way / np.maximum(motion.time[rows] - motion.time[rows - 1], 1e-6)
             if speed.max() / claim.upper > worst:
                 worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"

@@ -70,7 +70,7 @@ def _all(
     sheet between them."""
     profile = state.heads[number]
     column = way.arms.index(state.arms[number])
-    centre, axis = way.centre[:, column], way.axis[:, column]
+    centre, axis = way.centre[:, column], way.axis(column)
     former = number == 0
     whole = Head.of(profile, float(profile[0, 0]))
     still = HeadWay.of(centre, axis, np.zeros(len(centre)), float(profile[-1, 0]))

@@ -257,7 +257,7 @@ def tcp_speed(context: Context) -> Outcome:
     for task in context.job.tasks:
         arm = task.arm.name
         timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
-        step = np.linalg.norm(np.diff(motion.tcp[arm][:, :3, 3], axis=0), axis=1)
+        step = np.linalg.norm(np.diff(motion.tcp[arm].place, axis=0), axis=1)
         speed = np.where(timed, step / np.maximum(np.diff(motion.time), 1e-6), 0.0)
         if len(speed):
             k = int(np.argmax(speed))

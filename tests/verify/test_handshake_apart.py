@@ -41,7 +41,7 @@ def test_the_drift_bounds_every_pair_of_instants(every):
     assert len(found.first) > 5 and (found.last > found.first).all()
     assert (found.first[1:] == found.last[:-1]).all()
     bound = handshake_apart.drift(here, found)
-    a, b = (here.motion.tcp[arm][:, :3, 3] for arm in handshake_job.ARMS)
+    a, b = (here.motion.tcp[arm].place for arm in handshake_job.ARMS)
     for k in range(len(bound)):
         rows = slice(found.first[k], found.last[k] + 1)
         step = max(1, (rows.stop - rows.start) // 60)
