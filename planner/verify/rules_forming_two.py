@@ -12,7 +12,7 @@ from planner.claims import FollowsOpposite, SupportsBorder
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
-from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_face import CREASE, Face, Nearest
 from planner.verify.forming_state import SPARE, TIED, Forming, Opened
 from planner.verify.forming_track import Track, pieces, track
 from planner.verify.rules_forming import NONE, SHOWN, spread
@@ -91,7 +91,10 @@ def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, 
     """How far (K,) [rad] the line of the centres is off the face's normal, or, if it may stand ``upright``,
     off all directions between that and the vertical. Of all places that the ball touches, one has to fit: by
     the way from there to the ball's centre, or by the normal of the smooth face that the facets stand for,
-    whose own normals flicker."""
+    whose own normals flicker.
+
+    Where the ball touches two walls of a crease the sheet lies around it from one to the other, so that its
+    normal there is any between theirs: the line may stand upright off those too."""
     between = way.centre[knots, 0] - way.centre[knots, 1]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
     off = np.full(len(knots), np.inf)
@@ -100,7 +103,35 @@ def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, 
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
         np.minimum.at(off, found.row, _off_arc(between[found.row], unit, end))
+    if upright:
+        off = np.minimum(off, _off_crease(way.centre[knots, 0], between, found, float(side)))
     return off
+
+
+def _off_crease(centre: FloatArray, line: FloatArray, found: Nearest, up: float) -> FloatArray:
+    """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to the triangle on the sphere between the vertical
+    and the two ways to the ball's ``centre`` (K, 3), of those from all places that it touches, that differ
+    the most; infinite where that is not by more than a crease does."""
+    way = centre[found.row] - found.tied
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    first = np.searchsorted(found.row, np.arange(len(centre)))
+    one = first
+    for _ in range(2):  # the farthest from any one, and the farthest from that
+        cosine = np.einsum("nd,nd->n", way, way[one[found.row]])
+        order = np.lexsort((cosine, found.row))
+        one, other = order[first], one
+    a, b = way[one], way[other]
+    out = np.full(len(centre), np.inf)
+    rows = np.flatnonzero(np.einsum("nd,nd->n", a, b) < np.cos(CREASE))
+    a, b, p = a[rows], b[rows], line[rows]
+    c = np.broadcast_to(np.array([0.0, 0.0, up]), a.shape)
+    turn = np.sign(np.einsum("nd,nd->n", np.cross(a, b), c))
+    sides = [turn * np.einsum("nd,nd->n", np.cross(i, j), p) for i, j in ((a, b), (b, c), (c, a))]
+    inside = (np.min(sides, axis=0) >= 0.0) & (turn != 0.0)
+    out[rows] = np.where(
+        inside, 0.0, np.min([_off_arc(p, i, j) for i, j in ((a, b), (b, c), (c, a))], axis=0)
+    )
+    return out
 
 
 def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
