@@ -32,8 +32,9 @@ FloatArray = NDArray[np.float64]
 
 AIR_FEED: Final = 0.1
 """Upper limit of the tools' speed between passes [m/s]."""
-FROM_REST: Final = 0.7
-"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+FROM_REST: Final = 0.5
+"""Part of the feed that moves from or to a stop have on average: at their other end they are up to twice as
+fast."""
 CLEARANCE: Final = 0.010
 """How far tools are off the sheet between passes, besides what the route adds [m]."""
 RUN: Final = 0.8
