@@ -22,6 +22,7 @@ from planner.forming import holder, ridges
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
+from planner.forming.opposite import FACING
 from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
@@ -31,9 +32,6 @@ from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-SPARE: Final = 4.0 * DEG
-"""The line of two tools is between the face's normal and the vertical, to which the support is turned where
-it would cut into the flat or where a shift is stated, and off that by this much at most."""
 BORDER: Final = 0.5 * MM
 """How far a support may be off the border that it runs along."""
 OPPOSITE: Final = 2.0 * MM
@@ -99,7 +97,7 @@ def _of(job: Job, one: Pass) -> list[Claim]:
                 faces,
                 gap,
                 tolerance,
-                turn=SPARE,
+                turn=FACING,
                 handshake=step,
             )
         )
