@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _BLOCK = 32
+_CHUNK = 65_536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,13 +135,15 @@ def _bend(way: Track) -> FloatArray:
     """How far (T - 1,) [m] the motion between two samples may be off the straight way: with second
     differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
     bend makes a quarter of that."""
-    step = np.diff(way.centre, axis=0)
-    length = np.linalg.norm(step, axis=2, keepdims=True)
-    along = step / np.maximum(length, 1e-12)
-    second = np.diff(step, axis=0)
-    second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
-    turn = np.zeros((len(step) + 1, step.shape[1]))
-    turn[1:-1] = np.linalg.norm(second, axis=2)
+    count = len(way.rows)
+    turn = np.zeros((count, way.centre.shape[1]))
+    for begin in range(1, count - 1, _CHUNK):
+        end = min(begin + _CHUNK, count - 1)
+        step = np.diff(way.centre[begin - 1 : end + 1], axis=0)
+        along = step / np.maximum(np.linalg.norm(step, axis=2, keepdims=True), 1e-12)
+        second = np.diff(step, axis=0)
+        second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
+        turn[begin:end] = np.linalg.norm(second, axis=2)
     turn[1:-1][~(way.joined[1:] & way.joined[:-1])] = 0.0
     a, b = turn[:-1], turn[1:]
     return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1))
