@@ -240,7 +240,8 @@ class SupportsBorder:
 class FollowsOpposite:
     """In ``segment`` the TCP of ``arms[1]`` (a heat gun, a laser) is ``distance`` [m] within ``tolerance``
     away from the ball's centre of ``arms[0]``, across the sheet: towards -``side`` along the normal of the
-    face ``vertices``, ``faces`` within ``turn`` [rad]."""
+    face ``vertices``, ``faces`` within ``turn`` [rad]. Its z axis points at the sheet between that normal and
+    the vertical, within ``aim`` [rad]."""
 
     segment: str
     arms: tuple[str, str]
@@ -250,6 +251,7 @@ class FollowsOpposite:
     distance: float
     tolerance: float
     turn: float
+    aim: float
 
 
 @dataclasses.dataclass(frozen=True)

@@ -218,6 +218,7 @@ CODES: Final[dict[str, str]] = {
     "forming.die_far": "a full die is too far from the wanted part",
     "forming.holder": "a die and the holder of its sheet do not go together",
     "forming.holder_step": "a clamp that sinks by steps cannot follow the tool, or ends off the part's rim",
+    "forming.clamp": "a tool reaches into the clamp of the sheet",
     "forming.clear": "a tool cuts into a part of the sheet that is formed already",
     # sheet metals, forces, trials and tables of forming
     "forming.unknown_metal": "a sheet metal that is not built in",

@@ -8,6 +8,7 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.forming import holder
+from planner.forming.clamp import clamp_issues
 from planner.forming.die import die_issues
 from planner.forming.die_body import die_mesh
 from planner.forming.force import ForceEstimate, estimate, payload_issue
@@ -65,6 +66,8 @@ def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
         arms = tuple(filter(None, (job.former(one), job.supporter(one))))
         profiles = [profile(job.heads[arm]) for arm in arms]
         yield from clear_issues(one, path, state, arms, profiles, job.pressed)
+        if job.operation.cone_deg == 0.0:  # else motion may tilt it out of there
+            yield from clamp_issues(one, path, job.clamp, arms, profiles)
 
 
 def _die(job: Job) -> Iterator[Issue]:

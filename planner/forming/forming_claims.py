@@ -36,6 +36,9 @@ BORDER: Final = 0.5 * MM
 """How far a support may be off the border that it runs along."""
 OPPOSITE: Final = 2.0 * MM
 """How far a source of heat may be off its place opposite the forming ball."""
+AIMED: Final = 10.0 * DEG
+"""How far that place may be off the face's normal, and the nozzle off what is between that and the vertical:
+it follows the smooth face, not its facets."""
 
 
 def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim, ...]:
@@ -106,6 +109,6 @@ def _of(job: Job, one: Pass) -> list[Claim]:
         out.append(SupportsBorder(segment(one), other, border, BORDER))
     else:
         away = radius + float(np.median(one.thickness))
-        turn = np.deg2rad(90.0)
-        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, turn))
+        aim = AIMED + op.cone_deg * DEG
+        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, AIMED, aim))
     return out

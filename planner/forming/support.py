@@ -19,10 +19,12 @@ from typing import Final
 import numpy as np
 
 from planner.forming.border import border_path
+from planner.forming.clamp import Clamp
 from planner.forming.clearing import FarFace, radius_issue
+from planner.forming.heated import heated
 from planner.forming.operation import Forming
 from planner.forming.opposite import opposite_path
-from planner.forming.tilt import axes, leaned, nozzle_below_flat
+from planner.forming.tilt import axes
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.issues import Issue, TandemError
 from planner.problem import FormingHead
@@ -38,17 +40,19 @@ def tool_path(
     former: FormingHead,
     support: FormingHead | None,
     thickness: float,
+    clamp: Clamp | None = None,
 ) -> ToolPath:
     """Both tools along ``contact``, for all modes but adsif (`adsif_path.adsif_tool_path`).
 
-    ``thickness`` [m] of the flat sheet. The result's contact has more targets where straight moves would let
-    the gap, or the support's way along the border, off by too much. Raises ``TandemError``
-    (forming.support_tool) where the mode has no such support.
+    ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from. The result's
+    contact has more targets where straight moves would let the gap, or the support's way along the border,
+    off by too much. Raises ``TandemError`` (forming.support_tool) where the mode has no such support.
     """
     _require(operation, former, support)
     mode = operation.mode
     if one.side < 0:
-        found = tool_path(_mirrored(one), _turned_over(contact), operation, former, support, thickness)
+        over = None if clamp is None else dataclasses.replace(clamp, low=-clamp.high, high=-clamp.low)
+        found = tool_path(_mirrored(one), _turned_over(contact), operation, former, support, thickness, over)
         return _back(found)
     if support is None or mode in ("spif", "tpif"):
         none = np.full(len(contact.point), np.nan)
@@ -59,7 +63,9 @@ def tool_path(
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, up, none, path)
     if mode == "heat":
-        return _heat(one, contact, operation, former, support, thickness)
+        path, place, behind = heated(one, contact, former, support, thickness, clamp)
+        none = np.full(len(place), np.nan)
+        return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, behind, none, path)
     return opposite_path(one, contact, operation, former, support, thickness)
 
 
@@ -85,27 +91,6 @@ def support_issues(
     gap = np.nan_to_num(path.gap)
     issue = radius_issue(one, FarFace(one, thickness, contact, former.radius), contact, off, gap, radii)
     return () if issue is None else (issue,)
-
-
-def _heat(
-    one: Pass,
-    contact: ContactPath,
-    operation: Forming,
-    former: FormingHead,
-    nozzle: FormingHead,
-    thickness: float,
-) -> ToolPath:
-    through = former.radius + thickness * np.cos(contact.angle)
-    place = contact.centre - through[:, None] * contact.normal
-    most = nozzle_below_flat(place[:, 2], one.start - thickness, nozzle.standoff, nozzle.radius)
-    return ToolPath(
-        former=contact.centre,
-        axis=axes(contact.normal, _lean(operation)),
-        support=place,
-        support_axis=leaned(contact.normal, np.minimum(contact.angle, most)),
-        gap=np.full(len(place), np.nan),
-        contact=contact,
-    )
 
 
 def _lean(operation: Forming) -> float:

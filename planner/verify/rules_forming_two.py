@@ -20,6 +20,8 @@ from planner.verify.rules_forming import NONE, SHOWN, spread
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+LOOK = np.deg2rad(0.5)
+"""How far [rad] a tool turns at most between two looks at it."""
 INSIDE = 1e-4
 """Straight moves between targets may cut a bent border by so much [m]."""
 
@@ -88,23 +90,36 @@ def _facing(context: Context, one: Opened) -> list[Issue]:
 
 
 def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, upright: bool) -> FloatArray:
-    """How far (K,) [rad] the line of the centres is off the face's normal, or, if it may stand ``upright``,
-    off all directions between that and the vertical. Of all places that the ball touches, one has to fit: by
-    the way from there to the ball's centre, or by the normal of the smooth face that the facets stand for,
-    whose own normals flicker.
+    """How far (K,) [rad] the line of the centres is off the face's normal, as `_off_directions`."""
+    between = way.centre[knots, 0] - way.centre[knots, 1]
+    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
+    return _off_directions(between, way, knots, face, found, side, upright)
+
+
+def _off_directions(
+    line: FloatArray,
+    way: Track,
+    knots: IntArray,
+    face: Face,
+    found: Nearest,
+    side: int,
+    upright: bool,
+) -> FloatArray:
+    """How far (K,) [rad] directions ``line`` (K, 3) are off the face's normal, or, where they may stand
+    ``upright``, off all directions between that and the vertical. Of all places that the ball touches, one
+    has to fit: by the way from there to the ball's centre, or by the normal of the smooth face that the
+    facets stand for, whose own normals flicker.
 
     Where the ball touches two walls of a crease the sheet lies around it from one to the other, so that its
     normal there is any between theirs: the line may stand upright off those too."""
-    between = way.centre[knots, 0] - way.centre[knots, 1]
-    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
     off = np.full(len(knots), np.inf)
     smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
     for normal in (way.centre[knots, 0][found.row] - found.tied, smooth):
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
-        np.minimum.at(off, found.row, _off_arc(between[found.row], unit, end))
+        np.minimum.at(off, found.row, _off_arc(line[found.row], unit, end))
     if upright:
-        off = np.minimum(off, _off_crease(way.centre[knots, 0], between, found, float(side)))
+        off = np.minimum(off, _off_crease(way.centre[knots, 0], line, found, float(side)))
     return off
 
 
@@ -132,6 +147,14 @@ def _off_crease(centre: FloatArray, line: FloatArray, found: Nearest, up: float)
         inside, 0.0, np.min([_off_arc(p, i, j) for i, j in ((a, b), (b, c), (c, a))], axis=0)
     )
     return out
+
+
+def _turning(way: Track, knots: IntArray) -> IntArray:
+    """The knots and, where the other tool turns in between, rows after each ``LOOK`` of turning."""
+    axis = way.axis(1)
+    step = np.linalg.norm(np.diff(axis, axis=0), axis=1)
+    turned = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK), prepend=0.0) > 0.0
+    return np.unique(np.concatenate([knots, np.flatnonzero(turned & way.own)]))
 
 
 def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
@@ -274,7 +297,7 @@ def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
 
 def opposite(context: Context, forming: Forming) -> Outcome:
     """A tool that follows the forming one across the sheet is at the wanted distance, along the face's
-    normal."""
+    normal, and points at it from between that normal and the vertical."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for index, claim in forming.by_setup:
@@ -306,6 +329,17 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
             measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")
             row = int(way.rows[knots[i]])
+            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+        rows = _turning(way, knots)
+        found = face.nearest(way.centre[rows, 0], TIED)
+        aside = _off_directions(way.axis(1)[rows], way, rows, face, found, claim.side, upright=True)
+        for i in spread(aside > claim.aim):
+            what = (
+                f"{claim.arms[1]} points {np.rad2deg(aside[i]):.2f} deg off what lies between the face's "
+                f"normal and the vertical in {claim.segment}; allowed: {np.rad2deg(claim.aim):g} deg"
+            )
+            measure = (float(np.rad2deg(aside[i])), float(np.rad2deg(claim.aim)), "deg")
+            row = int(way.rows[rows[i]])
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
     if limit is None:
         return Outcome(tuple(issues), where="no tool follows another")

@@ -11,7 +11,7 @@ import pytest
 from planner.claims import FollowsOpposite, SupportsBorder
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
-from tests.verify.mutants import moves, name, segment, shifted, timed
+from tests.verify.mutants import moves, name, segment, shifted, tilted, timed
 
 TASKS = (1, 2)
 ROW = 6
@@ -245,13 +245,29 @@ def test_a_support_keeps_to_its_border():
 def test_a_tool_that_follows_is_opposite():
     vertices, faces = job.face()
     away = 2.0 * job.BALL + 0.95 * job.SHEET
-    more = (FollowsOpposite(job.SEGMENT, job.ARMS, 1, vertices, faces, away, 2e-4, np.deg2rad(1.0)),)
+    face = (job.SEGMENT, job.ARMS, 1, vertices, faces)
+    more = (FollowsOpposite(*face, away, 2e-4, np.deg2rad(1.0), np.deg2rad(1.0)),)
     own = Prover(job.problem(), job.claims(more))
     assert "verify.opposite" not in broken(own.prove(job.programs(), last="verify.opposite"))
     k = segment(job.programs(), "form_f1")[100]
     for by in ([0.0, 0.0, -0.5], [0.4, -0.4, 0.0]):
         changed = moved(job.programs(), k, by, (2,))
         assert "verify.opposite" in broken(own.prove(changed, last="verify.opposite"))
+    # the tools of the job stand upright, which a negative angle does not allow
+    strict = (FollowsOpposite(*face, away, 2e-4, np.deg2rad(1.0), -1e-3),)
+    other = Prover(job.problem(), job.claims(strict))
+    assert "verify.opposite" in broken(other.prove(job.programs(), last="verify.opposite"))
+
+
+def test_a_nozzle_that_points_aside_is_told():
+    """Turned about its own TCP by 25 degrees the tool still heats the right place, but from elsewhere."""
+    vertices, faces = job.face()
+    away = 2.0 * job.BALL + 0.95 * job.SHEET
+    aim = np.deg2rad(10.0)
+    more = (FollowsOpposite(job.SEGMENT, job.ARMS, 1, vertices, faces, away, 2e-4, np.deg2rad(1.0), aim),)
+    own = Prover(job.problem(), job.claims(more))
+    k = segment(job.programs(), "form_f1")[-40]
+    assert "verify.opposite" in broken(own.prove(tilted(job.programs(), 2, k, 25.0), last="verify.opposite"))
 
 
 @pytest.mark.parametrize(("every", "bound", "holds"), [(1, 1e-3, True), (1, 5e-5, False), (10, 1e-3, False)])
