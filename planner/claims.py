@@ -186,7 +186,7 @@ class FormsSheet:
     ``side`` is +1 where the ball is above that face, -1 below. Nowhere on its way does the ball, or the rest
     of the tool behind it, cut into the face by more than ``tolerance`` [m]. Of the face's area that is
     neither flat at ``start`` nor flat at ``end`` [m, levels z] the share ``share`` is touched by the swept
-    ball within ``scallop`` [m].
+    ball within ``scallop`` (F,) [m], what the steps of the path leave standing at each triangle.
     """
 
     segment: str
@@ -198,7 +198,7 @@ class FormsSheet:
     start: float
     end: float
     tolerance: float
-    scallop: float
+    scallop: NDArray[np.float64]
     share: float = 0.95
 
 
@@ -242,7 +242,8 @@ class SupportsBorder:
 class FollowsOpposite:
     """In ``segment`` the TCP of ``arms[1]`` (a heat gun, a laser) is ``distance`` [m] within ``tolerance``
     away from the ball's centre of ``arms[0]``, across the sheet: towards -``side`` along the normal of the
-    face ``vertices``, ``faces`` within ``turn`` [rad]."""
+    face ``vertices``, ``faces`` within ``turn`` [rad]. Its z axis points at the sheet between that normal and
+    the vertical, within ``aim`` [rad]."""
 
     segment: str
     arms: tuple[str, str]
@@ -252,6 +253,7 @@ class FollowsOpposite:
     distance: float
     tolerance: float
     turn: float
+    aim: float
 
 
 @dataclasses.dataclass(frozen=True)

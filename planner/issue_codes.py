@@ -239,11 +239,13 @@ CODES: Final[dict[str, str]] = {
     "forming.inside_out": "faces of a part's mesh look to different sides",
     "forming.wall_angle": "a wall is too steep to be formed, or too steep for one pass",
     "forming.support_radius": "the supporting tool's ball is larger than the part leaves room for",
+    "forming.shift": "a support is to be turned around the former by more than the wall's angle",
     "forming.support_tool": "a mode of forming has not the tool that it needs",
     "forming.die_gouge": "a die would cut into the wanted part",
     "forming.die_far": "a full die is too far from the wanted part",
     "forming.holder": "a die and the holder of its sheet do not go together",
     "forming.holder_step": "a clamp that sinks by steps cannot follow the tool, or ends off the part's rim",
+    "forming.clamp": "a tool reaches into the clamp of the sheet",
     "forming.clear": "a tool cuts into a part of the sheet that is formed already",
     # sheet metals, forces, trials and tables of forming
     "forming.unknown_metal": "a sheet metal that is not built in",

@@ -141,6 +141,43 @@ def test_small_jobs_of_other_modes_are_proven(tmp_path: Path, mode: str) -> None
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("shift", [10, 30, 40])
+def test_a_support_that_is_shifted_up_to_the_wall_s_angle_is_proven(tmp_path: Path, shift: int) -> None:
+    outcome = planned(tmp_path, "dpif_l", shift_deg=shift)
+    assert outcome.verified, outcome.issues
+    former, support = (centres(outcome, arm, "form/f1") for arm in ("left", "right"))
+    line = (former - support) / np.linalg.norm(former - support, axis=1)[:, None]
+    turned = np.rad2deg(np.arccos(np.clip(line[:, 2], -1.0, 1.0)))
+    assert turned.max() == pytest.approx(40.0 - shift, abs=0.5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("opening", [120, 170])
+def test_a_heat_gun_that_follows_opposite_is_proven(tmp_path: Path, opening: int) -> None:
+    """In the wide opening it leans as the wall does, in the narrow one as far as the clamp lets it."""
+    data = small_forming.problem("heat")
+    data["sheet"] |= {"size_mm": [240, 240], "opening_mm": opening}
+    outcome = planner.plan(planner.load(small_forming.write(tmp_path, data, small_forming.dish(around=180))))
+    assert outcome.verified, outcome.issues
+    (operation,) = outcome.plan.operations
+    lean = np.rad2deg(np.arccos(np.clip(operation.targets.pose["right"][:, 2, 2], -1.0, 1.0))).max()
+    assert lean > 25.0 if opening == 170 else 5.0 < lean < 25.0
+    assert outcome.save(tmp_path / "out") is None
+    assert (tmp_path / "out" / "replay.html").exists()
+
+
+@pytest.mark.long
+def test_a_disk_along_the_border_is_proven(tmp_path: Path) -> None:
+    data = small_forming.problem("dpif_p")
+    data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK)
+    data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170, "place": UPRIGHT}
+    outcome = planner.plan(planner.load(small_forming.write(tmp_path, data, small_forming.dish(around=180))))
+    assert outcome.verified, outcome.issues
+    assert outcome.proof.rule("verify.border").worst is not None
+    outcome.save(tmp_path / "out")
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
 def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
     outcome = planned(tmp_path, "spif", path=kind)

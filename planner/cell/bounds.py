@@ -23,6 +23,10 @@ IntArray = NDArray[np.intp]
 
 SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
+GROUP: Final = 32
+"""Rows that are held against a box at once at first."""
+FINE: Final = 2e-5
+"""Length [m] of axis within which the place nearest to a box is found."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,14 +69,14 @@ class Bounds:
         return dataclasses.replace(self, pairs=self.pairs[keep[0]], box_pairs=self.box_pairs[keep[1]])
 
     def least(
-        self, poses: Mapping[str, FloatArray], limit: float, settled: float = -np.inf
+        self, poses: Mapping[str, FloatArray], limit: float, settled: float = -np.inf, both: bool = True
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds (B,) [m] of the least distance, for body poses (B | 1, 4, 4).
 
         Where bodies overlap the bounds only have the true sign, and no meaning as depths. Distances above
         ``limit`` are not worked out: both bounds are then infinite or above it. Where the upper bound is
-        below
-        ``settled`` the lower one is not worked out, and -inf.
+        below ``settled`` the lower one is not worked out, and -inf. Unless ``both`` are asked for, upper
+        bounds are infinite.
         """
         rows = max(len(pose) for pose in poses.values())
         turns = np.empty((rows, len(self.bodies), 3, 3))
@@ -83,17 +87,17 @@ class Bounds:
         centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
         axis = (each @ self.axis[..., None])[..., 0]
         lower, upper = np.full(rows, np.inf), np.full(rows, np.inf)
-        boxes = [self._near_box(k, centre, axis, poses, limit) for k in range(len(self.boxes))]
-        for k, near in enumerate(boxes):
-            if self.exact[k]:
-                value = self._on_axis(near, self.inner[0], k).min(axis=1) - self.inner[1][near.solid]
-                np.minimum.at(upper, near.row, value)
+        boxes = self._near_boxes(centre, axis, poses, limit)
+        if both:
+            exact = boxes.some(np.flatnonzero(self.exact[boxes.box]))
+            value = self._on_axis(exact, self.inner[0]).min(axis=1) - self.inner[1][exact.solid]
+            np.minimum.at(upper, exact.row, value)
         row, a, b = self._near(centre, limit, upper > settled)
         w, da, db = centre[row, a] - centre[row, b], axis[row, a], axis[row, b]
         dots = (_dot(da, db), _dot(da, w), _dot(db, w))
-        between = _segments(w, da, db, dots, self.inner[0][a], self.inner[0][b])
-        np.minimum.at(upper, row, np.sqrt(_dot(between, between)) - self.inner[1][a] - self.inner[1][b])
-
+        if both:
+            between = _segments(w, da, db, dots, self.inner[0][a], self.inner[0][b])
+            np.minimum.at(upper, row, np.sqrt(_dot(between, between)) - self.inner[1][a] - self.inner[1][b])
         lower[upper <= settled] = -np.inf
         live = upper[row] > settled
         row, a, b, w, da, db = row[live], a[live], b[live], w[live], da[live], db[live]
@@ -106,8 +110,7 @@ class Bounds:
         two = turns[at, self.part[second]] @ self.frame[second], self.support[second]
         gap[touch] = np.maximum(gap[touch], _separation(w[touch], between[touch], one, two))
         np.minimum.at(lower, row, gap)
-        for k, near in enumerate(boxes):
-            np.minimum.at(lower, near.row, self._below(near, k))
+        self._below(lower, boxes, limit)
         return lower, upper
 
     def _near(
@@ -127,39 +130,89 @@ class Bounds:
         row, code = np.divmod(np.flatnonzero(apart < near), count * count)
         return which[row], code // count, code % count
 
-    def _near_box(
-        self, k: int, centre: FloatArray, axis: FloatArray, poses: Mapping[str, FloatArray], limit: float
+    def _near_boxes(
+        self, centre: FloatArray, axis: FloatArray, poses: Mapping[str, FloatArray], limit: float
     ) -> _NearBox:
-        box = self.boxes[k]
-        a = self.box_pairs[self.box_pairs[:, 1] == k, 0]
-        pose = poses[box.body][0] @ box.shape.pose
-        local = (centre[:, a] - pose[:3, 3]) @ pose[:3, :3]
-        reach = self.outer[0][a] + self.outer[1][a]
-        row, which = np.nonzero(_box(local, self.half[k]) < reach + limit)
-        return _NearBox(row, a[which], local[row, which], axis[row, a[which]] @ pose[:3, :3])
+        """Pairs of capsules and boxes that come within ``limit`` by the capsules' spheres: first of rows that
+        follow each other, which are mostly near each other, then of each."""
+        count = len(self.boxes)
+        if not count or not len(self.box_pairs):
+            none = np.zeros(0, dtype=np.intp)
+            return _NearBox(none, none, none, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+        pose = np.stack([poses[box.body][0] @ box.shape.pose for box in self.boxes])
+        place, turn = pose[:, :3, 3], pose[:, :3, :3]
+        reach = self.outer[0] + self.outer[1]
+        held = np.zeros((len(reach), count), dtype=bool)
+        held[self.box_pairs[:, 0], self.box_pairs[:, 1]] = True
+        first = np.arange(0, len(centre), GROUP)
+        low, high = (end.reduceat(centre, first, axis=0) for end in (np.minimum, np.maximum))
+        middle = (0.5 * (low + high)).reshape(-1, 3)
+        apart = _box((middle - place[:, None]) @ turn, self.half[:, None]).T.reshape(*low.shape[:2], count)
+        room = reach + 0.5 * np.linalg.norm(high - low, axis=2) + limit
+        # a group with a row that is not finite has no distances, and may be near everything
+        group, solid, box = np.nonzero(held & ~(apart >= room[..., None]))
+        row = (first[group][:, None] + np.arange(GROUP)).ravel()
+        solid, box = np.repeat(solid, GROUP), np.repeat(box, GROUP)
+        there = row < len(centre)
+        row, solid, box = row[there], solid[there], box[there]
+        local = np.einsum("mc,mcd->md", centre[row, solid] - place[box], turn[box])
+        kept = np.flatnonzero(_box(local, self.half[box]) < reach[solid] + limit)
+        row, solid, box = row[kept], solid[kept], box[kept]
+        along = np.einsum("mc,mcd->md", axis[row, solid], turn[box])
+        return _NearBox(row, solid, box, local[kept], along, self.half[box])
 
-    def _below(self, near: _NearBox, k: int) -> FloatArray:
-        """Lower bounds of the distances of outer capsules to box k: distance changes by at most the way."""
-        value = self._on_axis(near, self.outer[0], k)
+    def _below(self, lower: FloatArray, near: _NearBox, limit: float) -> None:
+        """Takes lower bounds of the distances of outer capsules to the boxes into ``lower`` (B,).
+
+        A first bound from a few points of each axis, as distance changes by at most the way, settles most;
+        those that may be the least of their row, and below ``limit``, are worked out.
+        """
+        value = self._on_axis(near, self.outer[0])
         step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
-        low = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
-        return np.asarray(np.minimum(low.min(axis=1), value.min(axis=1)) - self.outer[1][near.solid])
+        least = value.min(axis=1)
+        radius = self.outer[1][near.solid]
+        between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
+        low = np.minimum(between.min(axis=1), least) - radius
+        most = lower.copy()
+        np.minimum.at(most, near.row, least - radius)
+        open_ = np.flatnonzero((low < most[near.row]) & (low < limit))
+        low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
+        np.minimum.at(lower, near.row, low)
 
-    def _on_axis(self, near: _NearBox, length: FloatArray, k: int) -> FloatArray:
-        """Distances (M, SAMPLES) to box k of points along the axes, out to the half lengths ``length``
+    def _to_box(self, near: _NearBox) -> FloatArray:
+        """Distances (M,) of outer capsules to boxes, too small by half of ``FINE`` at most: along an axis the
+        distance to a box is convex, so that its slope tells on which side of a point it is least."""
+        high = self.outer[0][near.solid]
+        low = -high
+        for _ in range(int(np.ceil(np.log2(max(2.0 * float(high.max(initial=0.0)) / FINE, 1.0))))):
+            middle = 0.5 * (low + high)
+            falls = _slope(near.place + middle[:, None] * near.along, near.along, near.half) < 0.0
+            low, high = np.where(falls, middle, low), np.where(falls, high, middle)
+        value = _box(near.place + (0.5 * (low + high))[:, None] * near.along, near.half)
+        return np.asarray(value - 0.5 * (high - low) - self.outer[1][near.solid])
+
+    def _on_axis(self, near: _NearBox, length: FloatArray) -> FloatArray:
+        """Distances (M, SAMPLES) to the boxes of points along the axes, out to the half lengths ``length``
         (S,)."""
         t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, SAMPLES)
-        return _box(near.place[:, None] + t[..., None] * near.along[:, None], self.half[k])
+        return _box(near.place[:, None] + t[..., None] * near.along[:, None], near.half[:, None])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _NearBox:
-    """Capsules near a box: row and solid (M,), centre and axis (M, 3) in the box's frame."""
+    """Capsules near boxes: row, solid and box (M,), centre and axis (M, 3) in the box's frame, and its half
+    size (M, 3)."""
 
     row: IntArray
     solid: IntArray
+    box: IntArray
     place: FloatArray
     along: FloatArray
+    half: FloatArray
+
+    def some(self, chosen: IntArray) -> _NearBox:
+        """Some of them."""
+        return _NearBox(*(getattr(self, field.name)[chosen] for field in dataclasses.fields(self)))
 
 
 def prepare(
@@ -299,8 +352,18 @@ def _segments(
 
 
 def _box(points: FloatArray, half: FloatArray) -> FloatArray:
-    """Signed distances (...,) of points (..., 3) to a box about the origin."""
-    x, y, z = (np.abs(points[..., i]) - half[i] for i in range(3))
+    """Signed distances (...,) of points (..., 3) to boxes about the origin of half sizes (..., 3)."""
+    x, y, z = (np.abs(points[..., i]) - half[..., i] for i in range(3))
     inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
     x, y, z = np.maximum(x, 0.0), np.maximum(y, 0.0), np.maximum(z, 0.0)
     return np.asarray(np.sqrt(x * x + y * y + z * z) + inside)
+
+
+def _slope(points: FloatArray, along: FloatArray, half: FloatArray) -> FloatArray:
+    """How the signed distances of points (M, 3) to boxes about the origin of half sizes (M, 3) change (M,)
+    along ``along`` (M, 3), up to a positive factor."""
+    over = np.abs(points) - half
+    out = np.maximum(over, 0.0)
+    inside = over.max(axis=1) <= 0.0
+    out[inside] = np.eye(3)[over[inside].argmax(axis=1)]
+    return np.asarray(np.einsum("mc,mc->m", out * np.sign(points), along))

@@ -60,7 +60,7 @@ def at_least(
     model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs = frozenset()
 ) -> FloatArray:
     """Cheap lower bounds (B,) [m] of the least distance between bodies, ``reach`` where it is more."""
-    lower, _ = _bounds(model, model.stack(q), reach, ignore)
+    lower, _ = _bounds(model, model.stack(q), reach, ignore, both=False)
     return np.asarray(np.minimum(lower, reach))
 
 
@@ -83,15 +83,21 @@ def _asked(
 
 
 def _bounds(
-    model: CellModel, rows: FloatArray, limit: float, ignore: Pairs, settled: float = -np.inf
+    model: CellModel,
+    rows: FloatArray,
+    limit: float,
+    ignore: Pairs,
+    settled: float = -np.inf,
+    both: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds (B,) of the least distances, widened by TOUCH; those above ``limit`` may be infinite."""
+    """Bounds (B,) of the least distances, widened by TOUCH; those above ``limit`` may be infinite, and the
+    upper ones are unless ``both`` are asked for."""
     bounds = model.bounds.among(ignore)
     lower, upper = np.empty(len(rows)), np.empty(len(rows))
     for start in range(0, len(rows), CHUNK):
         part = slice(start, start + CHUNK)
         q = {arm: rows[part, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
-        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH, settled)
+        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH, settled, both)
     return lower - TOUCH, upper + TOUCH
 
 

@@ -88,29 +88,42 @@ class Face:
     def nearest(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
         """The places (N, 3) of the face that are nearest to ``points`` (N, 3), the faces (N,) they are on and
         their barycentric weights (N, 3)."""
-        place, face = np.empty_like(points), np.zeros(len(points), dtype=np.int64)
-        share = np.zeros((len(points), 3))
+        row, face, weights, place, _ = self.touched(points, 0.0)
+        first = np.searchsorted(row, np.arange(len(points)))
+        return place[first], face[first], weights[first]
+
+    def touched(
+        self, points: FloatArray, within: float
+    ) -> tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]:
+        """The faces that come as near to ``points`` (N, 3) as the nearest one does, or ``within`` [m] of
+        that: M pairs by point, the nearest first, each the point (M,), the face (M,), its nearest place by
+        barycentric weights (M, 3) and as a point (M, 3), and how far it is (M,) [m]."""
         bound = np.full(len(points), np.inf)
         for tree, owner, _ in self._trees:
             f = owner[tree.query(points)[1]]
             foot = np.einsum("nk,nkd->nd", closest_on_triangles(points, *self._ends(f)), self._corners[f])
             bound = np.minimum(bound, np.linalg.norm(points - foot, axis=1))
-        bound += 1e-9
+        bound += within + 1e-9
         order = np.argsort(bound, kind="stable")  # so that each chunk asks no wider than it needs
+        nearest = bound.copy()
+        kept = [(np.zeros(0, np.int64), np.zeros(0, np.int64), *np.zeros((2, 0, 3)), np.zeros(0))]
         for start in range(0, len(points), 4000):
             rows = order[start : start + 4000]
             some = points[rows]
-            best = np.full(len(rows), np.inf)
             for i, f in self._pairs(some, bound[rows]):
                 weights = closest_on_triangles(some[i], *self._ends(f))
                 foot = np.einsum("nk,nkd->nd", weights, self._corners[f])
                 apart = np.linalg.norm(some[i] - foot, axis=1)
-                first = _first_least(i, apart)
-                first = first[apart[first] < best[i[first]]]
-                to = i[first]
-                best[to] = apart[first]
-                place[rows[to]], face[rows[to]], share[rows[to]] = foot[first], f[first], weights[first]
-        return place, face, share
+                i = rows[i]
+                np.minimum.at(nearest, i, apart)
+                use = apart <= np.minimum(nearest[i] + within, bound[i])
+                kept.append((i[use], f[use], weights[use], foot[use], apart[use]))
+        i, f, weights, foot, apart = (np.concatenate(part) for part in zip(*kept, strict=True))
+        use = np.flatnonzero(apart <= nearest[i] + within)
+        # pieces of one face are found one by one
+        use = use[np.unique(i[use] * np.int64(len(self.mesh.faces)) + f[use], return_index=True)[1]]
+        use = use[np.lexsort((apart[use], i[use]))]
+        return i[use], f[use], weights[use], foot[use], apart[use]
 
     def clearance(self, centres: FloatArray) -> FloatArray:
         """Distances (N,) [m] of ``centres`` (N, 3) from the face, negative below it; those beyond the radius

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim
 from planner.forming import forming_claims, holder
-from planner.forming.forming_check import check
+from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
 from planner.forming.job import Job, job, segment
@@ -32,8 +32,9 @@ FloatArray = NDArray[np.float64]
 
 AIR_FEED: Final = 0.1
 """Upper limit of the tools' speed between passes [m/s]."""
-FROM_REST: Final = 0.7
-"""Part of the feed that moves from or to a stop have on average, as they are faster in between."""
+FROM_REST: Final = 0.5
+"""Part of the feed that moves from or to a stop have on average: at their other end they are up to twice as
+fast."""
 CLEARANCE: Final = 0.010
 """How far tools are off the sheet between passes, besides what the route adds [m]."""
 RUN: Final = 0.8
@@ -44,7 +45,7 @@ MOST: Final = 4000
 def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
     made = job(operation, setup, part)
-    refused = list(holder.issues(made))
+    refused = [*holder.issues(made), *shift_issues(made)]
     if refused:
         raise TandemError(refused)
     paths = [(one, lay(made, one)) for one in made.passes]

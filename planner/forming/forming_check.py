@@ -8,19 +8,21 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.forming import holder
+from planner.forming.clamp import clamp_issues
 from planner.forming.die import die_issues
 from planner.forming.die_body import die_mesh
 from planner.forming.force import ForceEstimate, estimate, payload_issue
 from planner.forming.job import Job
-from planner.forming.passes import pass_issues
+from planner.forming.passes import ALIKE, pass_issues
 from planner.forming.state import states
 from planner.forming.state_check import clear_issues
+from planner.forming.thickness import steepest
 from planner.forming.values import Pass, ToolPath
 from planner.forming_tools import profile
 from planner.issues import Issue
 from planner.problem import Setup
 from planner.sheet_metals import thickness_doubt
-from planner.units import MM
+from planner.units import DEG, MM
 
 
 def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
@@ -28,6 +30,22 @@ def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> lis
     formed already."""
     out = [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
     return [*out, *_die(job), *holder.step_issues(job, paths)]
+
+
+def shift_issues(job: Job) -> Iterator[Issue]:
+    """Features around whose wall the support cannot be turned by the stated shift (forming.shift): beyond the
+    vertical it would leave the wall that it supports."""
+    shift, final = job.operation.shift_deg, {one.feature: one for one in job.passes}
+    for number, one in final.items():
+        wall = steepest(one.vertices, one.faces) / DEG
+        if shift > wall + ALIKE / DEG:
+            what = (
+                f"feature {number}: shift_deg is {shift:g}, allowed is 0 to {wall:.1f}, the angle of its wall"
+            )
+            hint = "take a smaller shift_deg; at the wall's angle the support is straight behind the former"
+            yield Issue(
+                "forming.shift", what, field="shift_deg", value=shift, limit=wall, unit="deg", hint=hint
+            )
 
 
 def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
@@ -48,6 +66,8 @@ def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
         arms = tuple(filter(None, (job.former(one), job.supporter(one))))
         profiles = [profile(job.heads[arm]) for arm in arms]
         yield from clear_issues(one, path, state, arms, profiles, job.pressed)
+        if job.operation.cone_deg == 0.0:  # else motion may tilt it out of there
+            yield from clamp_issues(one, path, job.clamp, arms, profiles)
 
 
 def _die(job: Job) -> Iterator[Issue]:

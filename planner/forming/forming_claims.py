@@ -18,28 +18,27 @@ from planner.claims import (
     SupportsBorder,
     ToolGap,
 )
-from planner.forming import holder
+from planner.forming import holder, ridges
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
+from planner.forming.opposite import FACING
 from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
 from planner.forming_tools import profile
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+from planner.geometry.mesh import TriangleMesh
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-FLATTEST: Final = 2.0 * DEG
-"""Walls flatter than this count as flat: no finite steps leave them without ridges."""
-SPARE: Final = 4.0 * DEG
-"""The line of two tools is between the face's normal and the vertical, to which the support is turned where
-it would cut into the flat or where a shift is stated, and off that by this much at most."""
 BORDER: Final = 0.5 * MM
 """How far a support may be off the border that it runs along."""
 OPPOSITE: Final = 2.0 * MM
 """How far a source of heat may be off its place opposite the forming ball."""
+AIMED: Final = 10.0 * DEG
+"""How far that place may be off the face's normal, and the nozzle off what is between that and the vertical:
+it follows the smooth face, not its facets."""
 
 
 def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim, ...]:
@@ -62,20 +61,13 @@ def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim,
     return tuple(out)
 
 
-def scallop(job: Job, one: Pass) -> float:
-    """Height [m] of the ridges that the steps leave on ``share`` of the walls: the stated one, or that of the
-    stated step h = R - sqrt(R^2 - (dz / (2 sin a))^2), at the wall angle a that the share stays above."""
+def scallop(job: Job, one: Pass) -> FloatArray:
+    """Height (F,) [m] of the ridges that the path leaves at the triangles of a pass: the stated one, or that
+    of the stated step."""
     op, radius = job.operation, job.heads[job.former(one)].radius
-    if op.scallop_mm is not None:
-        return op.scallop_mm * MM
-    mesh = TriangleMesh(one.vertices, one.faces)
-    angle = np.arccos(np.clip(face_normals(mesh)[:, 2], -1.0, 1.0))
-    area = np.where(angle > FLATTEST, face_areas(mesh), 0.0)
-    order = np.argsort(angle)
-    passed = np.cumsum(area[order]) / max(float(area.sum()), 1e-12)
-    flattest = float(angle[order[int(np.searchsorted(passed, 0.5 * (1.0 - op.share)))]])
-    half = min(0.5 * (op.stepdown_mm or 0.0) * MM / np.sin(max(flattest, FLATTEST)), radius)
-    return float(radius - np.sqrt(radius**2 - half**2))
+    if op.stepdown_mm is None:
+        return np.full(len(one.faces), (op.scallop_mm or 0.0) * MM)
+    return ridges.heights(TriangleMesh(one.vertices, one.faces), radius, op.stepdown_mm * MM, op.share)
 
 
 def _state(job: Job, one: Pass, state: State) -> SheetState:
@@ -108,7 +100,7 @@ def _of(job: Job, one: Pass) -> list[Claim]:
                 faces,
                 gap,
                 tolerance,
-                turn=SPARE,
+                turn=FACING,
                 handshake=step,
             )
         )
@@ -117,6 +109,6 @@ def _of(job: Job, one: Pass) -> list[Claim]:
         out.append(SupportsBorder(segment(one), other, border, BORDER))
     else:
         away = radius + float(np.median(one.thickness))
-        turn = np.deg2rad(90.0)
-        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, turn))
+        aim = AIMED + op.cone_deg * DEG
+        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, AIMED, aim))
     return out

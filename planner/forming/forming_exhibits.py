@@ -77,7 +77,7 @@ def _features(job: Job) -> dict[str, Any]:
 def _passes(job: Job, paths: Laid) -> dict[str, Any]:
     rows = []
     for number, (one, path) in enumerate(paths, 1):
-        contact = path.contact
+        contact, ridge = path.contact, scallop(job, one) / MM
         length = float(np.linalg.norm(np.diff(path.former, axis=0), axis=1).sum())
         rows.append(
             (
@@ -90,7 +90,7 @@ def _passes(job: Job, paths: Laid) -> dict[str, Any]:
                 int(contact.loop.max()) + 1,
                 len(contact.point),
                 f"{length:.1f}",
-                f"{scallop(job, one) / MM:.3f}",
+                f"{ridge.min():.3f} to {ridge.max():.3f}",
                 f"{float(one.thickness.min()) / MM:.2f}",
             )
         )
@@ -136,7 +136,7 @@ def _gap(job: Job, paths: Laid) -> dict[str, Any]:
         got.append(np.linalg.norm(path.former - path.support, axis=1) - radii)
     return {
         "kind": "curve",
-        "title": "Gap between the tools",
+        "title": "Gap between the tools as planned",
         "x": np.arange(len(gap), dtype=float),
         "x_label": "target of a pass",
         "y_label": "gap [mm]",

@@ -19,6 +19,18 @@ def insert(contact: ContactPath, radius: float, side: int, row: IntArray, share:
     if len(row) == 0:
         return contact
     normal = turned(contact.normal[row - 1], contact.normal[row], share)
+    return insert_at(contact, row, share, normal, radius, side)
+
+
+def insert_at(
+    contact: ContactPath,
+    row: IntArray,
+    share: FloatArray,
+    normal: FloatArray,
+    radius: float,
+    side: int = 1,
+) -> ContactPath:
+    """As ``insert``, with the ``normal`` (M, 3) of the face at the new targets."""
     centre = mixed(contact.centre[row - 1], contact.centre[row], share)
     point = mixed(contact.point[row - 1], contact.point[row], share)
     touching = np.linalg.norm(centre - point, axis=1) < 1.5 * radius

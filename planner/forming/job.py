@@ -6,6 +6,7 @@ import dataclasses
 from typing import Final
 
 from planner.forming import feature_order, feature_tree
+from planner.forming.clamp import Clamp, clamp_of
 from planner.forming.feature_order import OrderStep
 from planner.forming.feature_tree import FeatureTree
 from planner.forming.operation import Forming
@@ -23,7 +24,7 @@ NAMED: Final = 5
 @dataclasses.dataclass(frozen=True)
 class Job:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
-    working ends by arm, ``passes`` in the order of forming."""
+    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet."""
 
     operation: Forming
     sheet: Sheet
@@ -33,6 +34,7 @@ class Job:
     order: tuple[OrderStep, ...]
     passes: tuple[Pass, ...]
     heads: dict[str, FormingHead]
+    clamp: Clamp
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""
@@ -93,7 +95,7 @@ def job(operation: Forming, setup: Setup, part: Part | None) -> Job:
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
-    return Job(operation, sheet, thickness, mesh, tree, order, made, heads)
+    return Job(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock))
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:

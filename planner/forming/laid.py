@@ -29,7 +29,8 @@ def lay(job: Job, one: Pass) -> ToolPath:
     contact = make_path(one, former.radius, job.options)
     if job.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
-    return tool_path(one, contact, op, former, None if other is None else job.heads[other], job.thickness)
+    support = None if other is None else job.heads[other]
+    return tool_path(one, contact, op, former, support, job.thickness, job.clamp)
 
 
 def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:

@@ -150,6 +150,8 @@ class Forming(Strict):
             raise ValueError("die: the holder's step_mm is needed where scallop_mm sets the tool's steps")
         if (self.stepdown_mm is None) == (self.scallop_mm is None):
             raise ValueError("give either stepdown_mm or scallop_mm, one of them")
+        if self.shift_deg > 0.0 and self.mode != "dpif_l":
+            raise ValueError(f"shift_deg belongs to mode dpif_l; mode {self.mode} has no shift")
         if isinstance(self.passes, tuple) and (
             not self.passes or list(self.passes) != sorted(set(self.passes)) or not 0 < self.passes[0] <= 90
         ):

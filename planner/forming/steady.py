@@ -13,7 +13,7 @@ from planner.units import DEG
 
 STEP: Final = 1e-3
 """Spacing [m] at which a path is looked at."""
-WIDTH: Final = 10e-3
+WIDTH: Final = 4e-3
 """Way [m] over which directions are steadied: a few facets of a usual mesh."""
 MOST_ROWS: Final = 2_000_000
 

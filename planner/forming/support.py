@@ -19,29 +19,18 @@ from typing import Final
 import numpy as np
 
 from planner.forming.border import border_path
-from planner.forming.clearing import FarFace, clear_tilt, radius_issue
-from planner.forming.contact import Face
-from planner.forming.inserting import insert, shares
+from planner.forming.clamp import Clamp
+from planner.forming.clearing import FarFace, radius_issue
+from planner.forming.heated import heated
 from planner.forming.operation import Forming
-from planner.forming.steady import steady_below, steady_normals
-from planner.forming.thickness import by_corner
-from planner.forming.tilt import axes, below_flat, leaned, nozzle_below_flat
-from planner.forming.values import ContactPath, FloatArray, Pass, ToolPath
-from planner.geometry.mesh import TriangleMesh
+from planner.forming.opposite import opposite_path
+from planner.forming.tilt import axes
+from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.issues import Issue, TandemError
 from planner.problem import FormingHead
-from planner.units import DEG, MM
+from planner.units import DEG
 
 _MIRROR: Final = np.array([1.0, 1.0, -1.0])
-LIFT: Final = 5e-3
-"""How far [m] the support draws back from the sheet where the forming tool goes over in the air."""
-AIR: Final = 3e-3
-"""Distance [m] of the forming ball from the face beyond which it is in the air."""
-CREASED: Final = 0.15
-"""Thicknesses on both sides of a crease differ by more than this share of the flat sheet's."""
-SHARE: Final = 0.4
-"""Part of the gap's tolerance that straight moves between targets may take."""
-_ROUNDS: Final = 5
 
 
 def tool_path(
@@ -51,17 +40,19 @@ def tool_path(
     former: FormingHead,
     support: FormingHead | None,
     thickness: float,
+    clamp: Clamp | None = None,
 ) -> ToolPath:
     """Both tools along ``contact``, for all modes but adsif (`adsif_path.adsif_tool_path`).
 
-    ``thickness`` [m] of the flat sheet. The result's contact has more targets where straight moves would let
-    the gap, or the support's way along the border, off by too much. Raises ``TandemError``
-    (forming.support_tool) where the mode has no such support.
+    ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from. The result's
+    contact has more targets where straight moves would let the gap, or the support's way along the border,
+    off by too much. Raises ``TandemError`` (forming.support_tool) where the mode has no such support.
     """
     _require(operation, former, support)
     mode = operation.mode
     if one.side < 0:
-        found = tool_path(_mirrored(one), _turned_over(contact), operation, former, support, thickness)
+        over = None if clamp is None else dataclasses.replace(clamp, low=-clamp.high, high=-clamp.low)
+        found = tool_path(_mirrored(one), _turned_over(contact), operation, former, support, thickness, over)
         return _back(found)
     if support is None or mode in ("spif", "tpif"):
         none = np.full(len(contact.point), np.nan)
@@ -72,8 +63,10 @@ def tool_path(
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, up, none, path)
     if mode == "heat":
-        return _heat(one, contact, operation, former, support, thickness)
-    return _opposite(one, contact, operation, former, support, thickness)
+        path, place, behind = heated(one, contact, former, support, thickness, clamp)
+        none = np.full(len(place), np.nan)
+        return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, behind, none, path)
+    return opposite_path(one, contact, operation, former, support, thickness)
 
 
 def support_issues(
@@ -98,121 +91,6 @@ def support_issues(
     gap = np.nan_to_num(path.gap)
     issue = radius_issue(one, FarFace(one, thickness, contact, former.radius), contact, off, gap, radii)
     return () if issue is None else (issue,)
-
-
-def wanted_gap(one: Pass, contact: ContactPath, squeeze: float, thickness: float) -> FloatArray:
-    """Gap (N,) [m] at the targets: ``squeeze`` times the sheet's thickness along the smooth face's normal
-    nearest to the ball, which does not hop from facet to facet as the contact's own normal does."""
-    thick = by_corner(one, thickness)[2].reshape(-1, 3)
-    whole = Face(TriangleMesh(one.vertices, one.faces), 5e-3)
-    near, own = (
-        np.einsum("nk,nk->n", weights, thick[face])
-        for _, face, weights in (whole.nearest(contact.centre), whole.nearest(contact.point))
-    )
-    # in a crease the ball touches two walls at once, and the thinner one counts
-    crease = np.abs(near - own) > CREASED * thickness
-    return np.asarray(squeeze * np.where(crease, np.minimum(near, own), near))
-
-
-def _opposite(
-    one: Pass,
-    contact: ContactPath,
-    operation: Forming,
-    former: FormingHead,
-    support: FormingHead,
-    thickness: float,
-) -> ToolPath:
-    level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
-    shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
-    radii = former.radius + support.radius
-    for left in range(_ROUNDS, -1, -1):
-        gap = wanted_gap(one, contact, operation.squeeze, thickness)
-        apart = gap + radii
-        # the face's own normals hop from facet to facet, and the support far from it would hop along
-        normal = steady_normals(contact.normal, contact.centre)
-        steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
-        tilt = np.maximum(steep - shift, 0.0)
-        tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
-        squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
-        inner = support.radius - squeezed - operation.gouge_tol_mm * MM
-        opposite = dataclasses.replace(contact, normal=normal)
-        tilt = steady_below(clear_tilt(far, opposite, tilt, apart, inner), contact.centre)
-        line = leaned(normal, tilt)
-        place = contact.centre - apart[:, None] * line
-        air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
-        row, share = _refinement(contact.centre - place, air, SHARE * operation.gap_tol_mm * MM)
-        if not len(row) or left == 0:
-            break
-        contact = insert(contact, former.radius, 1, row, share)
-    _draw_back(place, air, one, thickness, support.radius)
-    lean = _lean(operation)
-    return ToolPath(
-        former=contact.centre,
-        axis=axes(contact.normal, lean),
-        support=place,
-        support_axis=leaned(normal, np.minimum(tilt, lean)),
-        gap=np.where(air, np.nan, gap),
-        contact=contact,
-    )
-
-
-def _refinement(
-    across: FloatArray, air: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], tolerance: float
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.int64]], FloatArray]:
-    """Which moves need targets between, so that the distance of the centres ``across`` (N, 3), which go
-    straight, is off by ``tolerance`` [m] at most: the chord of an arc is short by its sagitta."""
-    length = np.linalg.norm(across, axis=1)
-    middle = 0.5 * (length[1:] + length[:-1]) - np.linalg.norm(0.5 * (across[1:] + across[:-1]), axis=1)
-    cosine = np.einsum("nd,nd->n", across[1:], across[:-1]) / (length[1:] * length[:-1])
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    finest = 2.0 * np.arccos(1.0 - tolerance / length[1:])
-    need = np.where((middle > tolerance) & ~(air[1:] | air[:-1]), np.ceil(angle / finest), 1.0)
-    return shares(np.concatenate([[1], need]).astype(np.int64))
-
-
-def _draw_back(
-    place: FloatArray,
-    air: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-    one: Pass,
-    thickness: float,
-    radius: float,
-) -> None:
-    """Where the forming tool goes over in the air the support leaves the sheet straight down, and comes back
-    straight up."""
-    if not air.any() or air.all():
-        return
-    low = float(one.vertices[:, 2].min()) - thickness - radius - LIFT
-    rows = np.flatnonzero(air)
-    touching = np.flatnonzero(~air)
-    after = np.searchsorted(touching, rows)
-    first = np.concatenate([[True], np.diff(rows) > 1])
-    source = np.where(
-        (first & (after > 0)) | (after == len(touching)),
-        touching[np.maximum(after - 1, 0)],
-        touching[np.minimum(after, len(touching) - 1)],
-    )
-    place[rows] = np.column_stack([place[source, :2], np.full(len(rows), low)])
-
-
-def _heat(
-    one: Pass,
-    contact: ContactPath,
-    operation: Forming,
-    former: FormingHead,
-    nozzle: FormingHead,
-    thickness: float,
-) -> ToolPath:
-    through = former.radius + thickness * np.cos(contact.angle)
-    place = contact.centre - through[:, None] * contact.normal
-    most = nozzle_below_flat(place[:, 2], one.start - thickness, nozzle.standoff, nozzle.radius)
-    return ToolPath(
-        former=contact.centre,
-        axis=axes(contact.normal, _lean(operation)),
-        support=place,
-        support_axis=leaned(contact.normal, np.minimum(contact.angle, most)),
-        gap=np.full(len(place), np.nan),
-        contact=contact,
-    )
 
 
 def _lean(operation: Forming) -> float:

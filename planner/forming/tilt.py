@@ -42,9 +42,24 @@ def nozzle_below_flat(height: FloatArray, level: float, standoff: float, radius:
     return np.asarray(np.maximum(most, 0.0))
 
 
-def turned_at_most(one: FloatArray, two: FloatArray, most: float) -> FloatArray:
-    """Unit vectors ``two`` (N, 3) where they are within ``most`` [rad] of unit vectors ``one`` (N, 3), else
-    those so far from ``one`` toward them."""
+def off_upright(line: FloatArray, normal: FloatArray) -> FloatArray:
+    """Angles (N,) [rad] of unit vectors ``line`` (N, 3) to the nearest of the directions on the arc from
+    ``normal`` (N, 3) to +z."""
+    flat = np.linalg.norm(normal[:, :2], axis=1)
+    way = normal[:, :2] / np.maximum(flat, 1e-12)[:, None]
+    # in the frame of the arc: out along it in plan, beside it, and up
+    along = np.einsum("nd,nd->n", line[:, :2], way)
+    beside = np.abs(way[:, 0] * line[:, 1] - way[:, 1] * line[:, 0])
+    steep = np.clip(np.arctan2(along, line[:, 2]), 0.0, np.arctan2(flat, normal[:, 2]))
+    cosine = along * np.sin(steep) + line[:, 2] * np.cos(steep)
+    return np.asarray(
+        np.arctan2(np.hypot(beside, along * np.cos(steep) - line[:, 2] * np.sin(steep)), cosine)
+    )
+
+
+def turned_at_most(one: FloatArray, two: FloatArray, most: float | FloatArray) -> FloatArray:
+    """Unit vectors ``two`` (N, 3) where they are within ``most`` [rad], one angle or (N,), of unit vectors
+    ``one`` (N, 3), else those so far from ``one`` toward them."""
     angle = np.arccos(np.clip(np.einsum("nd,nd->n", one, two), -1.0, 1.0))
     across = two - np.einsum("nd,nd->n", one, two)[:, None] * one
     length = np.linalg.norm(across, axis=1, keepdims=True)

@@ -29,8 +29,9 @@ _SHARE: Final = 0.5
 
 
 def lever(tool: Tool) -> float:
-    """How far [mm] from its TCP a tool cuts: to the far end of a straight wire, or :data:`LEVER`."""
-    if tool.edge is None:
+    """How far [mm] from its TCP a tool cuts: to the far end of a straight wire, or :data:`LEVER`, also for
+    what is no wire but a solid with corners."""
+    if tool.edge is None or tool.edge.vertices is not None:
         return LEVER
     half = np.array([[0.0, 0.0, sign * 0.5 * tool.edge.size[1]] for sign in (-1.0, 1.0)])
     ends = half @ tool.edge.pose[:3, :3].T + tool.edge.pose[:3, 3] - tool.tcp[:3, 3]

@@ -36,6 +36,10 @@ from planner.report.markup import Raw
 FloatArray = NDArray[np.float64]
 
 
+_HALF = 6
+"""Tables of more columns than this take the whole width."""
+
+
 def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Raw], list[Issue]]:
     """Figures of all exhibits but those of the setup sheet, and issues for those that cannot be drawn.
 
@@ -131,8 +135,9 @@ def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
 
 def _table(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     del block
-    body = markup.table(tuple(exhibit["columns"]), exhibit["rows"])
-    return markup.figure(exhibit["title"], body, exhibit.get("note", ""))
+    columns = tuple(exhibit["columns"])
+    drawn = markup.figure(exhibit["title"], markup.table(columns, exhibit["rows"]), exhibit.get("note", ""))
+    return Raw(f'<div class="wide">{drawn}</div>') if len(columns) > _HALF else drawn
 
 
 def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:

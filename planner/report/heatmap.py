@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -16,6 +18,9 @@ _MILD = np.array([0.93, 0.94, 0.93])
 _WARM = np.array([0.78, 0.18, 0.13])
 _GRID = (1500, 41)
 _MISSED = np.array([0.35, 0.13, 0.45])
+CUT: Final = ("too much cut", "left standing", "the wire did not pass")
+FORMED: Final = ("pressed too far", "not pressed so far", "the ball did not pass")
+"""What negative, positive and missing deviations of a cut and of a formed face are called."""
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -118,8 +123,11 @@ def deviation_map(
     tolerance: float,
     title: str,
     rulings: tuple[FloatArray, FloatArray] | None = None,
+    signs: tuple[str, str, str] = CUT,
 ) -> Raw:
-    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks what was not cut.
+    """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks where the edge did not pass.
+
+    ``signs``: what negative, positive and missing deviations are called.
 
     A surface of the ``rulings`` from (K, 3) to (K, 3) is laid flat, any other one seen along its normal.
     """
@@ -130,7 +138,7 @@ def deviation_map(
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
     color[missed] = _MISSED
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
-    body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()))
+    body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()), signs)
     return markup.figure(title, body, words)
 
 
@@ -182,7 +190,7 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
     return "".join(parts)
 
 
-def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
+def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> str:
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0
@@ -198,8 +206,8 @@ def _scale_bar(span: float, tolerance: float, missed: bool) -> str:
         if abs(value) == tolerance:
             parts.append(f'<line class="axis" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="13"/>')
     parts.append("</svg>")
-    words = [("#215cb2", "too much cut"), ("#c72e21", "left standing")]
-    words += [("#592173", "the wire did not pass")] if missed else []
+    words = [("#215cb2", signs[0]), ("#c72e21", signs[1])]
+    words += [("#592173", signs[2])] if missed else []
     words += [("transparent", f"tolerance ±{markup.number(tolerance * 1e3)} mm: off the scale")] * (
         tolerance > span
     )

@@ -3,7 +3,8 @@
 Names that are read from ``Proof.series``, all optional: ``time`` (T,) [s] and ``label`` (T,) of segments; per
 arm ``joints/<arm>``, ``speed/<arm>``, ``acceleration/<arm>`` (T, 6) [rad, rad/s, rad/s^2];
 ``clearance/time``, ``clearance/distance`` [m] and ``clearance/pair`` (K,); per wire n ``wire/<n>/time``,
-``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and ``stability`` [-], each (W,).
+``label``, ``feed`` [m/s], ``clearance`` [m], ``curvature`` [1/m] and ``stability`` [-], each (W,);
+per gap n of two tools ``gap/<n>/time``, ``got``, ``low``, ``high`` [m], each (G,).
 """
 
 from __future__ import annotations
@@ -83,6 +84,16 @@ class WireMotion:
 
 
 @dataclasses.dataclass(frozen=True)
+class Gap:
+    """The gap [m] that two tools leave over time (G,), and the least and the most that is allowed."""
+
+    time: FloatArray
+    got: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
 class Motion:
     """All that is drawn over time; ``source`` says where it comes from.
 
@@ -97,6 +108,7 @@ class Motion:
     bands: tuple[Band, ...]
     source: str
     work: tuple[tuple[float, float], ...] = ()
+    gap: Gap | None = None
 
     def wrist(self, arm: str) -> float:
         """Least wrist angle [rad] of an arm in the segments of the targets."""
@@ -118,7 +130,7 @@ def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
         source = "replayed from the programs' text, from home to home"
         named = {label.lower() for op in plan.operations for label in op.targets.segment}
         work = tuple((band.start, band.end) for band in bands if band.name.lower() in named)
-        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work)
+        return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work, _gap(series))
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
     shown = _planned(problem, plan, starts)
@@ -189,6 +201,18 @@ def _numbers(series: Mapping[str, Any], what: str) -> list[int]:
     """Numbers n of the wires that have ``wire/<n>/<what>``."""
     found = (re.fullmatch(rf"wire/(\d+)/{what}", name) for name in series)
     return sorted(int(match.group(1)) for match in found if match)
+
+
+def _gap(series: Mapping[str, Any]) -> Gap | None:
+    """All gaps one after the other; between two of them there is none."""
+    found = (re.fullmatch(r"gap/(\d+)/time", name) for name in series)
+    numbers = sorted(int(match.group(1)) for match in found if match)
+    rows = [
+        np.stack([np.append(series[f"gap/{n}/{what}"], np.nan) for what in ("time", "got", "low", "high")])
+        for n in numbers
+        if len(series[f"gap/{n}/time"])
+    ]
+    return Gap(*np.concatenate(rows, axis=1)) if rows else None
 
 
 def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:

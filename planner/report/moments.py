@@ -1,4 +1,4 @@
-"""Which moments of a job are shown as pictures: one of each setup, in the midst of its longest cut."""
+"""Which moments of a job are shown as pictures: one of each setup, in the midst of its longest work."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.problem import Mesh, Problem, Setup
 from planner.report import cell_picture, scene, standing, sweep
 from planner.report.cell_picture import Moment, Picture
 from planner.report.replay3d import LEFT
-from planner.targets import segment_kind
+from planner.targets import works
 
 FloatArray = NDArray[np.float64]
 SHARE = 0.62
@@ -65,9 +65,9 @@ def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Mo
 
 
 def _cuts(operation: OperationPlan) -> list[NDArray[np.intp]]:
-    """Rows of each run of equal cut labels."""
+    """Rows of each run of equal labels of work."""
     labels = operation.targets.segment
-    cut = np.array([segment_kind(label) == "cut" for label in labels])
+    cut = np.array([works(label) for label in labels])
     starts = np.flatnonzero(
         cut & np.array([i == 0 or labels[i] != labels[i - 1] for i in range(len(labels))])
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planner.problem import Settings
 from planner.report import markup
 from planner.report.charts import Level, Line, chart
-from planner.report.inputs import ArmMotion, Clearance, Motion, WireMotion
+from planner.report.inputs import ArmMotion, Clearance, Gap, Motion, WireMotion
 from planner.report.markup import Raw
 from planner.units import DEG, MM
 
@@ -31,7 +31,7 @@ def feed(motion: Motion) -> Raw:
     body = chart(lines, x_label="s", y_label="mm/s", bands=motion.bands, y_range=(0.0, top))
     note = f"scaled to the work; moves outside it reach {markup.number(fastest, 3)} mm/s"
     return markup.figure(
-        "Speed of the fastest guarded point", body, note if fastest > top else "tinted strongest: cutting"
+        "Speed of the fastest guarded point", body, note if fastest > top else "tinted strongest: work"
     )
 
 
@@ -55,6 +55,19 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Raw:
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
     note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
     return markup.figure("Clearance of everything to everything", body, note)
+
+
+def gap(data: Gap, motion: Motion) -> Raw:
+    """What two tools leave between them over time [mm], within what is allowed."""
+    lines = [
+        Line("gap", data.time, data.got / MM, 0),
+        Line("most", data.time, data.high / MM, 1, True),
+        Line("least", data.time, data.low / MM, 3, True),
+    ]
+    room = np.minimum(data.got - data.low, data.high - data.got) / MM
+    note = f"nearest to what is not allowed: {markup.fixed(float(np.nanmin(room)), 3)} mm"
+    body = chart(lines, x_label="s", y_label="mm", bands=motion.bands)
+    return markup.figure("Gap between the tools", body, note)
 
 
 def wire(data: WireMotion, motion: Motion) -> list[Raw]:

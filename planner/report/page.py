@@ -122,6 +122,8 @@ def _motion(problem: Problem, motion: Motion) -> list[Raw]:
     figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
         figures.append(motion_charts.clearance(motion.clearance, motion, settings))
+    if motion.gap is not None:
+        figures.append(motion_charts.gap(motion.gap, motion))
     figures += motion_charts.margins(motion, settings) if motion.arms else []
     figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
     for name, arm in motion.arms.items():

@@ -14,6 +14,7 @@ from planner.targets import segment_kind
 _COLOURS: Final = {
     "cut": "#f08a3c",
     "mill": "#f08a3c",
+    "form": "#f08a3c",
     "approach": "#58a6c7",
     "retreat": "#58a6c7",
     "link": "#58a6c7",

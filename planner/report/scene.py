@@ -93,13 +93,19 @@ def mounted(setup: Setup) -> tuple[Piece, ...]:
     for arm in setup.cell.arms:
         out += [_piece(f"{arm.name}/tool", shape, TOOL_COLOUR) for shape in arm.tool.shapes]
         if arm.tool.edge is not None:
-            radius, length = arm.tool.edge.size
-            wire = dataclasses.replace(arm.tool.edge, size=(max(radius, SEEN), length))
-            out.append(_piece(f"{arm.name}/edge", wire, HOT))
+            out.append(_piece(f"{arm.name}/edge", _seen(arm.tool.edge), HOT))
     out.append(_piece("stock", standing.box(setup), STOCK_COLOUR))
     if setup.stock.held_by is None:
         out += [_piece("support", shape, SUPPORT_COLOUR) for shape in setup.stock.support]
     return tuple(out)
+
+
+def _seen(edge: Shape) -> Shape:
+    """A tool's edge as it is drawn: wires no thinner than :data:`SEEN`, heads that are meshes as they are."""
+    if edge.kind == "mesh":
+        return edge
+    radius, length = edge.size
+    return dataclasses.replace(edge, size=(max(radius, SEEN), length))
 
 
 def stand(

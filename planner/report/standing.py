@@ -35,7 +35,9 @@ def block(
 
 def cutter(setup: Setup, arms: tuple[str, ...]) -> Arm | None:
     """The first of these arms whose tool has a straight wire, or None."""
-    return next((setup.cell.arm(name) for name in arms if setup.cell.arm(name).tool.edge is not None), None)
+    tools = {name: setup.cell.arm(name).tool for name in arms}
+    found = next((name for name, tool in tools.items() if tool.edge is not None and tool.head is None), None)
+    return None if found is None else setup.cell.arm(found)
 
 
 def wire_in_block(

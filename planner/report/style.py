@@ -56,7 +56,7 @@ stroke-linejoin:round}
 .c0{stroke:var(--c0);--c:var(--c0)}.c1{stroke:var(--c1);--c:var(--c1)}.c2{stroke:var(--c2);--c:var(--c2)}
 .c3{stroke:var(--c3);--c:var(--c3)}.c4{stroke:var(--c4);--c:var(--c4)}.c5{stroke:var(--c5);--c:var(--c5)}
 .c6{stroke:var(--c6);--c:var(--c6)}.c7{stroke:var(--c7);--c:var(--c7)}
-.band{fill:var(--k-other)}.band.k-cut{fill:var(--k-cut)}.band.k-link,.band.k-transit{fill:var(--k-link)}
+.band{fill:var(--k-other)}.band.k-cut,.band.k-form,.band.k-mill{fill:var(--k-cut)}.band.k-link,.band.k-transit{fill:var(--k-link)}
 .cursor{stroke:var(--soft);stroke-width:1;visibility:hidden}
 .legend{display:flex;flex-wrap:wrap;gap:2px 14px;font-size:12px;color:var(--soft);margin:2px 0 0 52px}
 .key::before{content:"";display:inline-block;width:14px;height:3px;border-radius:2px;background:var(--c);

@@ -14,7 +14,7 @@ from planner.geometry.rigid import inverse, transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import standing
-from planner.targets import segment_kind
+from planner.targets import segment_kind, works
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -194,10 +194,10 @@ def _append(
 def _keys(time: FloatArray, labels: Sequence[str], keys: int) -> FloatArray:
     """Times of the keyframes: most at equal steps, the rest at rows outside the work, which pass quickly."""
     even = np.linspace(time[0], time[-1], max(2, int(0.6 * keys)))
-    cutting = np.array([segment_kind(label) == "cut" for label in labels])
+    working = np.array([works(label) for label in labels])
     still = np.array([label == SETUP for label in labels])
-    change = np.flatnonzero(cutting[1:] != cutting[:-1])
-    rest = np.flatnonzero(~cutting)
+    change = np.flatnonzero(working[1:] != working[:-1])
+    rest = np.flatnonzero(~working)
     rest = rest[:: max(1, -(-len(rest) // max(1, int(0.35 * keys))))]
     rows = np.concatenate([rest, change, change + 1, np.flatnonzero(still)])
     return np.unique(np.round(np.concatenate([even, time[rows]]), 2))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planner.issues import Issue, Severity
 from planner.report import heatmap, markup
 from planner.report.markup import Raw
+from planner.targets import segment_kind
 from planner.units import MM
 from planner.verify.result import CutFace, RuleResult
 
@@ -75,14 +76,17 @@ def rules(results: Sequence[RuleResult]) -> Raw:
 def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Raw:
     """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
+    formed = segment_kind(cut.segment) == "form"
     items = [
-        (f"within ±{markup.number(cut.tolerance / MM)} mm", f"{100 * cut.share:.2f} % of the face"),
+        (f"within {_allowed(cut)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),
         ("root mean square", f"{cut.rms / MM:.3f} mm"),
         ("largest", f"{cut.largest / MM:.3f} mm"),
         ("points compared", f"{len(cut.points)}"),
     ]
-    items += [("not passed by the wire", f"{100 * missed:.2f} %")] if missed else []
+    items += (
+        [(f"not passed by the {'ball' if formed else 'wire'}", f"{100 * missed:.2f} %")] if missed else []
+    )
     good = cut.share >= cut.wanted_share
     tag = f' <span class="tag {"ok" if good else "bad"}">{"holds" if good else "does not hold"}</span>'
     chart = heatmap.deviation_map(
@@ -91,6 +95,16 @@ def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> 
         cut.tolerance,
         Raw(f"Simulated less wanted: {markup.text(cut.segment)}{tag}"),
         rulings,
+        heatmap.FORMED if formed else heatmap.CUT,
     )
     spread = markup.figure("Spread", heatmap.histogram(cut.deviation, cut.tolerance))
     return Raw(f'<div class="grid two part">{chart}<div>{spread}{markup.facts(items)}</div></div>')
+
+
+def _allowed(cut: CutFace) -> str:
+    """What a face may be off [mm], as text; the middle and the greatest where it differs by place."""
+    if not len(cut.allowed):
+        return f"±{markup.number(cut.tolerance / MM)}"
+    middle = float(np.median(cut.allowed)) / MM
+    most = cut.tolerance / MM
+    return f"what steps leave there, {markup.number(middle, 2)} or so and {markup.number(most, 2)} at most,"

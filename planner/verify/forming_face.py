@@ -48,14 +48,17 @@ class Nearest:
 
 
 class Face:
-    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up."""
+    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up; ``rows`` are, of the
+    given ones, those that have an area."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
+        self.given = (vertices, faces)
         corners = vertices[faces]
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=1)
         kept = size > 1e-16
         self.vertices, self.faces = vertices, faces[kept]
+        self.rows = np.flatnonzero(kept)
         self.corners = corners[kept]
         self.area = 0.5 * size[kept]
         self.normal = cross[kept] / size[kept, None]
@@ -120,9 +123,14 @@ class Face:
             if len(rows):
                 which, triangle = self._tree.near_ways(start[rows], end[rows], need[rows])
                 which = rows[which]
-                near = _apart(start[which], end[which], self.corners[triangle])
+                near = apart(start[which], end[which], self.corners[triangle])
                 np.minimum.at(out, which, near)
         return np.where(out < need, out, np.inf)
+
+    def near_ways(self, start: FloatArray, end: FloatArray, need: FloatArray) -> tuple[IntArray, IntArray]:
+        """Pairs of straight ways from ``start`` to ``end`` (K, 3) and triangles that may be nearer than
+        ``need`` (K,) [m]."""
+        return self._tree.near_ways(start, end, need)
 
     def _foot(self, points: FloatArray, triangle: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Barycentric weights (M, 3) and places (M, 3) of triangles (M,) nearest to points (M, 3), and how
@@ -152,7 +160,7 @@ def _border(vertices: FloatArray, faces: IntArray) -> BoolArray:
     return np.asarray((count[which.ravel()] == 1).reshape(-1, 3))
 
 
-def _apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
+def apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArray:
     """How near (M,) [m] the straight ways (M, 3) come to triangles (M, 3, 3): to their edges, or through
     them. What their ends are off is not asked."""
     out = np.full(len(start), np.inf)

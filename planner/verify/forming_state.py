@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState
+from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_track import Pieces, Track, pieces, track
@@ -39,6 +39,39 @@ class Formed:
         """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
         return self.face.nearest(self.track.centre[self.knots, 0], TIED)
 
+    @cached_property
+    def touches(self) -> NDArray[np.bool_]:
+        """Knots (K + 1,) at which the ball is off the nearest place of the face by no more than the steps of
+        the path leave there."""
+        reach = self.claim.radius + self.claim.scallop[self.face.rows[self.near.triangle]]
+        out = np.zeros(len(self.knots), dtype=np.bool_)
+        np.logical_or.at(out, self.near.row, self.near.apart[self.near.row] <= reach + self.claim.tolerance)
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """Two tools in one segment and the gap between them: ``pieces`` those of the segment itself, ``knots``
+    (K,) rows of the track where they meet, ``near`` what of the face is nearest to the forming ball there.
+
+    The wanted gap is between ``low`` and ``high`` (K,) [m].
+    """
+
+    claim: ToolGap
+    track: Track
+    pieces: Pieces
+    knots: IntArray
+    face: Face
+    near: Nearest
+    low: FloatArray
+    high: FloatArray
+
+    @cached_property
+    def got(self) -> FloatArray:
+        """The gap (K,) [m] at the knots: the distance of the balls less their radii."""
+        centre = self.track.centre[self.knots]
+        return np.asarray(np.linalg.norm(centre[:, 0] - centre[:, 1], axis=1) - sum(self.claim.radii))
+
 
 TIED = 5e-6
 """Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
@@ -49,6 +82,8 @@ class Forming:
 
     def __init__(self, context: Context) -> None:
         self.context = context
+        self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
+        self._faces: list[tuple[float, Face]] = []
         self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
@@ -63,6 +98,11 @@ class Forming:
             self._formed(claim, index) for index, claim in self.by_setup if isinstance(claim, FormsSheet)
         )
 
+    @cached_property
+    def opened(self) -> tuple[Opened, ...]:
+        """All gaps that are claimed; without knots where the arms never form the segment together."""
+        return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
+
     def of(self, segment: str) -> Formed | None:
         """The pass of a segment, None where its tools follow poses without a face."""
         return next((one for one in self.formed if one.claim.segment.lower() == segment.lower()), None)
@@ -73,6 +113,11 @@ class Forming:
         return tuple((index, claim) for index, claim in self.by_setup if isinstance(claim, SheetState))
 
     @cached_property
+    def gapped(self) -> frozenset[str]:
+        """Segments in which two tools hold the sheet between them."""
+        return frozenset(claim.segment.lower() for _, claim in self.by_setup if isinstance(claim, ToolGap))
+
+    @cached_property
     def labels(self) -> frozenset[str]:
         """Labels of all moves that claims allow: of faces, and of tools that follow stated poses instead."""
         led = {claim.arm for _, claim in self.by_setup if isinstance(claim, FollowsPoses)}
@@ -80,10 +125,36 @@ class Forming:
         names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
         return frozenset(name.lower() + way for name in names for way in FORMING_WAYS)
 
+    def _track(self, segment: str, index: int, arms: tuple[str, ...]) -> Track:
+        """The track of a segment, worked out once."""
+        key = (segment.lower(), index, arms)
+        if key not in self._tracks:
+            self._tracks[key] = track(self.context, segment, index, arms)
+        return self._tracks[key]
+
+    def _face(self, vertices: FloatArray, faces: IntArray, scale: float) -> Face:
+        """A face, worked out once for claims of the same triangles."""
+        for known, face in self._faces:
+            same = known == scale and np.array_equal(face.given[0], vertices)
+            if same and np.array_equal(face.given[1], faces):
+                return face
+        self._faces.append((scale, Face(vertices, faces, scale)))
+        return self._faces[-1][1]
+
     def _formed(self, claim: FormsSheet, index: int) -> Formed:
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
         arms = [arm for arm in arms if arm in self.context.motion.tcp]
-        way = track(self.context, claim.segment, index, (claim.arm, *arms))
+        way = self._track(claim.segment, index, (claim.arm, *arms))
         parts = pieces(way, SPARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
-        return Formed(claim, index, way, parts, knots, Face(claim.vertices, claim.faces, claim.radius))
+        return Formed(claim, index, way, parts, knots, self._face(claim.vertices, claim.faces, claim.radius))
+
+    def _opened(self, claim: ToolGap, index: int) -> Opened:
+        way = self._track(claim.segment, index, claim.arms)
+        parts = pieces(way, SPARE * claim.tolerance)
+        own = way.own[parts.first]
+        parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
+        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        face = self._face(claim.vertices, claim.faces, claim.radii[0])
+        near = face.nearest(way.centre[knots, 0], TIED)
+        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.rigid import inverse
 from planner.verify.context import Context
+from planner.verify.poses import Poses
 from planner.verify.setups import FORMING_WAYS
 from planner.verify.speed import during
 
@@ -18,23 +19,30 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 _BLOCK = 32
+_CHUNK = 65_536
 
 
 @dataclasses.dataclass(frozen=True)
 class Track:
     """T samples of the arms ``arms`` in one segment and its ways in and out.
 
-    ``rows`` (T,) samples of the motion; ``centre``, ``axis`` (T, A, 3) the TCPs [m] and their z axes in the
-    sheet's frame; ``own`` (T,): the move under way forms, and is no way in or out; ``joined`` (T - 1,): the
-    next row is the next sample.
+    ``rows`` (T,) samples of the motion; ``centre`` (T, A, 3) the TCPs [m] in the sheet's frame; ``own`` (T,):
+    the move under way forms, and is no way in or out; ``joined`` (T - 1,): the next row is the next sample.
+    ``poses``: the arms' TCPs at all samples in the world, ``back`` (1 | T, 4, 4) from there to the sheet.
     """
 
     arms: tuple[str, ...]
     rows: IntArray
     centre: FloatArray
-    axis: FloatArray
     own: BoolArray
     joined: BoolArray
+    poses: tuple[Poses, ...]
+    back: FloatArray
+
+    def axis(self, column: int) -> FloatArray:
+        """The z axes (T, 3) of one arm's TCP in the sheet's frame; not kept, for long tracks have many
+        rows."""
+        return _turned(self.back, self.poses[column].z[self.rows])
 
 
 def track(context: Context, segment: str, index: int, arms: tuple[str, ...]) -> Track:
@@ -47,21 +55,23 @@ def track(context: Context, segment: str, index: int, arms: tuple[str, ...]) -> 
     rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
     if any(arm not in motion.tcp for arm in arms):
         rows = rows[:0]
-    back = inverse(context.stock_poses(index, rows[:1])) if len(rows) else np.zeros((0, 4, 4))
-    if len(rows) and context.holder(index) is not None:
-        back = inverse(context.stock_poses(index, rows))
-    centre, axis = np.zeros((2, len(rows), len(arms), 3))
+    back = np.zeros((0, 4, 4))
+    if len(rows):
+        moved = context.holder(index) is not None
+        back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
+    centre = np.empty((len(rows), len(arms), 3))
     for k, arm in enumerate(arms):
         if len(rows):
-            tcp = motion.tcp[arm][rows]
-            centre[:, k] = np.einsum(
-                "sij,sj->si", np.broadcast_to(back[:, :3, :3], (len(rows), 3, 3)), tcp[:, :3, 3]
-            )
-            centre[:, k] += back[:, :3, 3]
-            axis[:, k] = np.einsum(
-                "sij,sj->si", np.broadcast_to(back[:, :3, :3], (len(rows), 3, 3)), tcp[:, :3, 2]
-            )
-    return Track(arms, rows, centre, axis, own[motion.node[rows]], np.diff(rows) == 1)
+            centre[:, k] = _turned(back, motion.tcp[arm].place[rows]) + back[:, :3, 3]
+    poses = tuple(motion.tcp[arm] for arm in arms if len(rows))
+    return Track(arms, rows, centre, own[motion.node[rows]], np.diff(rows) == 1, poses, back)
+
+
+def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
+    """Directions (T, 3) of the world as seen from the sheet; ``back`` (1 | T, 4, 4)."""
+    if len(back) == 1:
+        return directions @ back[0, :3, :3].T
+    return np.asarray(np.einsum("sij,sj->si", back[:, :3, :3], directions))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,13 +135,15 @@ def _bend(way: Track) -> FloatArray:
     """How far (T - 1,) [m] the motion between two samples may be off the straight way: with second
     differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
     bend makes a quarter of that."""
-    step = np.diff(way.centre, axis=0)
-    length = np.linalg.norm(step, axis=2, keepdims=True)
-    along = step / np.maximum(length, 1e-12)
-    second = np.diff(step, axis=0)
-    second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
-    turn = np.zeros((len(step) + 1, step.shape[1]))
-    turn[1:-1] = np.linalg.norm(second, axis=2)
+    count = len(way.rows)
+    turn = np.zeros((count, way.centre.shape[1]))
+    for begin in range(1, count - 1, _CHUNK):
+        end = min(begin + _CHUNK, count - 1)
+        step = np.diff(way.centre[begin - 1 : end + 1], axis=0)
+        along = step / np.maximum(np.linalg.norm(step, axis=2, keepdims=True), 1e-12)
+        second = np.diff(step, axis=0)
+        second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
+        turn[begin:end] = np.linalg.norm(second, axis=2)
     turn[1:-1][~(way.joined[1:] & way.joined[:-1])] = 0.0
     a, b = turn[:-1], turn[1:]
     return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1))

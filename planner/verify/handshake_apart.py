@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from planner.claims import ToolGap
 from planner.issues import Issue, TandemError
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
-from planner.verify.looks import LEAST, STRIDE, lever
+from planner.verify.looks import LEAST, MOST_BROKEN, STRIDE, lever
 from planner.verify.rules_cell import REACH, accepted
 
 FloatArray = NDArray[np.float64]
@@ -33,6 +33,7 @@ MARKS = 13
 MOST = 50_000
 """Pairs of instants at most whose clearance is measured."""
 _CHUNK = 2000
+_BATCH = 250
 _SHOWN = 20
 
 
@@ -79,7 +80,7 @@ def drift(context: Context, found: Intervals) -> FloatArray:
     :data:`MARKS` instants each, evenly along the way, plus what both distances may change to half-way to the
     next instants: with the line between the points to first order, across it to second.
     """
-    a, b = (context.motion.tcp[task.arm.name][:, :3, 3] for task in context.job.tasks)
+    a, b = (context.motion.tcp[task.arm.name].place for task in context.job.tasks)
     steps = [np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)]
     both = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])
     out = np.zeros(len(found.first))
@@ -137,7 +138,7 @@ def step_apart(context: Context, models: Models) -> Outcome:
 def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, float | None]:
     """Issues of claims on the gap, the largest change [m], and the least that is allowed."""
     change = drift(context, found)
-    labels = context.motion.labels()[found.last]
+    labels = context.motion.labels(found.last)
     issues: list[Issue] = []
     limits = []
     for index, setup in enumerate(context.setup_claims):
@@ -160,81 +161,139 @@ def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, flo
 def _clear(context: Context, model: CellModel, index: int, found: Intervals) -> tuple[list[Issue], float]:
     """Issues of clearance between the arms of setup ``index``, and the least that is known [m].
 
-    Where the arms' clearance in the middle of an interval less the ways of both to its ends is enough, no
-    more is looked at; else pairs of instants so close that no point moves farther than the proof's stride
-    between them.
+    The heads of two tools are left out where they form: the face is between them at any instant of either.
+    """
+    wanted = context.problem.settings.clearance
+    ignore, heads = _others(context, model, index), _heads(context, model)
+    form = _forming(context, index, found)
+    issues: list[Issue] = []
+    least = np.inf
+    for some, pairs in ((found.some(form), ignore | heads), (found.some(~form), ignore)):
+        if not len(some.first):
+            continue
+        rows, measured, bound = _nearest(context, model, index, some, pairs)
+        least = min(least, bound, float(measured.distance.min(initial=np.inf)))
+        bad = np.flatnonzero(~(measured.distance >= accepted(wanted)))
+        for k in bad[np.argsort(measured.distance[bad])][:_SHOWN].tolist():
+            bodies = measured.pair[k]
+            what = (
+                f"one step apart {bodies[0]} and {bodies[1]} come within {mm(measured.distance[k]):.2f} mm; "
+                f"allowed: {mm(wanted):.2f} mm"
+            )
+            measure = (mm(measured.distance[k]), mm(wanted), "mm")
+            arm = context.job.tasks[0].arm.name
+            issues.append(at_sample(CODE, what, context.motion, arm, int(rows[k]), measure, bodies))
+    return issues, least
+
+
+def _nearest(
+    context: Context, model: CellModel, index: int, found: Intervals, ignore: Pairs
+) -> tuple[IntArray, clearance.LeastClearance, float]:
+    """Samples (M,) of the first arm at pairs of instants that were measured, the distances there, and what
+    all other pairs keep at least [m].
+
+    Of one stretch of each arm's way, at first a whole interval, the clearance with both in the middle less
+    the ways of both to the ends bounds that of all pairs of instants. Where it is not enough the longer
+    stretch is halved, until no point moves farther than half of the proof's stride in either; then it is
+    measured.
     """
     wanted = context.problem.settings.clearance
     limit, reach = accepted(wanted), max(REACH, 1.5 * wanted)
-    ignore = _others(context, model, index)
     arms = [task.arm.name for task in context.job.tasks]
     joints = [context.motion.q[arm] for arm in arms]
     along = []
     for arm, q in zip(arms, joints, strict=True):
         way = np.abs(np.diff(q, axis=0)) @ lever(context, index, arm)
         along.append(np.concatenate([[0.0], np.cumsum(way)]))
-    first, last = found.first, found.last
-    both = along[0] + along[1]
-    middle = np.clip(np.searchsorted(both, 0.5 * (both[first] + both[last])), first, last)
-    far = sum(np.maximum(way[middle] - way[first], way[last] - way[middle]) for way in along)
-    lower = clearance.at_least(
-        model, {a: q[middle] for a, q in zip(arms, joints, strict=True)}, reach, ignore
-    )
-    bound = lower - far
-    doubted = np.flatnonzero(bound < limit)
-    least = float(np.delete(bound, doubted).min(initial=np.inf))
-    pairs = [*_combined(along, first[doubted], last[doubted], min(STRIDE, max(wanted, LEAST)))]
-    count = sum(len(rows[0]) for rows in pairs)
-    if count > MOST:
-        what = (
-            f"clearance of arms one step apart is in doubt at {count} pairs of instants, at most {MOST} are"
-        )
-        raise TandemError(
-            Issue("verify.duration", f"{what} measured; split the job", value=count, limit=MOST)
-        )
-    if not pairs:
-        return [], least
-    rows = [np.concatenate([pair[i] for pair in pairs]) for i in range(2)]
-    measured = clearance.least(
-        model, {a: q[r] for a, q, r in zip(arms, joints, rows, strict=True)}, reach, ignore
-    )
-    issues = []
-    bad = np.flatnonzero(~(measured.distance >= limit))
-    for k in bad[np.argsort(measured.distance[bad])][:_SHOWN].tolist():
-        bodies = measured.pair[k]
-        what = (
-            f"one step apart {bodies[0]} and {bodies[1]} come within {mm(measured.distance[k]):.2f} mm; "
-            f"allowed: {mm(wanted):.2f} mm"
-        )
-        measure = (mm(measured.distance[k]), mm(wanted), "mm")
-        issues.append(at_sample(CODE, what, context.motion, arms[0], int(rows[0][k]), measure, bodies))
-    return issues, min(least, float(measured.distance.min()))
+    short = 0.5 * min(STRIDE, max(wanted, LEAST))
+    least = np.inf
+    leaves: list[IntArray] = []
+    open_ = np.stack([found.first, found.last, found.first, found.last])
+    while open_.shape[1]:
+        middle, far = _middles(along, open_)
+        there = {arm: q[rows] for arm, q, rows in zip(arms, joints, middle, strict=True)}
+        bound = clearance.at_least(model, there, reach, ignore) - far
+        enough = bound >= limit
+        least = min(least, float(bound[enough].min(initial=np.inf)))
+        length = [
+            np.where(open_[2 * k + 1] - open_[2 * k] > 1, way[open_[2 * k + 1]] - way[open_[2 * k]], 0.0)
+            for k, way in enumerate(along)
+        ]
+        small = np.maximum(*length) <= short
+        leaves.append(np.stack(middle)[:, ~enough & small])
+        measured = sum(part.shape[1] for part in leaves)
+        split = ~enough & ~small
+        if measured + np.count_nonzero(split) > MOST:
+            what = (
+                f"clearance of arms one step apart is in doubt at over {MOST} pairs of instants, at most so"
+            )
+            raise TandemError(
+                Issue("verify.duration", f"{what} many are measured; split the job", value=MOST, limit=MOST)
+            )
+        open_ = _halved(open_[:, split], [rows[split] for rows in middle], (length[0] >= length[1])[split])
+    rows = np.concatenate(leaves, axis=1)
+    found_near: list[clearance.LeastClearance] = []
+    for begin in range(0, rows.shape[1], _BATCH):
+        some = rows[:, begin : begin + _BATCH]
+        there = {arm: q[own] for arm, q, own in zip(arms, joints, some, strict=True)}
+        found_near.append(clearance.least(model, there, reach, ignore))
+        if sum(int(np.count_nonzero(~(part.distance >= limit))) for part in found_near) > MOST_BROKEN:
+            break
+    distance = np.concatenate([np.zeros(0), *(part.distance for part in found_near)])
+    pairs = tuple(pair for part in found_near for pair in part.pair)
+    return rows[0, : len(distance)], clearance.LeastClearance(distance, pairs), least
 
 
-def _combined(
-    along: list[FloatArray], first: IntArray, last: IntArray, stride: float
-) -> Iterator[tuple[IntArray, IntArray]]:
-    """Pairs of samples of each interval, so close that each arm goes half a stride at most between them."""
-    for begin, end in zip(first.tolist(), last.tolist(), strict=True):
-        marks = []
-        for way in along:
-            count = int(np.ceil((way[end] - way[begin]) / (0.5 * stride))) + 1
-            at = np.searchsorted(way, np.linspace(way[begin], way[end], count))
-            marks.append(np.unique(np.clip(at, begin, end)))
-        grid = np.array(list(itertools.product(*marks)), dtype=np.int64)
-        yield grid[:, 0], grid[:, 1]
+def _middles(along: list[FloatArray], open_: IntArray) -> tuple[list[IntArray], FloatArray]:
+    """Samples (M,) of both arms halfway along stretches ``open_`` (4, M), first and last of each, and how far
+    (M,) both go from there to an end at most, together."""
+    rows, far = [], np.zeros(open_.shape[1])
+    for k, way in enumerate(along):
+        first, last = open_[2 * k], open_[2 * k + 1]
+        at = np.clip(np.searchsorted(way, 0.5 * (way[first] + way[last])), first, last)
+        inner = np.clip(at, first + 1, np.maximum(last - 1, first + 1))
+        at = np.where(last - first > 1, inner, at)
+        rows.append(at)
+        far += np.maximum(way[at] - way[first], way[last] - way[at])
+    return rows, far
+
+
+def _halved(open_: IntArray, middle: list[IntArray], first: NDArray[np.bool_]) -> IntArray:
+    """Both halves of each pair of stretches (4, M): of the first arm's, or else of the second one's."""
+    ahead, behind = open_.copy(), open_.copy()
+    for k, own in enumerate((first, ~first)):
+        ahead[2 * k + 1, own] = middle[k][own]
+        behind[2 * k, own] = middle[k][own]
+    return np.concatenate([ahead, behind], axis=1)
+
+
+def _heads(context: Context, model: CellModel) -> Pairs:
+    """The heads of both arms' tools as a pair of bodies, if both have one."""
+    names = frozenset(f"{task.arm.name}/edge" for task in context.job.tasks)
+    return frozenset({names}) if names <= {solid.body for solid in model.solids} else frozenset()
+
+
+def _forming(context: Context, index: int, found: Intervals) -> NDArray[np.bool_]:
+    """Intervals (K,) in which both arms form, or go in and out: ``verify.gouge`` and ``verify.sheet`` hold
+    the heads of their tools on the two sides of one face then, whatever the instant; or a claim bounds the
+    gap."""
+    motion, setup = context.motion, context.setup_claims[index]
+    names = frozenset.intersection(*(setup.forms(task.arm.name) for task in context.job.tasks))
+    claims = (c for group in setup.groups for c in group)
+    names |= {c.segment.lower() for c in claims if isinstance(c, ToolGap)}
+    other = np.array([label.lower() not in names for label in motion.node_label], dtype=np.int64)
+    count = np.concatenate([[0], np.cumsum(other)])
+    first, last = motion.node[np.minimum(found.first + 1, found.last)], motion.node[found.last]
+    return np.asarray(count[last + 1] == count[first])
 
 
 def _others(context: Context, model: CellModel, index: int) -> Pairs:
-    """Pairs of bodies that do not depend on how far apart the arms are, or whose distance a claim bounds."""
+    """Pairs of bodies that do not depend on how far apart the arms are."""
     arms = [task.arm.name for task in context.job.tasks]
     names = sorted({solid.body for solid in model.solids})
     owner = {name: next((arm for arm in arms if name.startswith(f"{arm}/")), "") for name in names}
-    claims = (c for group in context.setup_claims[index].groups for c in group)
-    forming = {frozenset(f"{arm}/edge" for arm in c.arms) for c in claims if isinstance(c, ToolGap)}
     return frozenset(
-        pair
+        frozenset((a, b))
         for a, b in itertools.combinations(names, 2)
-        for pair in [frozenset((a, b))]
-        if owner[a] == owner[b] or not owner[a] or not owner[b] or pair in forming
+        if owner[a] == owner[b] or not owner[a] or not owner[b]
     )

@@ -79,11 +79,13 @@ def measured(
     count = max((len(rows) for rows in q.values()), default=0)
     if count <= SHOWN:
         return Measured(np.arange(count), clearance.least(model, q, reach, ignore), np.inf)
-    lower = clearance.at_least(model, q, reach, ignore)
-    lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
-    doubted = np.flatnonzero(lower < limit)
     asked = _Asked(model, q, reach, ignore, count)
     asked.ask(np.unique(np.linspace(0, count - 1, SHOWN // 4).astype(np.int64)))
+    # neither the limit nor the least distance is beyond this, and bounds that need not reach farther are fast
+    near = max(limit, float(np.nanmin(asked.distance, initial=reach)))
+    lower = clearance.at_least(model, q, min(reach, near + 2.0 * clearance.TOUCH), ignore)
+    lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
+    doubted = np.flatnonzero(lower < limit)
     for first in range(0, len(doubted), BATCH):
         if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
             break

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.verify.poses import Poses
 from planner.verify.steps import Step
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +33,7 @@ class Motion:
     """S samples and K nodes (targets) of the whole job.
 
     Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
-    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: (S, 4, 4)} in the world. Nodes: ``node_sample`` (K,) the
+    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
     sample at which the move ends, ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line``
     {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm has no such
     target).
@@ -42,7 +43,7 @@ class Motion:
     stage: IntArray
     node: IntArray
     q: Mapping[str, FloatArray]
-    tcp: Mapping[str, FloatArray]
+    tcp: Mapping[str, Poses]
     node_sample: IntArray
     node_label: tuple[str, ...]
     node_stop: NDArray[np.bool_]
@@ -65,9 +66,9 @@ class Motion:
         """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
         return differences(self.time, self.q[arm], 2)
 
-    def labels(self) -> NDArray[np.str_]:
-        """Label (S,) of the move under way at each sample."""
-        return np.asarray(self.node_label)[self.node]
+    def labels(self, rows: IntArray | slice = slice(None)) -> NDArray[np.str_]:
+        """Labels (M,) of the moves under way at samples ``rows`` (M,), else at all."""
+        return np.asarray(self.node_label)[self.node[rows]]
 
 
 def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:

@@ -19,6 +19,7 @@ from planner.claims import Claim
 from planner.issues import Issue, aggregate
 from planner.problem import Problem
 from planner.verify import (
+    formed_part,
     handshake_apart,
     report_series,
     rules_cell,
@@ -226,7 +227,7 @@ class Prover:
         yield from self._physics(context, run)
 
     def _physics(self, context: Context, run: _Run) -> Iterator[None]:
-        forming = Forming(context)
+        forming = run.forming = Forming(context)
         for form_code, form_rule in FORMING:
             run.add(form_code, form_rule(context, forming))
             yield
@@ -247,6 +248,7 @@ class Prover:
             yield
         sweeps = rules_surface.sweeps(context, wires)
         outcome, run.faces, run.part = rules_surface.surface(context, sweeps)
+        run.part = run.part or formed_part.obj(forming)
         run.add("verify.surface", outcome)
         yield
         run.add("verify.kerf", rules_straight.kerf(context, run.faces, wires))
@@ -276,6 +278,7 @@ class _Run:
         self.issues: list[Issue] = []
         self.wires: tuple[Wire, ...] = ()
         self.faces: tuple[CutFace, ...] = ()
+        self.forming: Forming | None = None
         self.part = ""
         self.looks: Any = np.zeros(0, dtype=np.int64)
         self.clearance: Any = None
@@ -302,7 +305,7 @@ class _Run:
         series: dict[str, Any] = {}
         if self.context.playable and "verify.reach" in self.results:
             series = report_series.series(
-                self.context, self.wires, self.looks, self.clearance, self.wire_clearance
+                self.context, self.wires, self.forming, self.looks, self.clearance, self.wire_clearance
             )
         return Proof(
             self.context.problem.digest, rules, aggregate(self.issues), series, self.faces, self.part

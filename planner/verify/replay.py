@@ -25,6 +25,7 @@ from planner.verify import arm_ik, confdata, straight_moves, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
 from planner.verify.motion import Fault, Motion
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
+from planner.verify.poses import Poses
 from planner.verify.steps import Step
 
 FloatArray = NDArray[np.float64]
@@ -67,6 +68,7 @@ class _Player:
         self.events: list[tuple[float, int, str, Step]] = []
         self.faults: list[Fault] = []
         self.tools = {arm.name: arm.tool.tcp for arm in self.arms}
+        self.tcp: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
 
     def run(self) -> Motion:
         for number, stage in enumerate(self.job.stages):
@@ -85,7 +87,7 @@ class _Player:
             stage=p["stage"],
             node=p["node"],
             q={name: p[f"q/{name}"] for name in names},
-            tcp={name: p[f"tcp/{name}"] for name in names},
+            tcp={name: Poses.joined(self.tcp[name]) for name in names},
             node_sample=p["node_sample"],
             node_label=tuple(self.labels),
             node_stop=p["node_stop"],
@@ -123,7 +125,7 @@ class _Player:
         """Rows of an arm that stands still."""
         q = self.q[arm.name]
         self._add(f"q/{arm.name}", np.tile(q, (samples, 1)))
-        self._add(f"tcp/{arm.name}", np.tile(self._tcp(arm, q), (samples, 1, 1)))
+        self.tcp[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (samples, 1, 1))))
         self._add(f"line/{arm.name}", np.zeros(nodes, dtype=np.int64))
         self._add(f"conf_q/{arm.name}", np.full((nodes, 6), np.nan))
         self._add(f"conf_ok/{arm.name}", np.ones(nodes, dtype=bool))
@@ -284,7 +286,7 @@ class _Player:
         q = np.empty((len(at), 6))
         edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
         here = self.q[name]
-        tcp = np.empty((len(at), 4, 4))
+        tcp = Poses.empty(len(at))
         conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
         for a, b in itertools.pairwise(edges):
             inside = (
@@ -313,8 +315,9 @@ class _Player:
                 end = here
                 for some, moments in straight_moves.chunks(np.flatnonzero(inside), when):
                     path = straight_moves.poses(part, nodes, delta, moments)
-                    tcp[some] = path if carried is None else carried.samples[some] @ path
-                    q[some] = straight_moves.joints(row, part, a, branch, end, moments, tcp[some])
+                    path = path if carried is None else carried.samples[some] @ path
+                    tcp[some] = path
+                    q[some] = straight_moves.joints(row, part, a, branch, end, moments, path)
                     end = q[some[-1]]
             if not row.joint[a] and row.named[a:b].all():
                 flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
@@ -338,7 +341,7 @@ class _Player:
             q = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
             here = q[-1]
         self._add(f"q/{name}", q)
-        self._add(f"tcp/{name}", tcp)
+        self.tcp[name].append(tcp)
         self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
         self._add(f"conf_q/{name}", conf_q)
         self._add(f"conf_ok/{name}", conf_ok)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planner.cell.clearance import LeastClearance
 from planner.verify.context import Context
+from planner.verify.forming_state import Forming
 from planner.verify.rules_wire import feed_speed
 from planner.verify.wire import Wire
 
@@ -19,6 +20,7 @@ _MOST = 6000
 def series(
     context: Context,
     wires: tuple[Wire, ...],
+    forming: Forming | None,
     looks: IntArray,
     clearance: LeastClearance | None,
     wire_clearance: list[NDArray[np.float64]],
@@ -28,18 +30,19 @@ def series(
 
     The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
     ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire;
-    straight ones have no stability, curvature and clearance of their own.
+    straight ones have no stability, curvature and clearance of their own. ``gap/<n>/...`` over what two tools
+    form: what they leave between them and what is wanted.
     """
     motion = context.motion
     stride = max(1, len(motion.time) // _MOST)
     rows = np.arange(0, len(motion.time), stride)
-    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels()[rows]}
+    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
     for arm, q in motion.q.items():
         out[f"joints/{arm}"] = q[rows]
         out[f"speed/{arm}"] = _peaks(motion.speed(arm), rows)
         out[f"acceleration/{arm}"] = _peaks(motion.acceleration(arm), rows)
         way = np.linalg.norm(
-            np.diff(motion.tcp[arm][:, :3, 3], axis=0, prepend=motion.tcp[arm][:1, :3, 3]), axis=1
+            np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]), axis=1
         )
         step = np.diff(motion.time, prepend=motion.time[:1] - 1.0)
         out[f"tcp_speed/{arm}"] = _peaks((way / np.maximum(step, 1e-6))[:, None], rows)[:, 0]
@@ -67,6 +70,14 @@ def series(
         }
         if len(wire_clearance) >= n:
             out[f"wire/{n}/clearance"] = wire_clearance[n - 1]
+    for n, gap in enumerate(forming.opened if forming is not None else (), 1):
+        some = np.unique(np.linspace(0, max(len(gap.knots) - 1, 0), _MOST).astype(np.int64))[: len(gap.knots)]
+        out |= {
+            f"gap/{n}/time": motion.time[gap.track.rows[gap.knots[some]]],
+            f"gap/{n}/got": gap.got[some],
+            f"gap/{n}/low": gap.low[some] - gap.claim.tolerance,
+            f"gap/{n}/high": gap.high[some] + gap.claim.tolerance,
+        }
     return out
 
 

@@ -38,7 +38,8 @@ class CutFace:
 
     ``points`` (M, 3) lie on the wanted face, ``deviation`` (M,) is positive where material is left standing
     and negative where too much is cut, NaN where the wire did not pass. ``area`` (M,) [m^2] is each point's
-    share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed.
+    share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed. ``allowed`` (M,)
+    [m] where the tolerance is not the same everywhere, ``tolerance`` being its greatest; else empty.
     """
 
     segment: str
@@ -53,6 +54,7 @@ class CutFace:
     end_error: float = 0.0
     share_with_error: float = float("nan")
     speed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    allowed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @dataclasses.dataclass(frozen=True)

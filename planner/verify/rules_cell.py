@@ -131,7 +131,7 @@ def _groups(context: Context, index: int, rows: IntArray) -> list[tuple[IntArray
     arms = [arm for arm in arms if arm in claims.straight or claims.forms(arm) or claims.mills(arm)]
     if not arms or not len(rows):
         return [(rows, frozenset())] if len(rows) else []
-    labels = context.motion.labels()[rows]
+    labels = context.motion.labels(rows)
     forms = np.stack([np.isin(labels, list(claims.forms(arm))) for arm in arms], axis=1)
     cuts = np.stack([np.isin(labels, list(claims.cuts((arm,)) | claims.mills(arm))) for arm in arms], axis=1)
     flags = np.concatenate([forms, cuts & ~forms], axis=1)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from planner.claims import FormingFeed, FormsInOrder
-from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
+from planner.verify.formed_part import envelope
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.result import CutFace
 
@@ -23,13 +22,8 @@ SHOWN = 50
 """Issues of one rule and segment at most."""
 LIFTED = 0.1
 """Share of the way within a forming segment on which the ball may be off the face: steps between loops."""
-LEVEL = 1e-5
-"""Triangles all of whose corners are so near to a level [m] are flat there."""
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass the feed by this factor."""
-_SAMPLES = 40_000
-_STEP = 0.002
-_NEIGHBOURS = 16
 
 
 def gouge(context: Context, forming: Forming) -> Outcome:
@@ -75,9 +69,10 @@ def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, 
         face = envelope(one)
         faces.append(face)
         if face.share < claim.share:
+            leave = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
             what = (
-                f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within "
-                f"{mm(claim.scallop):g} mm; wanted: {100 * claim.share:g} %"
+                f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within what the "
+                f"steps of its path leave there, {leave}; wanted: {100 * claim.share:g} %"
             )
             issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
         lifted = _lifted(one)
@@ -94,68 +89,12 @@ def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, 
     return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.segment), tuple(faces)
 
 
-def envelope(one: Formed) -> CutFace:
-    """What the swept ball leaves of the walls of a face: how far it stays off (positive) or cuts in at their
-    places; of flat parts nothing is said."""
-    claim = one.claim
-    corners = claim.vertices[claim.faces]
-    level = corners[:, :, 2]
-    flat = [(np.abs(level - z) < LEVEL).all(axis=1) for z in (claim.start, claim.end)]
-    walls = corners[~(flat[0] | flat[1])]
-    area = 0.5 * np.linalg.norm(np.cross(walls[:, 1] - walls[:, 0], walls[:, 2] - walls[:, 0]), axis=1)
-    size = min(_STEP, float(np.sqrt(area.sum() / _SAMPLES)) * 2.0)
-    parts, _ = small_pieces(walls, max(size, 1e-4), 4 * _SAMPLES)
-    area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
-    points = parts.mean(axis=1)
-    off = _swept(one, points) - claim.radius
-    share = float(area[off <= claim.scallop].sum() / max(float(area.sum()), 1e-30))
-    known = np.isfinite(off)
-    rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / max(float(area[known].sum()), 1e-30)))
-    largest = float(np.abs(off[known]).max(initial=0.0))
-    return CutFace(
-        claim.segment,
-        points,
-        np.where(known, off, np.nan),
-        area,
-        claim.scallop,
-        share,
-        claim.share,
-        rms,
-        largest,
-    )
-
-
-def _swept(one: Formed, points: FloatArray) -> FloatArray:
-    """How near (N,) [m] the ball's centre comes to points (N, 3) while it forms; infinite if never."""
-    use = one.track.own[one.pieces.first]
-    start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]
-    if not len(start):
-        return np.full(len(points), np.inf)
-    count = np.maximum(np.ceil(np.linalg.norm(end - start, axis=1) / _STEP).astype(np.int64), 1)
-    which = np.repeat(np.arange(len(start)), count)
-    step = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / count[which]
-    way = end - start
-    a = start[which] + step[:, None] * way[which]
-    b = a + way[which] / count[which][:, None]
-    near = np.asarray(cKDTree(0.5 * (a + b)).query(points, k=min(_NEIGHBOURS, len(a)))[1])
-    near = near.reshape(len(points), -1)
-    best = np.full(len(points), np.inf)
-    for column in near.T:
-        along, rest = b[column] - a[column], points - a[column]
-        share = np.einsum("nd,nd->n", rest, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-30)
-        apart = np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
-        best = np.minimum(best, apart)
-    return best
-
-
 def _lifted(one: Formed) -> float:
     """Share of the way within a segment at whose ends the ball is off the face by more than the scallop."""
-    claim = one.claim
     use = one.track.own[one.pieces.first]
     first, last = one.pieces.first[use], one.pieces.last[use]
     way = np.linalg.norm(one.track.centre[last, 0] - one.track.centre[first, 0], axis=1)
-    off = one.near.apart > claim.radius + claim.scallop + claim.tolerance
-    up = off[np.searchsorted(one.knots, first)] & off[np.searchsorted(one.knots, last)]
+    up = ~(one.touches[np.searchsorted(one.knots, first)] | one.touches[np.searchsorted(one.knots, last)])
     return float(way[up].sum() / max(float(way.sum()), 1e-12)) if len(way) else 1.0
 
 
@@ -224,7 +163,7 @@ def feed(context: Context, forming: Forming) -> Outcome:
         for arm in claim.arms:
             if arm not in motion.tcp or not len(rows):
                 continue
-            way = np.linalg.norm(motion.tcp[arm][rows, :3, 3] - motion.tcp[arm][rows - 1, :3, 3], axis=1)
+            way = np.linalg.norm(motion.tcp[arm].place[rows] - motion.tcp[arm].place[rows - 1], axis=1)
             speed = way / np.maximum(motion.time[rows] - motion.time[rows - 1], 1e-6)
             if speed.max() / claim.upper > worst:
                 worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"

@@ -8,18 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.claims import FollowsOpposite, SupportsBorder, ToolGap
+from planner.claims import FollowsOpposite, SupportsBorder
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
-from planner.verify.forming_face import Face, Nearest
-from planner.verify.forming_state import SPARE, TIED, Forming
+from planner.verify.forming_face import CREASE, Face, Nearest
+from planner.verify.forming_state import SPARE, TIED, Forming, Opened
 from planner.verify.forming_track import Track, pieces, track
 from planner.verify.rules_forming import NONE, SHOWN, spread
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+LOOK = np.deg2rad(0.5)
+"""How far [rad] a tool turns at most between two looks at it."""
 INSIDE = 1e-4
 """Straight moves between targets may cut a bent border by so much [m]."""
 
@@ -29,27 +31,19 @@ def gap(context: Context, forming: Forming) -> Outcome:
     thick, and they face each other as wanted; of two controllers, whichever is a step ahead."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
-    for index, claim in forming.by_setup:
-        if not isinstance(claim, ToolGap):
-            continue
-        way = track(context, claim.segment, index, claim.arms)
-        parts = pieces(way, SPARE * claim.tolerance)
-        own = way.own[parts.first]
-        first, last, off = parts.first[own], parts.last[own], parts.off[own]
+    for one in forming.opened:
+        claim, way, low, high = one.claim, one.track, one.low, one.high
+        first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
             issues.append(Issue("verify.gap", what, field=claim.segment))
             continue
-        knots = np.unique(np.concatenate([first, last]))
-        face = Face(claim.vertices, claim.faces, claim.radii[0])
-        found = face.nearest(way.centre[knots, 0], TIED)
-        low, high = face.value(found, claim.gap)
-        one, two = np.searchsorted(knots, first), np.searchsorted(knots, last)
+        start, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
         least, most = _between(way, first, last)
         both = sum(claim.radii)
         # within a piece the wanted gap is between those at its ends
-        wide = most - both - np.maximum(high[one], high[two])
-        narrow = np.minimum(low[one], low[two]) - (least - both)
+        wide = most - both - np.maximum(high[start], high[end])
+        narrow = np.minimum(low[start], low[end]) - (least - both)
         error = np.maximum(wide, narrow) + 2.0 * off
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
@@ -61,8 +55,8 @@ def gap(context: Context, forming: Forming) -> Outcome:
             measure = (mm(float(error[i])), mm(claim.tolerance), "mm")
             row = int(way.rows[last[i]])
             issues.append(at_sample("verify.gap", what, context.motion, claim.arms[0], row, measure))
-        issues += _facing(context, claim, way, knots, face, found)
-        issues += _a_step_apart(context, claim, way, knots, low, high)
+        issues += _facing(context, one)
+        issues += _a_step_apart(context, one)
     if limit is None:
         return Outcome(tuple(issues), where="no gap is claimed" if forming.formed else NONE)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
@@ -79,11 +73,10 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
     return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
 
 
-def _facing(
-    context: Context, claim: ToolGap, way: Track, knots: IntArray, face: Face, found: Nearest
-) -> list[Issue]:
+def _facing(context: Context, one: Opened) -> list[Issue]:
     """Knots at which the line of the centres does not lie between the face's normal and the vertical."""
-    off = _turned(way, knots, face, found, claim.side, upright=True)
+    claim, way, knots = one.claim, one.track, one.knots
+    off = _turned(way, knots, one.face, one.near, claim.side, upright=True)
     issues = []
     for k in spread(off > claim.turn):
         what = (
@@ -97,19 +90,71 @@ def _facing(
 
 
 def _turned(way: Track, knots: IntArray, face: Face, found: Nearest, side: int, upright: bool) -> FloatArray:
-    """How far (K,) [rad] the line of the centres is off the face's normal, or, if it may stand ``upright``,
-    off all directions between that and the vertical. Of all places that the ball touches, one has to fit: by
-    the way from there to the ball's centre, or by the normal of the smooth face that the facets stand for,
-    whose own normals flicker."""
+    """How far (K,) [rad] the line of the centres is off the face's normal, as `_off_directions`."""
     between = way.centre[knots, 0] - way.centre[knots, 1]
     between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-12)
+    return _off_directions(between, way, knots, face, found, side, upright)
+
+
+def _off_directions(
+    line: FloatArray,
+    way: Track,
+    knots: IntArray,
+    face: Face,
+    found: Nearest,
+    side: int,
+    upright: bool,
+) -> FloatArray:
+    """How far (K,) [rad] directions ``line`` (K, 3) are off the face's normal, or, where they may stand
+    ``upright``, off all directions between that and the vertical. Of all places that the ball touches, one
+    has to fit: by the way from there to the ball's centre, or by the normal of the smooth face that the
+    facets stand for, whose own normals flicker.
+
+    Where the ball touches two walls of a crease the sheet lies around it from one to the other, so that its
+    normal there is any between theirs: the line may stand upright off those too."""
     off = np.full(len(knots), np.inf)
     smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
     for normal in (way.centre[knots, 0][found.row] - found.tied, smooth):
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
-        np.minimum.at(off, found.row, _off_arc(between[found.row], unit, end))
+        np.minimum.at(off, found.row, _off_arc(line[found.row], unit, end))
+    if upright:
+        off = np.minimum(off, _off_crease(way.centre[knots, 0], line, found, float(side)))
     return off
+
+
+def _off_crease(centre: FloatArray, line: FloatArray, found: Nearest, up: float) -> FloatArray:
+    """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to the triangle on the sphere between the vertical
+    and the two ways to the ball's ``centre`` (K, 3), of those from all places that it touches, that differ
+    the most; infinite where that is not by more than a crease does."""
+    way = centre[found.row] - found.tied
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+    first = np.searchsorted(found.row, np.arange(len(centre)))
+    one = first
+    for _ in range(2):  # the farthest from any one, and the farthest from that
+        cosine = np.einsum("nd,nd->n", way, way[one[found.row]])
+        order = np.lexsort((cosine, found.row))
+        one, other = order[first], one
+    a, b = way[one], way[other]
+    out = np.full(len(centre), np.inf)
+    rows = np.flatnonzero(np.einsum("nd,nd->n", a, b) < np.cos(CREASE))
+    a, b, p = a[rows], b[rows], line[rows]
+    c = np.broadcast_to(np.array([0.0, 0.0, up]), a.shape)
+    turn = np.sign(np.einsum("nd,nd->n", np.cross(a, b), c))
+    sides = [turn * np.einsum("nd,nd->n", np.cross(i, j), p) for i, j in ((a, b), (b, c), (c, a))]
+    inside = (np.min(sides, axis=0) >= 0.0) & (turn != 0.0)
+    out[rows] = np.where(
+        inside, 0.0, np.min([_off_arc(p, i, j) for i, j in ((a, b), (b, c), (c, a))], axis=0)
+    )
+    return out
+
+
+def _turning(way: Track, knots: IntArray) -> IntArray:
+    """The knots and, where the other tool turns in between, rows after each ``LOOK`` of turning."""
+    axis = way.axis(1)
+    step = np.linalg.norm(np.diff(axis, axis=0), axis=1)
+    turned = np.diff(np.floor(np.concatenate([[0.0], np.cumsum(step)]) / LOOK), prepend=0.0) > 0.0
+    return np.unique(np.concatenate([knots, np.flatnonzero(turned & way.own)]))
 
 
 def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
@@ -126,14 +171,13 @@ def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
     return np.asarray(np.where(within, np.minimum(beside, nearest), nearest))
 
 
-def _a_step_apart(
-    context: Context, claim: ToolGap, way: Track, knots: IntArray, low: FloatArray, high: FloatArray
-) -> list[Issue]:
+def _a_step_apart(context: Context, one: Opened) -> list[Issue]:
     """Where two controllers meet only now and then: the gap for all instants of one arm and of the other
     between two meetings."""
     issues: list[Issue] = []
     if context.problem.cell.controller.sync != "handshake":
         return issues
+    claim, way, knots, low, high = one.claim, one.track, one.knots, one.low, one.high
     both = sum(claim.radii)
     for rows in _intervals(context, way, knots):
         former, other = way.centre[knots[rows], 0], way.centre[knots[rows], 1]
@@ -253,7 +297,7 @@ def _marks(a: FloatArray, b: FloatArray) -> tuple[FloatArray, IntArray]:
 
 def opposite(context: Context, forming: Forming) -> Outcome:
     """A tool that follows the forming one across the sheet is at the wanted distance, along the face's
-    normal."""
+    normal, and points at it from between that normal and the vertical."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
     for index, claim in forming.by_setup:
@@ -285,6 +329,17 @@ def opposite(context: Context, forming: Forming) -> Outcome:
             what = f"{claim.arms[1]} is {np.rad2deg(turned[i]):.2f} deg off the normal in {claim.segment}"
             measure = (float(np.rad2deg(turned[i])), float(np.rad2deg(claim.turn)), "deg")
             row = int(way.rows[knots[i]])
+            issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
+        rows = _turning(way, knots)
+        found = face.nearest(way.centre[rows, 0], TIED)
+        aside = _off_directions(way.axis(1)[rows], way, rows, face, found, claim.side, upright=True)
+        for i in spread(aside > claim.aim):
+            what = (
+                f"{claim.arms[1]} points {np.rad2deg(aside[i]):.2f} deg off what lies between the face's "
+                f"normal and the vertical in {claim.segment}; allowed: {np.rad2deg(claim.aim):g} deg"
+            )
+            measure = (float(np.rad2deg(aside[i])), float(np.rad2deg(claim.aim)), "deg")
+            row = int(way.rows[rows[i]])
             issues.append(at_sample("verify.opposite", what, context.motion, claim.arms[1], row, measure))
     if limit is None:
         return Outcome(tuple(issues), where="no tool follows another")

@@ -30,6 +30,8 @@ TURN = np.deg2rad(90.0)
 with it."""
 KINEMATICS = 1e-6
 _DRAKE_SAMPLES = 200
+_CHUNK = 65_536
+"""Samples that are worked out at once where much is needed on the way."""
 
 
 def reach(context: Context) -> Outcome:
@@ -70,7 +72,8 @@ def continuity(context: Context) -> Outcome:
                 what = f"the {word} move of {task.arm.name} does not go home by its joints"
                 issues.append(at_step("verify.continuity", what, task, move))
     for arm, q in motion.q.items():
-        step = np.abs(np.diff(q, axis=0))
+        step = np.diff(q, axis=0)
+        np.abs(step, out=step)
         if not len(step):
             continue
         worst = max(worst, float(np.rad2deg(step.max())))
@@ -121,11 +124,13 @@ def joint_limits(context: Context) -> Outcome:
     for task in context.job.tasks:
         machine, arm = robot(task.arm.robot), task.arm.name
         q = context.motion.q[arm]
-        margin = np.minimum(q - machine.lower, machine.upper - q)
-        i, joint = np.unravel_index(int(np.argmin(margin)), margin.shape)
-        if margin[i, joint] < least:
-            least, where = float(margin[i, joint]), f"{arm} axis {joint + 1}"
-        if margin[i, joint] < 0.0:
+        rows = np.concatenate([q.argmin(axis=0), q.argmax(axis=0)])
+        margin = np.concatenate([q.min(axis=0) - machine.lower, machine.upper - q.max(axis=0)])
+        k = int(np.argmin(margin))
+        i, joint = int(rows[k]), k % len(machine.lower)
+        if margin[k] < least:
+            least, where = float(margin[k]), f"{arm} axis {joint + 1}"
+        if margin[k] < 0.0:
             value, limit = (
                 np.rad2deg(q[i, joint]),
                 np.rad2deg((machine.lower if q[i, joint] < 0 else machine.upper)[joint]),
@@ -140,7 +145,7 @@ def joint_limits(context: Context) -> Outcome:
                     message,
                     context.motion,
                     arm,
-                    int(i),
+                    i,
                     (float(value), float(limit), "deg"),
                     (f"axis {joint + 1}",),
                 )
@@ -198,9 +203,9 @@ def _rates(context: Context, code: str, word: str, rates: Callable[[str], FloatA
     for task in context.job.tasks:
         machine, arm = robot(task.arm.robot), task.arm.name
         limit = machine.velocity if word == "speed" else machine.acceleration
-        rate = rates(arm)
-        np.abs(rate, out=rate)
-        share = rate / limit
+        share = rates(arm)
+        np.abs(share, out=share)
+        share /= limit
         i, joint = np.unravel_index(int(np.argmax(share)), share.shape)
         if share[i, joint] > worst:
             worst, where = float(share[i, joint]), f"{arm} axis {joint + 1}"
@@ -209,7 +214,7 @@ def _rates(context: Context, code: str, word: str, rates: Callable[[str], FloatA
             rows = np.flatnonzero(context.motion.node == node)
             k = int(rows[np.argmax(share[rows].max(axis=1))])
             axis = int(np.argmax(share[k]))
-            value, most = float(np.rad2deg(rate[k, axis])), float(np.rad2deg(limit[axis]))
+            value, most = float(np.rad2deg(share[k, axis] * limit[axis])), float(np.rad2deg(limit[axis]))
             message = (
                 f"axis {axis + 1} of {arm} would need the {word} {value:.1f} {unit}; allowed: {most:.1f}"
             )
@@ -228,7 +233,9 @@ def singularity(context: Context) -> Outcome:
         rows = np.flatnonzero(_straight(context, arm)[context.motion.node])
         if not len(rows):
             continue
-        distance = singularity_distance(robot(task.arm.robot), context.motion.q[arm][rows])
+        parts = np.array_split(rows, len(rows) // _CHUNK + 1)
+        machine, q = robot(task.arm.robot), context.motion.q[arm]
+        distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
         if distance[k] < least:
             least, where = float(distance[k]), arm
@@ -259,7 +266,7 @@ def tcp_speed(context: Context) -> Outcome:
     for task in context.job.tasks:
         arm = task.arm.name
         timed = _timed(context)[motion.node[1:]] & (motion.stage[1:] == motion.stage[:-1])
-        step = np.linalg.norm(np.diff(motion.tcp[arm][:, :3, 3], axis=0), axis=1)
+        step = np.linalg.norm(np.diff(motion.tcp[arm].place, axis=0), axis=1)
         speed = np.where(timed, step / np.maximum(np.diff(motion.time), 1e-6), 0.0)
         if len(speed):
             k = int(np.argmax(speed))

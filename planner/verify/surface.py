@@ -78,7 +78,7 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
     corners = corners[
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 0.0
     ]
-    smooth = _vertex_normals(vertices, faces)[faces]
+    smooth = vertex_normals(vertices, faces)[faces]
     smooth = (
         smooth[: len(corners)]
         if len(smooth) == len(corners)
@@ -230,7 +230,7 @@ def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...]) -> str:
     lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
     offset = 1
     for claim, sweep in zip(claims, sweeps, strict=True):
-        normals = _vertex_normals(claim.vertices, claim.faces)
+        normals = vertex_normals(claim.vertices, claim.faces)
         distance, speed = distance_to_sweep(claim.vertices, normals, sweep)
         deviation = np.nan_to_num(distance - 0.5 * claim.kerf.at(speed))
         moved = claim.vertices + deviation[:, None] * normals
@@ -267,7 +267,8 @@ def _facings(sheet: Sweep) -> FloatArray:
     return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15))
 
 
-def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Unit normals (V, 3) at the vertices of a mesh, weighted by area."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(vertices)

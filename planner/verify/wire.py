@@ -126,7 +126,7 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     points = context.in_stock(phase.setup, at, path.points)
     depth, inside = depth_in(points, context.stock(phase.setup), radius)
     cuts = context.setup_claims[phase.setup].cuts(claim.arms)
-    place = (at, path.points, points, depth, inside, motion.labels()[at], cuts)
+    place = (at, path.points, points, depth, inside, motion.labels(at), cuts)
     return Wire(claim, claim.arms, phase.setup, radius, *place, phase=phase, path=path)
 
 
@@ -169,7 +169,7 @@ def straight_wire(context: Context, index: int, arm: str, claims: tuple[Straight
         points=points,
         depth=depth,
         inside=inside,
-        labels=motion.labels()[at],
+        labels=motion.labels(at),
         cuts=cuts,
     )
 
@@ -215,7 +215,7 @@ def to_block(points: FloatArray, stock: Stock) -> FloatArray:
 
 def held_lengths(context: Context, phase: Phase) -> FloatArray:
     """Distance (S,) [m] of the two ends at every sample of a phase."""
-    a, b = (context.motion.tcp[arm][samples(context, phase)][:, :3, 3] for arm in phase.claim.arms)
+    a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.arms)
     return np.asarray(np.linalg.norm(a - b, axis=1))
 
 

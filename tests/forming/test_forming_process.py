@@ -29,6 +29,7 @@ from planner.forming.feature_surface import joined, polygons, triangulated
 from planner.forming.job import Job
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
+from planner.sheet_file import BARS
 from planner.targets import Targets, works
 from planner.units import DEG, MM
 from tests import small_forming
@@ -190,7 +191,7 @@ def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze:
 
 def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_path: Path) -> None:
     part = shapes.cone(45.0, 0.018, 0.03, 240)
-    for shift in (20.0, 90.0):
+    for shift in (20.0, 45.0):
         found = problem(tmp_path, "dpif_l", part, shift_deg=shift, stepdown_mm=3)
         targets = processes.make_targets(found, 0)
         left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
@@ -201,11 +202,19 @@ def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_
         np.testing.assert_allclose(angle, max(45.0 - shift, 0.0), atol=0.6)
 
 
+def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
+    told = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
+    assert "shift_deg is 41, allowed is 0 to 40.0" in told
+    with pytest.raises(TandemError, match="shift_deg belongs to mode dpif_l"):
+        problem(tmp_path, "dsif", shift_deg=10)
+
+
 @pytest.mark.parametrize("outline", ["star", "notched"])
 @pytest.mark.parametrize("tool", ["ball", "disk"])
 def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outline: str, tool: str) -> None:
     part = notched() if outline == "notched" else shapes.pit(shapes.star(0.045, 0.028), 30.0, 0.003)
     data = small_forming.problem("dpif_p", stepdown_mm=0.4)
+    data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 160}
     radius = 5.0 * MM
     if tool == "disk":
         data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK, radius_mm=8, shaft_radius_mm=6)
@@ -219,6 +228,22 @@ def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outli
     far = shapely.distance(region, shapely.points(place[:, :2]))
     assert far.max() <= radius + 1.0 * MM
     np.testing.assert_allclose(place[:, 2], 0.0 if tool == "disk" else -radius, atol=1e-9)
+
+
+def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_path: Path) -> None:
+    """The disk of 20 mm goes round the dish 20 mm outside of its border, so that it reaches 40 mm farther."""
+    data = small_forming.problem("dpif_p")
+    data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK)
+    found = pipeline.load(small_forming.write(tmp_path, data))
+    with pytest.raises(TandemError) as caught:
+        processes.make_targets(found, 0)
+    (issue,) = caught.value.issues
+    border = np.linalg.norm(job(found).passes[0].region[:, :2], axis=1).max()
+    assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
+    # the bars are chords of the opening's circle, and the support keeps 0.4 mm outside of its border
+    assert issue.value == pytest.approx(border / MM + 40.4 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
+    data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170}
+    processes.make_targets(pipeline.load(small_forming.write(tmp_path, data)), 0)
 
 
 def test_ridges_are_as_high_as_stated(tmp_path: Path) -> None:

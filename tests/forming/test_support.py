@@ -215,10 +215,15 @@ def test_heat_comes_from_opposite(side: int) -> None:
     nozzle = FormingHead("heat", 0.01, 0.01, 0.0, 0.1, 0.0, 0.03)
     path = tool_path(one, contact, operation("heat"), BALL, nozzle, T0)
     assert path.support is not None and path.support_axis is not None
+    contact = path.contact
     far = contact.point - side * T0 * COS * contact.normal
-    assert np.allclose(path.support, far)
+    # the nozzle follows the smooth face: about the ball's centre it is off by what corners are rounded
+    assert np.linalg.norm(path.support - far, axis=1).max() < np.deg2rad(2.5) * (BALL.radius + T0)
     deep = side * (one.start - contact.point[:, 2]) > 0.02
-    assert np.allclose(path.support_axis[deep], side * contact.normal[deep], atol=1e-9)
+    off = np.einsum("nd,nd->n", path.support_axis[deep], side * contact.normal[deep])
+    assert np.rad2deg(np.arccos(np.clip(off, -1.0, 1.0))).max() < 3.0
+    turn = np.einsum("nd,nd->n", path.support_axis[1:], path.support_axis[:-1])
+    assert np.rad2deg(np.arccos(np.clip(turn, -1.0, 1.0))).max() < 1.01
     # the nozzle's edge stays under the flat
     behind = path.support - 0.03 * path.support_axis
     top = side * behind[:, 2] + 0.01 * np.hypot(*path.support_axis.T[:2])

@@ -104,7 +104,9 @@ def claims(more=(), **changes):
     wall = np.stack(np.meshgrid([0.05], np.linspace(-0.02, 0.02, 21), np.linspace(-0.02, SHEET, 12)), -1)
     made = (
         FormsInOrder((SEGMENT,)),
-        FormsSheet(SEGMENT, "left", 1, BALL, vertices, faces, SHEET, end, TOLERANCE, SCALLOP),
+        FormsSheet(
+            SEGMENT, "left", 1, BALL, vertices, faces, SHEET, end, TOLERANCE, np.full(len(faces), SCALLOP)
+        ),
         SheetState(SEGMENT, ARMS, 1, SHEET, wall.reshape(-1, 3), none, (head, head), TOLERANCE),
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),

@@ -105,6 +105,14 @@ def shifted(texts: Texts, task: int, k: int, by) -> Texts:
     return change(texts, task, k, pos=",".join(f"{v:.4f}" for v in position + 0.0))
 
 
+def tilted(texts: Texts, task: int, k: int, degrees: float) -> Texts:
+    """A tool turned about its own x axis at one target."""
+    w, x, y, z = (float(v) for v in field(texts, task, k, "orient").split(","))
+    c, s = np.cos(0.5 * np.deg2rad(degrees)), np.sin(0.5 * np.deg2rad(degrees))
+    turned = np.array([w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s])
+    return change(texts, task, k, orient=",".join(f"{v:.8f}" for v in turned + 0.0))
+
+
 def timed(texts: Texts, k: int, factor: float) -> Texts:
     """Both moves' times scaled, with a speed that fits."""
     time = float(field(texts, 1, k, "time")) * factor

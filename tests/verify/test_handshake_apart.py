@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance
-from planner.claims import HoldsStock, ToolGap
+from planner.claims import HoldsStock, SheetState, ToolGap
 from planner.verify import handshake_apart, rules_handshake
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -41,7 +41,7 @@ def test_the_drift_bounds_every_pair_of_instants(every):
     assert len(found.first) > 5 and (found.last > found.first).all()
     assert (found.first[1:] == found.last[:-1]).all()
     bound = handshake_apart.drift(here, found)
-    a, b = (here.motion.tcp[arm][:, :3, 3] for arm in handshake_job.ARMS)
+    a, b = (here.motion.tcp[arm].place for arm in handshake_job.ARMS)
     for k in range(len(bound)):
         rows = slice(found.first[k], found.last[k] + 1)
         step = max(1, (rows.stop - rows.start) // 60)
@@ -93,10 +93,46 @@ def test_clearance_one_step_apart_against_trials():
 
 
 def test_arms_too_near_one_step_apart_are_named():
-    found = outcome(context(3, clearance=0.6)).issues
+    found = outcome(context(clearance=0.6)).issues
     assert {issue.code for issue in found} == {"verify.step_apart"}
     assert all("one step apart" in issue.message for issue in found)
     assert all({body.split("/")[0] for body in issue.bodies} == {"left", "right"} for issue in found)
+
+
+def test_a_grid_of_instants_finds_nothing_nearer_where_bounds_leave_doubt():
+    """With more clearance wanted than the arms have, whole intervals are in doubt; their pairs of instants
+    are measured no farther apart than half a stride, and none of a plain grid is nearer by more than that."""
+    here = context(clearance=0.5)
+    model = Prover(here.problem, here.by_operation).model(here)
+    found = handshake_apart.intervals(here)
+    found = found.some(np.arange(len(found.first)) < 2)
+    ignore = handshake_apart._others(here, model, 0)
+    _, measured, bound = handshake_apart._nearest(here, model, 0, found, ignore)
+    told = min(bound, float(measured.distance.min(initial=np.inf)))
+    worst = np.inf
+    for first, last in zip(found.first, found.last, strict=True):
+        rows = np.unique(np.linspace(first, last, 9).astype(np.int64))
+        pairs = np.array([(a, b) for a in rows for b in rows])
+        q = {arm: here.motion.q[arm][pairs[:, k]] for k, arm in enumerate(handshake_job.ARMS)}
+        worst = min(worst, clearance.least(model, q, 1.0, ignore).distance.min())
+    assert len(measured.distance) > 0
+    assert told <= worst + 0.012
+
+
+def test_heads_are_left_out_in_those_intervals_alone_that_form():
+    none = np.zeros((0, 3))
+    profile = np.array([[-0.01, 0.0], [0.0, 0.01], [0.1, 0.01]])
+    claim = SheetState("cut/front", handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3)
+    here = context(2, claims={"panel": (claim,)})
+    found = handshake_apart.intervals(here)
+    form = handshake_apart._forming(here, 0, found)
+    labels = np.char.lower(here.motion.labels())
+    wanted = [
+        np.isin(labels[a + 1 : b + 1], ["cut/front", "cut/front_in", "cut/front_out"]).all()
+        for a, b in zip(found.first, found.last, strict=True)
+    ]
+    np.testing.assert_array_equal(form, wanted)
+    assert form.any() and not form.all()
 
 
 def test_an_elastic_wire_is_refused():

@@ -11,7 +11,7 @@ import pytest
 from planner.claims import FollowsOpposite, SupportsBorder
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
-from tests.verify.mutants import moves, name, segment, shifted, timed
+from tests.verify.mutants import moves, name, segment, shifted, tilted, timed
 
 TASKS = (1, 2)
 ROW = 6
@@ -142,7 +142,7 @@ def into_the_wall_beside(rng, texts):
     """The support runs into a wall that is formed already."""
     rows = segment(texts, "form_f1")
     for n, k in enumerate(rows[30:50]):
-        texts = moved(texts, k, [60.0 - 3.0 * abs(n - 10), 0.0, -3.0], (2,))
+        texts = moved(texts, k, [70.0 - 3.0 * abs(n - 10), 0.0, -3.0], (2,))
     return texts
 
 
@@ -202,7 +202,7 @@ def test_a_dropped_stretch_of_targets_is_a_gouge_or_a_lost_gap():
 CLAIMS = {
     "twice": ("verify.feature_order", {"FormsInOrder": {"segments": ("form/f1", "form/f2")}}),
     "more of the face": ("verify.formed", {"FormsSheet": {"share": 0.9999}}),
-    "a finer scallop": ("verify.formed", {"FormsSheet": {"scallop": 2e-5}}),
+    "a finer scallop": ("verify.formed", {"FormsSheet": {"scallop": np.full(len(job.face()[1]), 2e-5)}}),
     "from below": ("verify.gouge", {"FormsSheet": {"side": -1}}),
     "a larger ball": ("verify.gouge", {"FormsSheet": {"radius": 1.05 * job.BALL}}),
     "a thicker sheet": ("verify.gap", {"ToolGap": {"gap": np.full(len(job.face()[0]), 1.05 * job.SHEET)}}),
@@ -245,13 +245,29 @@ def test_a_support_keeps_to_its_border():
 def test_a_tool_that_follows_is_opposite():
     vertices, faces = job.face()
     away = 2.0 * job.BALL + 0.95 * job.SHEET
-    more = (FollowsOpposite(job.SEGMENT, job.ARMS, 1, vertices, faces, away, 2e-4, np.deg2rad(1.0)),)
+    face = (job.SEGMENT, job.ARMS, 1, vertices, faces)
+    more = (FollowsOpposite(*face, away, 2e-4, np.deg2rad(1.0), np.deg2rad(1.0)),)
     own = Prover(job.problem(), job.claims(more))
     assert "verify.opposite" not in broken(own.prove(job.programs(), last="verify.opposite"))
     k = segment(job.programs(), "form_f1")[100]
     for by in ([0.0, 0.0, -0.5], [0.4, -0.4, 0.0]):
         changed = moved(job.programs(), k, by, (2,))
         assert "verify.opposite" in broken(own.prove(changed, last="verify.opposite"))
+    # the tools of the job stand upright, which a negative angle does not allow
+    strict = (FollowsOpposite(*face, away, 2e-4, np.deg2rad(1.0), -1e-3),)
+    other = Prover(job.problem(), job.claims(strict))
+    assert "verify.opposite" in broken(other.prove(job.programs(), last="verify.opposite"))
+
+
+def test_a_nozzle_that_points_aside_is_told():
+    """Turned about its own TCP by 25 degrees the tool still heats the right place, but from elsewhere."""
+    vertices, faces = job.face()
+    away = 2.0 * job.BALL + 0.95 * job.SHEET
+    aim = np.deg2rad(10.0)
+    more = (FollowsOpposite(job.SEGMENT, job.ARMS, 1, vertices, faces, away, 2e-4, np.deg2rad(1.0), aim),)
+    own = Prover(job.problem(), job.claims(more))
+    k = segment(job.programs(), "form_f1")[-40]
+    assert "verify.opposite" in broken(own.prove(tilted(job.programs(), 2, k, 25.0), last="verify.opposite"))
 
 
 @pytest.mark.parametrize(("every", "bound", "holds"), [(1, 1e-3, True), (1, 5e-5, False), (10, 1e-3, False)])
@@ -261,3 +277,30 @@ def test_two_controllers_a_step_apart_keep_the_gap_within_its_bound(every, bound
     claims = job.claims(ToolGap={"handshake": bound})
     proof = Prover(problem, claims).prove(texts, last="verify.gap")
     assert ("verify.gap" in broken(proof)) != holds
+
+
+def test_the_simulated_part_is_where_the_ball_leaves_the_sheet():
+    """The dish is part of a sphere: down to the last loop the sheet stays above it, toward the tool, by
+    ridges, and below it nowhere."""
+    lines = clean().part_obj.split("\n")
+    assert [line for line in lines if line.startswith("o ")] == ["o form_f1"]
+    places = np.array([line.split()[1:] for line in lines if line.startswith("v ")], dtype=float) * 1e-3
+    wanted = job.face()[0]
+    assert places.shape == wanted.shape
+    dish = wanted[:, 2] < job.SHEET - 1e-6
+    inward = job.SPHERE - np.linalg.norm(places[dish] - job.centre_of_sphere(), axis=1)
+    assert inward.min() > -1e-5
+    walls = wanted[dish, 2] > job.centre_of_sphere()[2] - job.SPHERE * np.cos(job.LAST)
+    assert np.quantile(inward[walls], 0.95) < job.SCALLOP
+    rim = np.hypot(wanted[:, 0], wanted[:, 1]) > job.OUTER - 1e-6
+    np.testing.assert_allclose(places[rim], wanted[rim], atol=6e-8)
+
+
+def test_the_gap_over_time_is_told():
+    """Between two balls that face each other along the sphere's radius, within what is allowed."""
+    series = clean().series
+    got, low, high = (series[f"gap/1/{what}"] for what in ("got", "low", "high"))
+    assert len(got) == len(series["gap/1/time"]) > 50
+    assert np.all(np.diff(series["gap/1/time"]) > 0.0)
+    assert np.all((low <= got) & (got <= high))
+    np.testing.assert_allclose(0.5 * (low + high), got, atol=job.GAP_TOLERANCE)

@@ -17,6 +17,7 @@ from planner.geometry.rigid import from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Shape, Stock, Tool
 from planner.verify import rules_cell
 from planner.verify.context import Context
+from planner.verify.poses import Poses
 from planner.verify.prove import Prover
 from tests.verify import small_job
 from tests.verify.mutants import both, change, field, lines, moves, name, put, segment, shifted, timed
@@ -139,8 +140,8 @@ def test_drake_must_put_the_tools_where_the_replay_has_them():
     model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
     assert rules_cell.kinematics(context, lambda _: model).issues == ()
     motion = context.motion
-    off = {arm: pose.copy() for arm, pose in motion.tcp.items()}
-    off["left"][:, 0, 3] += 2.0 * rules_cell.KINEMATICS
+    off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
+    off["left"].place[:, 0] += 2.0 * rules_cell.KINEMATICS
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
     found = rules_cell.kinematics(context, lambda _: model).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}

@@ -173,7 +173,7 @@ def test_the_held_block_moves_with_its_holder():
             else operation.targets.pose["right"][1:] @ operation.targets.pose["left"][1:]
         )
         assert np.abs(off[:, :3, 3]).max() < 2e-7
-        moved = np.ptp(motion.tcp[arm][motion.node_sample[nodes], :3, 3], axis=0)
+        moved = np.ptp(motion.tcp[arm].place[motion.node_sample[nodes]], axis=0)
         assert moved.max() > 0.02
     rows = np.flatnonzero(context.sample_setup == 0)
     seen = context.stock_poses(0, rows)

@@ -1,0 +1,218 @@
+"""Two balls opposite each other across the sheet: where the supporting one is along the forming one's way.
+
+The line between the centres follows what the forming ball leans on (`touching`), as smoothly as the proof's
+allowance permits. In a sharp corner the ball stands still, as its centre has a corner there, and leans on one
+wall when it comes and on another one when it goes: there the path waits while the support goes round it.
+Between targets both balls go straight, so each move is looked at in its middle, and gets a target there if
+the gap or the line is off by more than a part of what is allowed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from planner.forming.clearing import FarFace, clear_tilt
+from planner.forming.inserting import insert_at, mixed, shares, turned
+from planner.forming.operation import Forming
+from planner.forming.steady import steady_below, steady_normals
+from planner.forming.tilt import axes, below_flat, leaned, off_upright
+from planner.forming.touching import Lean, Touching
+from planner.forming.values import ContactPath, FloatArray, IntArray, Pass, ToolPath
+from planner.problem import FormingHead
+from planner.units import DEG, MM
+
+BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+LIFT: Final = 5e-3
+"""How far [m] the support draws back from the sheet where the forming tool goes over in the air."""
+AIR: Final = 3e-3
+"""Distance [m] of the forming ball from the face beyond which it is in the air."""
+SHARE: Final = 0.3
+"""Part of the gap's tolerance that straight moves between targets may take."""
+FACING: Final = 4.0 * DEG
+"""The line of two tools is between the face's normal and the vertical, to which the support is turned where
+it would cut into the flat or where a shift is stated, and off that by this much at most."""
+STEADY: Final = 1.2 * DEG
+"""What of that goes to steadying the line at targets; between them it may be off twice as far."""
+CORNER: Final = 8.0 * DEG
+"""Where what the ball leans on turns by more at once, it waits for the support."""
+_HALVINGS: Final = 14
+"""Moves are at most some millimetres long, and a corner's place is to be known to a micrometre."""
+_AT: Final = 5e-6
+"""A corner that is so near [m] to a target is at it."""
+_SHORT: Final = 5e-5
+"""Moves of both tools that are not longer [m] are not parted."""
+_STILL: Final = 3e-6
+"""A ball that goes no farther [m] while what it leans on turns stands at a corner."""
+_ROUNDS: Final = 8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Way:
+    """N targets: ``contact``; ``lean`` at them; ``still`` (N,): the forming ball stands still on the way to
+    the target; ``middle``: what it leans on halfway there, of which the first row has no meaning."""
+
+    contact: ContactPath
+    lean: Lean
+    still: BoolArray
+    middle: Lean
+
+
+def opposite_path(
+    one: Pass,
+    contact: ContactPath,
+    operation: Forming,
+    former: FormingHead,
+    support: FormingHead,
+    thickness: float,
+) -> ToolPath:
+    """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l."""
+    level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
+    touching = Touching(one, former.radius, operation.squeeze, thickness)
+    shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
+    radii, allowed = former.radius + support.radius, SHARE * operation.gap_tol_mm * MM
+    way = _waited(contact, touching)
+    for left in range(_ROUNDS, -1, -1):
+        contact, gap = way.contact, way.lean.gap
+        apart = gap + radii
+        # far from the face the support goes farther than the former, in a corner by far
+        about = contact.centre - radii * way.lean.normal
+        normal = steady_normals(way.lean.normal, about, STEADY)
+        steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
+        tilt = np.maximum(steep - shift, 0.0)
+        tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
+        squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
+        inner = support.radius - squeezed - operation.gouge_tol_mm * MM
+        facing = dataclasses.replace(contact, normal=normal)
+        tilt = steady_below(clear_tilt(far, facing, tilt, apart, inner), about)
+        across = apart[:, None] * leaned(normal, tilt)
+        air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
+        count = _pieces(way, across, radii, allowed)
+        count[1:][air[1:] | air[:-1]] = 1
+        if left == 0 or count.max() == 1:
+            break
+        way = _parted(way, count, touching)
+    place = contact.centre - across
+    _draw_back(place, air, one, thickness, support.radius)
+    lean = operation.lean_deg * DEG
+    return ToolPath(
+        former=contact.centre,
+        axis=axes(contact.normal, lean),
+        support=place,
+        support_axis=leaned(normal, np.minimum(tilt, lean)),
+        gap=np.where(air, np.nan, gap),
+        contact=contact,
+    )
+
+
+def _waited(contact: ContactPath, touching: Touching) -> Way:
+    """The way with two targets at one place wherever what the ball leans on jumps: as it comes and as it
+    goes."""
+    at = touching.lean(contact.centre)
+    step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
+    rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > CORNER) & (step > 0.0)) + 1
+    one, two = _rows(at, rows - 1), _rows(at, rows)
+    low, high = np.zeros(len(rows)), np.ones(len(rows))
+    for _ in range(_HALVINGS):  # keeping the half over which it turns the more
+        middle = 0.5 * (low + high)
+        found = touching.lean(mixed(contact.centre[rows - 1], contact.centre[rows], middle))
+        first = _angle(one.normal, found.normal) > _angle(found.normal, two.normal)
+        low, high = np.where(first, low, middle), np.where(first, middle, high)
+        one, two = _either(first, one, found), _either(first, found, two)
+    jump = np.flatnonzero(_angle(one.normal, two.normal) > CORNER)
+    place, row, pair = 0.5 * (low + high)[jump], rows[jump], (_rows(one, jump), _rows(two, jump))
+    # where that is at a target already, this is one of the two
+    apart = step[row - 1] * place, step[row - 1] * (1.0 - place)
+    own = [(apart[k] < _AT) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY) for k in range(2)]
+    row, place = np.repeat(row, 2), np.repeat(place, 2)
+    kept = ~np.column_stack(own).ravel()
+    normal = np.stack([part.normal for part in pair], axis=1).reshape(-1, 3)
+    gap = np.column_stack([part.gap for part in pair]).ravel()
+    path = insert_at(contact, row[kept], place[kept], normal[kept], touching.radius)
+    lean = Lean(
+        np.insert(at.normal, row[kept], normal[kept], axis=0), np.insert(at.gap, row[kept], gap[kept])
+    )
+    # the second of each pair is reached without a way, be it new or the target behind
+    new = np.insert(np.arange(len(step) + 1), row[kept], -1 - np.flatnonzero(kept))
+    still = np.isin(new, -1 - np.flatnonzero(kept)[np.flatnonzero(kept) % 2 == 1])
+    still |= np.isin(new, row[1::2][own[1]])
+    between = np.concatenate([path.centre[:1], 0.5 * (path.centre[1:] + path.centre[:-1])])
+    return Way(path, lean, still, touching.lean(between))
+
+
+def _rows(lean: Lean, rows: IntArray) -> Lean:
+    return Lean(lean.normal[rows], lean.gap[rows])
+
+
+def _either(first: BoolArray, one: Lean, two: Lean) -> Lean:
+    return Lean(np.where(first[:, None], one.normal, two.normal), np.where(first, one.gap, two.gap))
+
+
+def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntArray:
+    """Into how many (N,) pieces the move to each target is to be parted: more than one where in its middle
+    the gap is off by more than ``allowed`` [m] or the line by too much, or where the forming ball stands
+    still; then as many as the turn of the line needs. ``across`` (N, 3) [m]: from the support to the former.
+    """
+    length = np.linalg.norm(across, axis=1)
+    middle = 0.5 * (across[1:] + across[:-1])
+    least = np.linalg.norm(middle, axis=1)
+    off = np.maximum(np.abs(least - radii - way.middle.gap[1:]), 0.5 * (length[1:] + length[:-1]) - least)
+    turned_off = off_upright(middle / least[:, None], way.middle.normal[1:])
+    step = np.linalg.norm(np.diff(way.contact.centre, axis=0), axis=1)
+    moved = np.maximum(step, np.linalg.norm(np.diff(way.contact.centre - across, axis=0), axis=1))
+    two = ((off > allowed) | (turned_off > 2.0 * STEADY)) & (moved > _SHORT)
+    finest = 2.0 * np.arccos(1.0 - 0.5 * allowed / length[1:])
+    arc = np.ceil(_angle(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
+    count = np.where(way.still[1:], np.maximum(arc, 1.0), np.where(two, np.maximum(arc, 2.0), 1.0))
+    return np.concatenate([[1], count]).astype(np.int64)
+
+
+def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
+    """The way with its moves parted into ``count`` (N,) pieces each."""
+    row, share = shares(count)
+    still = way.still[row]
+    normal = turned(way.lean.normal[row - 1], way.lean.normal[row], share)
+    gap = way.lean.gap[row - 1] + share * (way.lean.gap[row] - way.lean.gap[row - 1])
+    goes = np.flatnonzero(~still)
+    centre = mixed(way.contact.centre[row - 1], way.contact.centre[row], share)
+    found = touching.lean(centre[goes])
+    normal[goes], gap[goes] = found.normal, found.gap
+    lean = Lean(
+        np.insert(way.lean.normal, row, normal, axis=0),
+        np.insert(way.lean.gap, row, gap),
+    )
+    contact = insert_at(way.contact, row, share, normal, touching.radius)
+    fresh = np.flatnonzero(np.insert(count > 1, row, True))
+    middle = Lean(np.insert(way.middle.normal, row, normal, axis=0), np.insert(way.middle.gap, row, 0.0))
+    found = touching.lean(mixed(contact.centre[fresh - 1], contact.centre[fresh], np.full(len(fresh), 0.5)))
+    middle.normal[fresh], middle.gap[fresh] = found.normal, found.gap
+    step = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
+    turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY
+    still = np.insert(way.still, row, still) | ((step < _STILL) & turned_far)
+    return Way(contact, lean, still, middle)
+
+
+def _angle(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Angles (N,) [rad] between unit vectors (N, 3)."""
+    return np.asarray(np.arccos(np.clip(np.einsum("nd,nd->n", one, two), -1.0, 1.0)))
+
+
+def _draw_back(place: FloatArray, air: BoolArray, one: Pass, thickness: float, radius: float) -> None:
+    """Where the forming tool goes over in the air the support leaves the sheet straight down, and comes back
+    straight up."""
+    if not air.any() or air.all():
+        return
+    low = float(one.vertices[:, 2].min()) - thickness - radius - LIFT
+    rows = np.flatnonzero(air)
+    touching = np.flatnonzero(~air)
+    after = np.searchsorted(touching, rows)
+    first = np.concatenate([[True], np.diff(rows) > 1])
+    source = np.where(
+        (first & (after > 0)) | (after == len(touching)),
+        touching[np.maximum(after - 1, 0)],
+        touching[np.minimum(after, len(touching) - 1)],
+    )
+    place[rows] = np.column_stack([place[source, :2], np.full(len(rows), low)])

@@ -1,0 +1,134 @@
+"""Two balls opposite each other at sharp corners and over facets; against the walls' own planes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.forming.opposite import FACING, opposite_path
+from planner.forming.touching import Touching
+from planner.forming.values import ContactPath, Pass, ToolPath
+from tests.forming.shapes import BALL, T0, Array, operation
+
+TILT = np.radians(50.0)
+RIM, DEPTH, LEVEL = 0.04, 0.02, T0
+EAST = np.array([-np.sin(TILT), 0.0, np.cos(TILT)])
+NORTH = np.array([0.0, -np.sin(TILT), np.cos(TILT)])
+
+
+def pit() -> Pass:
+    """A pit with a square outline, four plane walls that meet in sharp creases, and a flat around."""
+    square = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    foot = RIM - DEPTH / np.tan(TILT)
+    rings = [(0.07, 0.0), (RIM, 0.0), (foot, -DEPTH)]
+    vertices = np.array([[*(half * corner), LEVEL + z] for half, z in rings for corner in square])
+    faces = [[8, 9, 10], [8, 10, 11]]
+    for ring in (0, 4):
+        for k in range(4):
+            a, b = ring + k, ring + (k + 1) % 4
+            faces += [[a, b, a + 4], [b, b + 4, a + 4]]
+    thickness = np.full(len(vertices), T0 * np.cos(TILT))
+    outline = np.column_stack([RIM * square, np.full(4, LEVEL)])
+    region = np.concatenate([outline, outline[:1]])
+    return Pass("f1", 1, 1, 1, vertices, np.array(faces), thickness, LEVEL, LEVEL - DEPTH, region)
+
+
+def round_the_corner(height: float) -> ContactPath:
+    """Up along the wall in the east to the corner, then along that in the north, the centre at a height."""
+    down = LEVEL - height
+    side = RIM - (down + BALL.radius / np.cos(TILT)) / np.tan(TILT)
+    centre = np.array([[side, 0.0, height], [side, side, height], [0.0, side, height]])
+    normal = np.array([EAST, NORTH, NORTH])
+    count = len(centre)
+    working = np.arange(count) > 0
+    angle = np.full(count, TILT)
+    return ContactPath(
+        centre - BALL.radius * normal, normal, centre, angle, np.zeros(count, dtype=np.int64), working
+    )
+
+
+@pytest.fixture(scope="module")
+def path() -> ToolPath:
+    return opposite_path(pit(), round_the_corner(LEVEL - 0.006), operation(), BALL, BALL, T0)
+
+
+def lines(path: ToolPath) -> Array:
+    assert path.support is not None
+    across = path.former - path.support
+    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+
+
+def test_along_a_wall_the_line_is_the_walls_normal_up_to_the_corner(path: ToolPath) -> None:
+    side = path.former[:, 0].max()
+    line = lines(path)
+    east = path.former[:, 1] < side - 1e-4
+    north = path.former[:, 0] < side - 1e-4
+    assert east.any() and north.any()
+    for rows, normal in ((east, EAST), (north, NORTH)):
+        pole = np.cross(normal, [0.0, 0.0, 1.0])
+        beside = np.abs(line[rows] @ (pole / np.linalg.norm(pole)))
+        assert np.degrees(np.arcsin(beside.max())) < 1.3  # steadied
+
+
+def test_at_the_corner_the_former_waits_for_the_support(path: ToolPath) -> None:
+    assert path.support is not None
+    at = np.linalg.norm(path.former[:, :2] - path.former[:, :2].max(axis=0), axis=1) < 5e-6
+    assert at.sum() >= 10
+    moved = np.linalg.norm(np.diff(path.support[at], axis=0), axis=1)
+    assert moved.sum() > 0.008
+    # between both walls the line is a mean of their normals and the vertical, with no negative part
+    basis = np.column_stack([EAST, NORTH, [0.0, 0.0, 1.0]])
+    high = 1.0 / np.linalg.norm(np.linalg.inv(basis), axis=1)  # of each over the plane of the other two
+    beyond = np.linalg.solve(basis, lines(path)[at].T) * high[:, None]
+    assert np.degrees(np.arcsin(-beyond.min())) < 1.8  # steadied
+
+
+def test_between_targets_gap_and_line_hold(path: ToolPath) -> None:
+    assert path.support is not None
+    touching = Touching(pit(), BALL.radius, 1.0, T0)
+    for share in np.linspace(0.1, 0.9, 5):
+        former = path.former[:-1] + share * np.diff(path.former, axis=0)
+        support = path.support[:-1] + share * np.diff(path.support, axis=0)
+        gap = np.linalg.norm(former - support, axis=1) - 2.0 * BALL.radius
+        assert np.abs(gap - T0 * np.cos(TILT)).max() < 8e-6
+    lean = touching.lean(path.former)
+    assert lean.gap == pytest.approx(T0 * np.cos(TILT), abs=1e-9)
+
+
+def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
+    """A dish of a ball's own shape in facets of 3 deg: the sphere's normal is that from its centre."""
+    radius, ball, step = 0.03, BALL.radius, np.radians(3.0)
+    polar = np.arange(1, 21) * step
+    turn = np.arange(120) * 2.0 * np.pi / 120
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    rings = [np.column_stack([radius * np.sin(p) * ring, np.full(120, -radius * np.cos(p))]) for p in polar]
+    vertices = np.concatenate([*rings, [[0.0, 0.0, -radius]]])
+    fan = [[k, (k + 1) % 120, len(vertices) - 1] for k in range(120)]
+    faces = [
+        [j * 120 + k, (j + 1) * 120 + k, (j + 1) * 120 + (k + 1) % 120] for j in range(19) for k in range(120)
+    ]
+    faces += [
+        [j * 120 + k, (j + 1) * 120 + (k + 1) % 120, j * 120 + (k + 1) % 120]
+        for j in range(19)
+        for k in range(120)
+    ]
+    one = Pass(
+        "f1",
+        1,
+        1,
+        1,
+        vertices,
+        np.array(fan + faces),
+        np.full(len(vertices), T0),
+        float(vertices[:, 2].max()),
+        -radius,
+        vertices[19 * 120 : 20 * 120],
+    )
+    rng = np.random.default_rng(3)
+    tilt, spin = rng.uniform(0.1, 0.8, 400), rng.uniform(0.0, 2.0 * np.pi, 400)
+    outward = np.column_stack([np.sin(tilt) * np.cos(spin), np.sin(tilt) * np.sin(spin), -np.cos(tilt)])
+    lean = Touching(one, ball, 1.0, T0).lean((radius - ball) * outward)
+    off = np.arccos(np.clip(np.einsum("nd,nd->n", lean.normal, -outward), -1.0, 1.0))
+    assert np.degrees(off.max()) < 1.0
+    assert off.max() < FACING
+    assert np.abs(lean.gap - T0 * np.cos(tilt)).max() < 0.03 * T0

@@ -1,0 +1,63 @@
+"""The line of two tools where the forming ball touches both walls of a crease; against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.verify.forming_face import Face
+from planner.verify.forming_state import TIED
+from planner.verify.forming_track import Track
+from planner.verify.rules_forming_two import _turned
+
+TILT = np.radians(60.0)
+RADIUS = 0.005
+WALLS = np.array([[-np.sin(TILT), 0.0, np.cos(TILT)], [0.0, -np.sin(TILT), np.cos(TILT)]])
+CORNER = np.linalg.solve(np.vstack([WALLS, [0.0, 0.0, 1.0]]), [RADIUS, RADIUS, 0.0])
+"""A ball's centre there touches both walls, which meet in a crease through the origin."""
+
+
+def turned(centre: np.ndarray, line: np.ndarray) -> float:
+    """How far [deg] the proof finds a line of two tools off, for a ball about ``centre``."""
+    along = np.cross(*WALLS)
+    along /= np.linalg.norm(along)
+    away = [np.array([0.0, -1.0, 0.0]), np.array([-1.0, 0.0, 0.0])]
+    points = [-0.05 * along, 0.05 * along]
+    vertices = np.array([*points, *(p + 0.05 * a for a in away for p in points)])
+    faces = np.array([[0, 2, 3], [0, 3, 1], [0, 5, 4], [0, 1, 5]])
+    normal = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
+    faces[normal[:, 2] < 0.0] = faces[normal[:, 2] < 0.0][:, ::-1]
+    face = Face(vertices, faces, RADIUS)
+    both = np.stack([centre, centre - 2.1 * RADIUS * line / np.linalg.norm(line)])[None]
+    rows = np.zeros(1, dtype=np.int64)
+    way = Track(("left", "right"), rows, both, both, np.ones(1, dtype=np.bool_), np.zeros(0, dtype=np.bool_))
+    found = face.nearest(both[:, 0], TIED)
+    return float(np.rad2deg(_turned(way, rows, face, found, 1, upright=True)[0]))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("up", [0.0, 0.4])
+def test_between_two_walls_that_the_ball_touches_the_line_may_be_any_mean(share: float, up: float) -> None:
+    line = (1.0 - share) * WALLS[0] + share * WALLS[1] + np.array([0.0, 0.0, up])
+    assert turned(CORNER, line) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_beside_the_crease_one_wall_alone_is_touched() -> None:
+    line = WALLS[0] + WALLS[1]
+    beside = CORNER + np.array([0.0, -5e-5, 0.0])  # off the wall in the north
+    pole = np.cross(WALLS[0], [0.0, 0.0, 1.0])
+    wanted = np.arcsin(abs(line @ pole) / np.linalg.norm(pole) / np.linalg.norm(line))
+    assert turned(beside, line) == pytest.approx(np.rad2deg(wanted), abs=1e-6)
+    assert turned(beside, line) > 20.0
+
+
+@pytest.mark.parametrize("degrees", [5.0, 30.0])
+def test_beyond_both_walls_the_line_is_off_by_how_far_it_is_beyond(degrees: float) -> None:
+    """Off the great circle through both normals, away from the vertical."""
+    mean = (WALLS[0] + WALLS[1]) / np.linalg.norm(WALLS[0] + WALLS[1])
+    pole = np.cross(*WALLS)
+    pole *= -np.sign(pole[2]) / np.linalg.norm(pole)
+    angle = np.deg2rad(degrees)
+    assert turned(CORNER, np.cos(angle) * mean + np.sin(angle) * pole) == pytest.approx(degrees, abs=1e-6)

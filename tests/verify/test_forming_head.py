@@ -1,0 +1,48 @@
+"""How deep points are inside of a tool's head on its way, against plane geometry at every row."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.verify.forming_head import LOOKED, Head, HeadWay
+
+RADIUS, LONG = 0.008, 0.12
+PROFILE = np.array([[0.0, RADIUS], [LONG, RADIUS]])
+
+
+def _way(seed: int, rise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A cylinder that circles over places, leaning this way and that, in steps of 0.05 mm; what it meets
+    rises meanwhile."""
+    rng = np.random.default_rng(seed)
+    count = 6000
+    along = np.linspace(0.0, 1.0, count)
+    turn = 2.0 * np.pi * along * 1.2 + rng.uniform(0.0, 6.0)
+    centre = np.stack([0.04 * np.cos(turn), 0.04 * np.sin(turn), 0.004 + 0.002 * np.sin(5.0 * turn)], axis=1)
+    lean = 0.3 * np.sin(3.0 * turn)
+    axis = np.stack([np.sin(lean), np.zeros(count), -np.cos(lean)], axis=1)
+    return centre, axis, rise * along
+
+
+@pytest.mark.parametrize("rise", [0.0, 0.006])
+def test_the_deepest_point_is_found_all_along_the_way(rise: float) -> None:
+    """A point is inside a cylinder by the least of what it is off the mantle and the front; the rear is open.
+    Between looks no place of the tool goes farther than half of ``LOOKED``."""
+    centre, axis, up = _way(4, rise)
+    points = np.random.default_rng(5).uniform([-0.06, -0.06, -0.01], [0.06, 0.06, 0.03], (400, 3))
+    deep, rows = Head.of(PROFILE, 0.0).into(points, HeadWay.of(centre, axis, up, LONG), 1e-4)
+    rest = points[None] + up[:, None, None] * np.array([0.0, 0.0, 1.0]) - centre[:, None]
+    behind = -np.einsum("tpd,td->tp", rest, axis)
+    beside = np.sqrt((rest**2).sum(axis=2) - behind**2)
+    inside = np.minimum(RADIUS - beside, behind)
+    inside[behind > LONG] = -1.0
+    exact = inside.max(axis=1)
+    assert exact.max() > 0.003
+    assert (exact < 0.0).any()
+    found = np.full(len(centre), -np.inf)
+    found[rows] = deep
+    there = (found > 0.0) & (behind.max(axis=1) < LONG)
+    np.testing.assert_allclose(found[there], exact[there], atol=1e-9)
+    for row in np.flatnonzero(exact > 0.5 * LOOKED + 1e-4):
+        nearest = rows[np.argmin(np.abs(rows - row))]
+        assert found[nearest] >= exact[row] - 0.5 * LOOKED
