@@ -45,7 +45,7 @@ def execute(text: str, line: int, modal: Modal, dialect: Dialect, faults: Faults
         message = "the program is over before this line (M2, M30 or %), which is not run; take it out"
         faults.add("gcode.after_end", "", line, message, severity=Severity.WARNING)
         return modal
-    return _run(found, line, dataclasses.replace(modal, started=True), dialect, faults, out)
+    return _run(found, line, _changed(modal, {"started": True}), dialect, faults, out)
 
 
 def _run(
@@ -53,10 +53,10 @@ def _run(
 ) -> Modal:
     names, values = _sorted(found, line, dialect, faults)
     step = Step(values, line, dialect, faults, out)
-    modal = dataclasses.replace(modal, **_modes(names, modal, step))
-    modal = dataclasses.replace(modal, **_numbers(modal, step))
+    modal = _changed(modal, _modes(names, modal, step))
+    modal = _changed(modal, _numbers(modal, step))
     modal = _tool(names, modal, step)
-    modal = dataclasses.replace(modal, **_spindle(names, modal, step))
+    modal = _changed(modal, _spindle(names, modal, step))
     if "G4" in names:
         _dwell(modal, step)
     moving = any(word in values for word in AXES + ROTARY + CENTRE + "R")
@@ -68,6 +68,13 @@ def _run(
     if "M2" in names or "M30" in names:
         modal = dataclasses.replace(modal, ended=True)
     return modal
+
+
+def _changed(modal: Modal, change: dict[str, Any]) -> Modal:
+    """The state with some fields changed; the same one where they are as they were, as on most lines."""
+    if all(getattr(modal, name) == value for name, value in change.items()):
+        return modal
+    return dataclasses.replace(modal, **change)
 
 
 def _sorted(

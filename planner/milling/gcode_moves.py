@@ -71,7 +71,7 @@ def move(modal: Modal, step: Step) -> Modal:
         step.out.add(place, turn, feed, CUT_ROW, modal.spindle, modal.tool, step.line)
     else:
         _arc(modal, after, step, motion == CLOCKWISE)
-    return dataclasses.replace(after, gap=False)
+    return dataclasses.replace(after, gap=False) if after.gap else after
 
 
 def _place(modal: Modal, step: Step) -> Triple:

@@ -68,6 +68,16 @@ _GUARD = (
 _LONGEST_WAIT = 2**31 - 1
 
 
+def without_comments(text: str) -> list[str]:
+    """What counts of a file, line by line: code without comments, and the comments that the proof reads."""
+    out: list[str] = []
+    for number, row in enumerate(text.split("\n"), 1):
+        code, comment = parted(row.strip(" \t\r"))
+        out += [code] if code else []
+        out += [f"{one.kind} {one.text}" for one in said(number, comment)]
+    return out
+
+
 class Reader:
     """The lines of one file. `faults` is filled while it reads."""
 
@@ -110,9 +120,9 @@ class Reader:
                 body.append(Straight(line, word, numbers, corner or ""))
                 continue
             if not row or row.startswith(";"):
-                body += _said(line, row)
+                body += said(line, row)
                 continue
-            code, text = _parted(row)
+            code, text = parted(row)
             if code.upper() == "END":
                 ended = True
             elif found := _EXT.fullmatch(code):
@@ -122,7 +132,7 @@ class Reader:
             else:
                 statement = self._statement(line, code)
                 body += [] if statement is None else [statement]
-                body += _said(line, text)
+                body += said(line, text)
         if not ended:
             self.fault(len(self.rows), "syntax", "there is no END")
         return None if name is None else Program(self.file, name, tuple(external), tuple(body))
@@ -148,7 +158,7 @@ class Reader:
         for pattern in _GUARD[1:]:
             while self.at < len(self.rows) and self.rows[self.at].strip().startswith(";"):
                 self.at += 1
-            code = _parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
+            code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
             match = pattern.fullmatch(code)
             if match is None:
                 what = f"{_shown(code)}: not the next statement of a guarded wait, {pattern.pattern}"
@@ -171,7 +181,7 @@ class Reader:
         items: dict[str, Data] = {}
         ended = False
         for line, row in self._lines():
-            code = _parted(row)[0]
+            code = parted(row)[0]
             if ended:
                 self.fault(line, "syntax", f"{_shown(code)} stands behind ENDDAT")
             elif code.upper() == "ENDDAT":
@@ -232,7 +242,7 @@ class Reader:
 
     def _frame(self, pattern: re.Pattern[str], wanted: str) -> str | None:
         for line, row in self._lines():
-            found = pattern.fullmatch(_parted(row)[0])
+            found = pattern.fullmatch(parted(row)[0])
             if found is None:
                 self.fault(line, "syntax", f"{_shown(row)}: {wanted} must stand here")
                 return None
@@ -250,7 +260,7 @@ class Reader:
                 yield self.at, row
 
 
-def _parted(row: str) -> tuple[str, str]:
+def parted(row: str) -> tuple[str, str]:
     """A row's code and its comment; no statement that is understood in .src files holds a string."""
     inside = False
     for i, letter in enumerate(row):
@@ -260,7 +270,7 @@ def _parted(row: str) -> tuple[str, str]:
     return row, ""
 
 
-def _said(line: int, row: str) -> list[Statement]:
+def said(line: int, row: str) -> list[Said]:
     """What a comment says to the proof; comments without one of the marks say nothing."""
     if row.startswith(";*"):
         return [Said(line, "told", row[2:].strip())]

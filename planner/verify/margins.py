@@ -5,7 +5,9 @@ else.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import PurePosixPath
 
+from planner.verify.krl_parser import without_comments
 from planner.verify.rapid_lexer import Cursor
 from planner.verify.result import Proof
 
@@ -31,10 +33,13 @@ def text(proof: Proof) -> dict[str, str]:
 
 def same_program(first: Mapping[str, str], second: Mapping[str, str]) -> bool:
     """Whether two sets of programs differ in comments and white space at most, file by file."""
-    return first.keys() == second.keys() and all(
-        _lines(first[name]) == _lines(second[name]) or _words(first[name]) == _words(second[name])
-        for name in first
-    )
+    return first.keys() == second.keys() and all(_same(name, first[name], second[name]) for name in first)
+
+
+def _same(name: str, first: str, second: str) -> bool:
+    if PurePosixPath(name).suffix.lower() in (".src", ".dat"):
+        return without_comments(first) == without_comments(second)
+    return _lines(first) == _lines(second) or _words(first) == _words(second)
 
 
 def _lines(content: str) -> list[str]:
