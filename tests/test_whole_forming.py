@@ -17,6 +17,7 @@ from planner.catalogue import data_dir, robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
 from planner.pipeline import Outcome
+from planner.problem import Mesh
 from planner.units import MM
 from tests import small_forming
 
@@ -29,11 +30,13 @@ PROBLEMS = sorted(
 )
 
 
-def planned(folder: Path, mode: str, **operation: Any) -> Outcome:
+def planned(folder: Path, mode: str, part: Mesh | None = None, **operation: Any) -> Outcome:
     data = small_forming.problem(mode, **operation)
     if mode != "spif":
         data["sheet"]["place"] = UPRIGHT
-    return planner.plan(planner.load(small_forming.write(folder, data, small_forming.dish(around=180))))
+    return planner.plan(
+        planner.load(small_forming.write(folder, data, part or small_forming.dish(around=180)))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +184,18 @@ def test_a_disk_along_the_border_is_proven(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
 def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
     outcome = planned(tmp_path, "spif", path=kind)
+    assert outcome.verified, outcome.issues
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["facets", "passes", "alternating"])
+def test_two_tools_hold_small_jobs_of_other_shapes(tmp_path: Path, name: str) -> None:
+    part, options = {
+        "facets": (small_forming.dish(around=48), {}),
+        "passes": (small_forming.dish(34.0, 9.0, 60.0, 6.0, 180), {"passes": [40.0]}),
+        "alternating": (small_forming.dish(around=180), {"path": "alternating"}),
+    }[name]
+    outcome = planned(tmp_path, "dsif", part, **options)
     assert outcome.verified, outcome.issues
 
 

@@ -53,12 +53,14 @@ _ROUNDS: Final = 8
 @dataclasses.dataclass(frozen=True, eq=False)
 class Way:
     """N targets: ``contact``; ``lean`` at them; ``still`` (N,): the forming ball stands still on the way to
-    the target; ``middle``: what it leans on halfway there, of which the first row has no meaning."""
+    the target; ``middle``: what it leans on halfway there, of which the first row has no meaning; ``off``
+    (N,): the ball steps over, off the face but not in the air."""
 
     contact: ContactPath
     lean: Lean
     still: BoolArray
     middle: Lean
+    off: BoolArray
 
 
 def opposite_path(
@@ -74,7 +76,7 @@ def opposite_path(
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii, allowed = former.radius + support.radius, SHARE * operation.gap_tol_mm * MM
-    way = _waited(contact, touching)
+    way = _waited(contact, touching, operation.gouge_tol_mm * MM)
     for left in range(_ROUNDS, -1, -1):
         contact, gap = way.contact, way.lean.gap
         apart = gap + radii
@@ -82,7 +84,8 @@ def opposite_path(
         about = contact.centre - radii * way.lean.normal
         normal = steady_normals(way.lean.normal, about, STEADY)
         steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
-        tilt = np.maximum(steep - shift, 0.0)
+        # off the face it cannot be opposite that: it is below what the ball stands on
+        tilt = np.where(way.off, 0.0, np.maximum(steep - shift, 0.0))
         tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
         squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
         inner = support.radius - squeezed - operation.gouge_tol_mm * MM
@@ -108,9 +111,11 @@ def opposite_path(
     )
 
 
-def _waited(contact: ContactPath, touching: Touching) -> Way:
+def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
     """The way with two targets at one place wherever what the ball leans on jumps: as it comes and as it
-    goes."""
+    goes. Where it does not touch within ``slack`` [m] it is off the face."""
+    away = np.linalg.norm(contact.centre - contact.point, axis=1) - touching.radius
+    aloft = ~contact.working & (away > slack) & (away <= AIR)
     at = touching.lean(contact.centre)
     step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
     rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > CORNER) & (step > 0.0)) + 1
@@ -140,7 +145,8 @@ def _waited(contact: ContactPath, touching: Touching) -> Way:
     still = np.isin(new, -1 - np.flatnonzero(kept)[np.flatnonzero(kept) % 2 == 1])
     still |= np.isin(new, row[1::2][own[1]])
     between = np.concatenate([path.centre[:1], 0.5 * (path.centre[1:] + path.centre[:-1])])
-    return Way(path, lean, still, touching.lean(between))
+    off = np.insert(aloft, row[kept], aloft[row[kept]] | aloft[row[kept] - 1])
+    return Way(path, lean, still, touching.lean(between), off)
 
 
 def _rows(lean: Lean, rows: IntArray) -> Lean:
@@ -192,7 +198,8 @@ def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
     step = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
     turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY
     still = np.insert(way.still, row, still) | ((step < _STILL) & turned_far)
-    return Way(contact, lean, still, middle)
+    off = np.insert(way.off, row, way.off[row] | way.off[row - 1])
+    return Way(contact, lean, still, middle, off)
 
 
 def _angle(one: FloatArray, two: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,32 @@ def test_between_targets_gap_and_line_hold(path: ToolPath) -> None:
         assert np.abs(gap - T0 * np.cos(TILT)).max() < 8e-6
     lean = touching.lean(path.former)
     assert lean.gap == pytest.approx(T0 * np.cos(TILT), abs=1e-9)
+
+
+def test_off_the_wall_the_support_is_straight_below() -> None:
+    contact = round_the_corner(LEVEL - 0.006)
+    over = contact.centre.copy()
+    over[1, 0] -= 0.002  # two millimetres off the wall in the east, before the corner
+    over[1, 1] -= 0.01
+    point = contact.point.copy()
+    point[1] = over[1] - (BALL.radius + 0.002 * np.sin(TILT)) * EAST
+    working = np.array([False, False, True])
+    path = opposite_path(
+        pit(),
+        dataclasses.replace(contact, point=point, centre=over, working=working),
+        operation(),
+        BALL,
+        BALL,
+        T0,
+    )
+    assert path.support is not None
+    away = np.linalg.norm(path.former - over[1], axis=1)
+    at = int(np.argmin(away))
+    assert away[at] < 1e-9
+    assert path.support[at, :2] == pytest.approx(over[1, :2], abs=1e-9)
+    assert path.former[at, 2] - path.support[at, 2] == pytest.approx(
+        2.0 * BALL.radius + path.gap[at], abs=1e-9
+    )
 
 
 def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
