@@ -137,6 +137,13 @@ def test_programs_of_another_depth_are_not_proven(alone: Outcome) -> None:
 
 
 @pytest.mark.long
+def test_a_stepped_path_of_two_tools_is_proven(tmp_path: Path) -> None:
+    """Where the ball steps over to the next loop both tools turn sharply."""
+    outcome = planned(tmp_path, "dsif", path="stepped")
+    assert outcome.verified, outcome.issues
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("mode", ["dpif_l", "dpif_p"])
 def test_small_jobs_of_other_modes_are_proven(tmp_path: Path, mode: str) -> None:
     outcome = planned(tmp_path, mode)

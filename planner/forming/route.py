@@ -17,9 +17,9 @@ FloatArray = NDArray[np.float64]
 
 AIR: Final = 0.005
 """How much farther than the clearance tools stay off the sheet between passes [m]."""
-SHARP: Final = 31.0 * DEG
-"""Tools stop where their way turns by more than this, which is beyond what smooth ways do from target to
-target."""
+SHARP: Final = 15.0 * DEG
+"""Tools stop where their way turns by more than this: smooth ways turn less from target to target, and a
+corner that is rounded at full feed costs two tools some of their gap."""
 STILL: Final = 1e-6
 """Moves that are shorter than this [m] have no direction."""
 BACK: Final = 0.06
