@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 AIR: Final = 0.005
 """How much farther than the clearance tools stay off the sheet between passes [m]."""
 SHARP: Final = 15.0 * DEG
-"""Tools stop where their way turns by more than this: smooth ways turn less from target to target, and a
+"""Tools stop where their way turns by more than this, and by more than smooth ways do from target to target: a
 corner that is rounded at full feed costs two tools some of their gap."""
 STILL: Final = 1e-6
 """Moves that are shorter than this [m] have no direction."""
@@ -46,6 +46,7 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
     axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     labels: list[str] = []
     stops: list[NDArray[np.bool_]] = []
+    sharp = max(SHARP, 1.1 * job.operation.tangent_deg * DEG)
     for number, (one, path) in enumerate(paths):
         own = _by_arm(job, one, path)
         count, name = len(path.former), segment(one)
@@ -67,7 +68,7 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
         head, tail = (2 if first else 1), (2 if last else 1)
         within = _stops(path.contact.loop, most)
         for points, _ in own.values():
-            within |= _corners(points)
+            within |= _corners(points, sharp)
         within[[0, -1]] = True
         stops.append(np.concatenate([np.ones(head, bool), within, np.ones(tail, bool)]))
     return Route(
@@ -97,15 +98,15 @@ def _away(job: Job, arm: str, clearance: float) -> float:
     return high + gap if job.above(arm) else low - gap
 
 
-def _corners(points: FloatArray) -> NDArray[np.bool_]:
-    """(N,) where the way through ``points`` (N, 3) turns so sharply that a tool cannot but stop."""
+def _corners(points: FloatArray, angle: float) -> NDArray[np.bool_]:
+    """(N,) where the way through ``points`` (N, 3) turns by more than ``angle`` [rad]."""
     step = np.diff(points, axis=0)
     length = np.linalg.norm(step, axis=1)
     long = np.flatnonzero(length > STILL)
     out = np.zeros(len(points), dtype=bool)
     if len(long) > 1:
         way = step[long] / length[long, None]
-        sharp = np.einsum("nd,nd->n", way[1:], way[:-1]) < np.cos(SHARP)
+        sharp = np.einsum("nd,nd->n", way[1:], way[:-1]) < np.cos(angle)
         out[long[1:][sharp]] = True
     return out
 
