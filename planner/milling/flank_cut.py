@@ -13,7 +13,7 @@ from planner.issues import Issue, Severity, TandemError, has_errors
 from planner.milling import flank
 from planner.milling.leads import beyond, off_block, round_corner
 from planner.milling.operation import FlankCut, Milling
-from planner.milling.rulings import Strip, crossing, strips
+from planner.milling.rulings import Strip, strips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
 from planner.problem import Cutter, Part, Ruled
@@ -124,15 +124,6 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
     field = f"operations.cuts.{cut.flank}"
     pieces = _pieces(op, cut, ruled, cutter.radius)
     out: list[Issue] = []
-    for strip in pieces:
-        row = crossing(strip)
-        if row is not None:
-            at = ", ".join(f"{v / MM:.1f}" for v in strip.low[row])
-            what = (
-                f"flank {cut.flank}: its guides run against each other near {at} mm, so that rulings cross; "
-            )
-            what += "reverse one of them, or give points that belong together (match: parameter)"
-            out.append(Issue("milling.guides", what, field=field))
     lengths = [
         sum(_length(side) for side in sides) for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
     ]

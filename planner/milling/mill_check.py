@@ -38,12 +38,13 @@ ROUNDED: Final = 2e-5
 def check(job: Job) -> list[Issue]:
     """Issues of all cuts."""
     out = list(job.notes)
-    for one in job.cuts:
-        out += _twist(job, one)
     for face in job.faces:
         known: dict[float, tuple[FloatArray, IntArray]] = {}
         for one in job.cuts:
             out += _gouges(job, one, face, known)
+    if not any(issue.code == "milling.tool_radius" for issue in out):  # of a cutter that fits nowhere
+        for one in job.cuts:
+            out += _twist(job, one)
     return out
 
 

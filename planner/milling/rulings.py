@@ -54,14 +54,5 @@ def strips(ruled: Ruled, tip_at_start: bool, chord: float, step: float) -> list[
     return out
 
 
-def crossing(strip: Strip) -> int | None:
-    """Index of a ruling at which the guides run against each other, so that rulings cross; None if they never
-    do."""
-    low, high = np.diff(strip.low, axis=0), np.diff(strip.high, axis=0)
-    size = np.linalg.norm(low, axis=1) * np.linalg.norm(high, axis=1)
-    against = np.flatnonzero((low * high).sum(axis=1) < -0.2 * np.maximum(size, 1e-18))
-    return int(against[0]) if len(against) else None
-
-
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

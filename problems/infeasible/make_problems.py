@@ -255,6 +255,62 @@ def sheet_faults() -> dict[str, tuple[dict[str, Any], str, list[str]]]:
     return out
 
 
+MILLED: dict[str, Any] = {
+    "tandem": 1,
+    "cell": "../cells/irb4600_mill.yaml",
+    "stock": {"size_mm": [120, 80, 50], "place": {"xyz_mm": [1300, 0, 800]}},
+    "settings": {"clearance_mm": 5},
+    "operations": [
+        {"name": "mill", "process": "milling", "arms": ["robot"], "cuts": [{"flank": "wall"}]},
+    ],
+}
+
+
+def milled(low: list[list[float]], high: list[list[float]], **more: Any) -> dict[str, Any]:
+    """A part of one ruled wall between two polylines."""
+    wall = {"name": "wall", "start": {"polyline_mm": low}, "end": {"polyline_mm": high}, **more}
+    return {"ruled": [wall], "in_stock": {}}
+
+
+def mill_faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
+    """Problem and codes by name: blocks that cannot be milled as asked. The cutter is a ball nose of 6 mm."""
+    out: dict[str, tuple[dict[str, Any], list[str]]] = {}
+
+    def add(name: str, code: str, part: dict[str, Any]) -> dict[str, Any]:
+        out[name] = ({"tandem": 1, "name": name, **copy.deepcopy(MILLED), "part": part}, [code])
+        return out[name][0]
+
+    def flat(points: list[list[float]], z: float) -> list[list[float]]:
+        return [[*point, z] for point in points]
+
+    plain = [[-55.0, 0.0], [55.0, 0.0]]
+    add("mill_short_flute", "milling.flute", milled(flat(plain, 12.0), flat(plain, 50.0)))
+    bent = [[-40.0, 0.0], [0.0, 20.0], [40.0, 0.0]]
+    add("mill_inner_corner", "milling.corner", milled(flat(bent, 36.0), flat(bent, 50.0)))
+    turn = np.linspace(-np.pi / 2, np.pi / 2, 25)
+    ring = [[round(float(2 * np.sin(t)), 4), round(float(2 * np.cos(t)), 4)] for t in turn]
+    tight = add("mill_too_thick", "milling.tool_radius", milled(flat(ring, 40.0), flat(ring, 50.0)))
+    tight["operations"][0]["cuts"][0]["lead_mm"] = 0
+    low, high = [[-6, -6, 41], [6, 6, 41]], [[-6, 6, 50], [6, -6, 50]]
+    twisted = add("mill_twisted", "milling.twist", milled(low, high))
+    twisted["operations"][0]["shape_tol_mm"] = 0.005
+    back = [[-30.0, 0.0], [30.0, 0.0]], [[-30.0, 0.0], [-10.0, 0.0], [-25.0, 0.0], [30.0, 0.0]]
+    crossed = add("mill_guides_cross", "part.ruled_shape", milled(flat(back[0], 40.0), flat(back[1], 50.0)))
+    for side in ("start", "end"):
+        crossed["part"]["ruled"][0][side]["corners_mm"] = []
+    lies = milled([[-40, -5, 30], [40, -5, 30]], [[-40, 5, 31], [40, 5, 31]])
+    add("mill_lies_flat", "milling.safe_plane", lies)
+    far = add("mill_unreachable", "motion.no_reach", milled(flat(plain, 38.0), flat(plain, 50.0)))
+    far["stock"]["place"] = {"xyz_mm": [4000, 0, 800]}
+    hit = add("mill_spindle_hits_arm", "motion.home_collision", milled(flat(plain, 38.0), flat(plain, 50.0)))
+    tool = {"kind": "mill", "diameter_mm": 6, "flute_mm": 20, "overhang_mm": 70}
+    arm = {"name": "robot", "robot": "irb4600_40", "home_deg": [0, -20, 20, 0, 40, 0]}
+    leans = {**tool, "tilt_deg": 135, "spindle_length_mm": 1500, "spindle_diameter_mm": 300, "mass_kg": 20}
+    hit["cell"] = {"name": "long", "arms": [{**arm, "tool": leans}], "controller": {"tasks": ["T_ROB1"]}}
+    hit["cell"]["controller"]["units"] = ["ROB_1"]
+    return out
+
+
 def closing(rings: int, around: int = 48) -> str:
     """Faces that close a surface of revolution along its rim, from a point above."""
     centre = (rings - 1) * around + 2
@@ -343,7 +399,7 @@ def main() -> None:
     """Write all files beside this one."""
     folder = Path(__file__).parent
     expect = {}
-    for name, (problem, codes) in {**faults(), **straight_faults()}.items():
+    for name, (problem, codes) in {**faults(), **straight_faults(), **mill_faults()}.items():
         text = yaml.safe_dump(problem, sort_keys=False, default_flow_style=None, width=110)
         (folder / f"{name}.yaml").write_text(
             "# Written by make_problems.py. This problem cannot be solved.\n" + text

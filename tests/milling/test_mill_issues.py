@@ -118,22 +118,6 @@ def test_guides_of_very_different_lengths_are_told(tmp_path: Path) -> None:
     assert found.severity is Severity.WARNING
 
 
-def test_guides_that_run_against_each_other(tmp_path: Path) -> None:
-    low, high = (
-        [[-40.0, 0.0, 12.0], [0.0, 1.0, 12.0], [40.0, 0.0, 12.0]],
-        [[-40.0, 0, 45], [20.0, 0, 45], [-10.0, 0, 45]],
-    )
-    smooth = {"corner_deg": 179}
-    surface = {
-        "name": "wall",
-        "start": {"polyline_mm": low, **smooth},
-        "end": {"polyline_mm": high, **smooth},
-        "match": "parameter",
-    }
-    found = issues(tmp_path, WALL, part={"ruled": [surface], "in_stock": {}})
-    assert {i.code for i in found} & {"milling.guides", "part.corners"}
-
-
 def test_a_tool_that_never_rises_to_the_safe_plane(tmp_path: Path) -> None:
     part = ruled([[-40, -20, 30], [40, -20, 30]], [[-40, 20, 31], [40, 20, 31]])
     found = only(issues(tmp_path, WALL, {"flute_mm": 60}, part=part), "milling.safe_plane")
