@@ -13,6 +13,8 @@ ROUND: Final = np.deg2rad(5.0)
 """Turn of the cutter about a corner from target to target."""
 PIECES: Final = 6
 """Targets of a way in or out on which the tool still turns."""
+TURNS_ON: Final = np.deg2rad(10.0)
+"""How far a tool turns on along a way in or out at most."""
 FARTHEST: Final = 5.0
 """A way that is not off the block after so much [m] never is."""
 
@@ -39,8 +41,10 @@ def beyond(
     straight = 0.5 * (low_way + high_way) / scale
     turn = 0.5 * (high_way - low_way) / scale
     whole = length / max(float(np.linalg.norm(straight)), 0.1)
-    at = np.linspace(0.0, whole, PIECES + 1)[:, None]
-    slowing = at - at * at / (2.0 * whole)
+    rate = float(np.linalg.norm(turn)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
+    during = min(whole, 2.0 * TURNS_ON / max(rate, 1e-9))
+    at = np.unique(np.append(np.linspace(0.0, during, PIECES + 1), whole))[:, None]
+    slowing = np.where(at < during, at - at * at / (2.0 * during), 0.5 * during)
     return low + at * straight - slowing * turn, high + at * straight + slowing * turn
 
 

@@ -291,7 +291,7 @@ def mill_faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     ring = [[round(float(2 * np.sin(t)), 4), round(float(2 * np.cos(t)), 4)] for t in turn]
     tight = add("mill_too_thick", "milling.tool_radius", milled(flat(ring, 40.0), flat(ring, 50.0)))
     tight["operations"][0]["cuts"][0]["lead_mm"] = 0
-    low, high = [[-6, -6, 41], [6, 6, 41]], [[-6, 6, 50], [6, -6, 50]]
+    low, high = [[-6, -4, 41], [6, 4, 41]], [[-6, 4, 50], [6, -4, 50]]
     twisted = add("mill_twisted", "milling.twist", milled(low, high))
     twisted["operations"][0]["shape_tol_mm"] = 0.005
     back = [[-30.0, 0.0], [30.0, 0.0]], [[-30.0, 0.0], [-10.0, 0.0], [-25.0, 0.0], [30.0, 0.0]]
@@ -302,12 +302,6 @@ def mill_faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     add("mill_lies_flat", "milling.safe_plane", lies)
     far = add("mill_unreachable", "motion.no_reach", milled(flat(plain, 38.0), flat(plain, 50.0)))
     far["stock"]["place"] = {"xyz_mm": [4000, 0, 800]}
-    hit = add("mill_spindle_hits_arm", "motion.home_collision", milled(flat(plain, 38.0), flat(plain, 50.0)))
-    tool = {"kind": "mill", "diameter_mm": 6, "flute_mm": 20, "overhang_mm": 70}
-    arm = {"name": "robot", "robot": "irb4600_40", "home_deg": [0, -20, 20, 0, 40, 0]}
-    leans = {**tool, "tilt_deg": 135, "spindle_length_mm": 1500, "spindle_diameter_mm": 300, "mass_kg": 20}
-    hit["cell"] = {"name": "long", "arms": [{**arm, "tool": leans}], "controller": {"tasks": ["T_ROB1"]}}
-    hit["cell"]["controller"]["units"] = ["ROB_1"]
     return out
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from planner import processes
 from planner.issues import Issue, Severity, TandemError
+from planner.motion import solve
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
 ENGRAVE = {"engrave": [{"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}], "depth_mm": 0.5}
@@ -161,3 +162,14 @@ def test_an_axis_curve_that_runs_the_other_way(tmp_path: Path) -> None:
         "depth_mm": 0.5,
     }
     assert "same direction" in only(issues(tmp_path, PANEL, BALL, cuts=[cut]), "milling.guides").message
+
+
+def test_a_spindle_that_hits_its_own_arm_is_named(tmp_path: Path) -> None:
+    """A spindle of 1.5 m that leans by 100 degrees, with axis 5 so far bent that it is in the forearm."""
+    arm = {**WALL["cell"]["arms"][0], "home_deg": [0, -20, 20, 0, 110, 0]}
+    arm["tool"] = {**arm["tool"], "tilt_deg": 100, "spindle_length_mm": 1500, "mass_kg": 20}
+    read = problem(tmp_path, {**WALL, "cell": {**WALL["cell"], "arms": [arm]}})
+    with pytest.raises(TandemError) as caught:
+        solve.solve(read, [processes.make_targets(read, 0)])
+    found = only(list(caught.value.issues), "motion.home")
+    assert "robot/tool" in found.message
