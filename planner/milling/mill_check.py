@@ -31,6 +31,10 @@ CREASE: Final = float(np.deg2rad(20.0))
 """Facets that turn by more than this over an edge meet in a crease."""
 APART: Final = 0.25
 """Places of a face that bound a ball are so far apart at least, over the cutter's radius."""
+TWISTED: Final = 0.3
+"""A cutter that is off a surface by more than this share of its radius does not fit, twisted or not."""
+LEVEL: Final = 0.5 * MM
+"""Places whose levels along an axis differ by less are at one level."""
 ROUNDED: Final = 2e-5
 """What facets of the part and of the path may hide [m]."""
 
@@ -41,17 +45,16 @@ def check(job: Job) -> list[Issue]:
     for face in job.faces:
         known: dict[float, tuple[FloatArray, IntArray]] = {}
         for one in job.cuts:
-            out += _gouges(job, one, face, known)
-    if not any(issue.code == "milling.tool_radius" for issue in out):  # of a cutter that fits nowhere
-        for one in job.cuts:
-            out += _twist(job, one)
+            own = one.face is not None and one.face.name == face.name
+            twist = _twist(job, one) if own else []
+            out += twist or _gouges(job, one, face, known)
     return out
 
 
 def _twist(job: Job, one: Done) -> list[Issue]:
-    if one.off <= one.tolerance or not isinstance(one.cut, FlankCut):
-        return []
     radius = job.cutter.radius
+    if not isinstance(one.cut, FlankCut) or not one.tolerance < one.off < TWISTED * radius:
+        return []
     fits = radius * one.tolerance / one.off  # the deviation goes with the radius
     what = f"flank {one.cut.flank}: its rulings are twisted, and the cutter of radius {radius / MM:g} mm is "
     what += f"{one.off / MM:.3f} mm off them; allowed: {one.tolerance / MM:g}: take a radius of "
@@ -117,7 +120,11 @@ def _gouge(
     target = f"mill/{run.name}/{max(where - run.first, 1)}"
     measure = {"value": float(-apart[k] / MM), "limit": allowed / MM, "unit": "mm"}
     own = one.face is not None and one.face.name == face.name
-    fits = largest_that_fits(face, points, owner, k, section.radius) if section.name == "cutter" else None
+    flank = isinstance(one.cut, FlankCut)
+    along = run.path.axis[min(max(where - 1, 0), len(run.path) - 1)] if flank else None
+    fits = None
+    if section.name == "cutter":
+        fits = largest_that_fits(face, points, owner, k, section.radius, along)
     if fits is not None and fits < section.radius and (own or one.depth > 0.0):
         what = f"{run.name}: the cutter of radius {section.radius / MM:g} mm does not fit into "
         what += f"{face.name} at {at} mm, "
@@ -135,11 +142,14 @@ def _gouge(
     return Issue("milling.gouge", what, target=target, **measure)  # type: ignore[arg-type]
 
 
-def largest_that_fits(face: Face, points: FloatArray, owner: IntArray, k: int, radius: float) -> float | None:
+def largest_that_fits(
+    face: Face, points: FloatArray, owner: IntArray, k: int, radius: float, along: FloatArray | None = None
+) -> float | None:
     """Radius [m] of the largest ball that touches the face near point ``k`` without holding another of its
     points; None where no smaller one than ``radius`` is bounded by it.
 
-    A ball of radius r about p + r n holds q where |q - p|^2 < 2 r (q - p) n.
+    A ball of radius r about p + r n holds q where |q - p|^2 < 2 r (q - p) n. With ``along`` (3,), the axis
+    of a flank, it is a cylinder: only places at one level of the axis bound it.
     """
     tree = cKDTree(points)
     some = np.asarray(tree.query_ball_point(points[k], radius), dtype=np.int64)
@@ -153,7 +163,8 @@ def largest_that_fits(face: Face, points: FloatArray, owner: IntArray, k: int, r
     height = np.einsum("ijd,id->ij", way, normal)
     square = np.einsum("ijd,ijd->ij", way, way)
     # facets are chords: places that are near to one another see corners where the face is round
-    real = (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))
+    level = np.abs(way @ along) < LEVEL if along is not None else np.ones(height.shape, dtype=bool)
+    real = level & (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))
     found = np.where(real, square / np.maximum(2.0 * height, 1e-12), np.inf)
     least = float(found.min(initial=np.inf))
     return least if np.isfinite(least) else None
