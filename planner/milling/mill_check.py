@@ -31,7 +31,7 @@ CREASE: Final = float(np.deg2rad(20.0))
 """Facets that turn by more than this over an edge meet in a crease."""
 APART: Final = 0.25
 """Places of a face that bound a ball are so far apart at least, over the cutter's radius."""
-TWISTED: Final = 0.3
+TWISTED: Final = 0.1
 """A cutter that is off a surface by more than this share of its radius does not fit, twisted or not."""
 LEVEL: Final = 0.5 * MM
 """Places whose levels along an axis differ by less are at one level."""
