@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import Cutter
+from planner.tool_heads import Cutter
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts
-from planner.problem import FormingHead, Shape, Tool
+from planner.problem import Shape, Tool
+from planner.tool_heads import FormingHead
 
 FloatArray = NDArray[np.float64]
 

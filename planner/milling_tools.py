@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts
-from planner.problem import Cutter, CutterKind, Shape, Tool
+from planner.problem import Shape, Tool
+from planner.tool_heads import Cutter, CutterKind
 
 FloatArray = NDArray[np.float64]
 

@@ -26,8 +26,8 @@ from planner.claims import Claim, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.problem import Cutter
 from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
+from planner.tool_heads import Cutter
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1

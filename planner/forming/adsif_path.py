@@ -33,8 +33,8 @@ from planner.forming.values import ContactPath, FloatArray, Pass, ToolPath
 from planner.geometry.closest import corner_normals
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
-from planner.problem import FormingHead
 from planner.sheet_metals import SheetMetal
+from planner.tool_heads import FormingHead
 from planner.units import DEG, MM
 
 EDGE: Final = 1e-5

@@ -12,7 +12,7 @@ from planner.forming.steady import steady_below, steady_normals
 from planner.forming.tilt import leaned, nozzle_below_flat
 from planner.forming.values import ContactPath, FloatArray, Pass
 from planner.forming_tools import profile
-from planner.problem import FormingHead
+from planner.tool_heads import FormingHead
 from planner.units import DEG
 
 TURN: Final = 1.0 * DEG

@@ -14,7 +14,8 @@ from planner.forming.passes import passes
 from planner.forming.path_options import PathOptions
 from planner.forming.values import Pass
 from planner.issues import Issue, TandemError
-from planner.problem import FormingHead, Mesh, Part, Setup, Sheet
+from planner.problem import Mesh, Part, Setup, Sheet
+from planner.tool_heads import FormingHead
 from planner.units import DEG, MM
 
 NAMED: Final = 5

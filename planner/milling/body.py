@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.problem import Cutter
+from planner.tool_heads import Cutter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -16,7 +16,8 @@ from planner.milling.operation import FlankCut, Milling
 from planner.milling.rulings import Strip, strips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
-from planner.problem import Cutter, Part, Ruled
+from planner.problem import Part, Ruled
+from planner.tool_heads import Cutter
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

@@ -16,7 +16,8 @@ from planner.milling.gcode_file import GCodeCut
 from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.over import Over
 from planner.milling.values import Run
-from planner.problem import Cutter, Mesh, Part, Setup
+from planner.problem import Mesh, Part, Setup
+from planner.tool_heads import Cutter
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.problem import Cutter
+from planner.tool_heads import Cutter
 
 FloatArray = NDArray[np.float64]
 

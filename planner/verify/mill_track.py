@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.claims import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
-from planner.problem import Cutter
+from planner.tool_heads import Cutter
 from planner.verify.context import Context
 from planner.verify.speed import during
 

@@ -13,8 +13,9 @@ from planner.forming.adsif_table import built_in
 from planner.forming.passes import passes
 from planner.forming.values import Pass, ToolPath
 from planner.issues import TandemError
-from planner.problem import FormingHead, Mesh
+from planner.problem import Mesh
 from planner.sheet_metals import sheet_metal
+from planner.tool_heads import FormingHead
 from tests.forming.shapes import T0, Array, cone, operation, revolved, tree_of, upside_down
 
 METAL = sheet_metal("aa5754_o")

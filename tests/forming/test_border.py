@@ -10,8 +10,9 @@ from planner.forming.border import border_curve, border_path
 from planner.forming.passes import passes
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass
-from planner.problem import FormingHead, Mesh
+from planner.problem import Mesh
 from planner.sheet_metals import sheet_metal
+from planner.tool_heads import FormingHead
 from tests.forming.shapes import (
     BALL,
     T0,

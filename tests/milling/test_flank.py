@@ -8,7 +8,8 @@ import pytest
 from planner.milling import flank
 from planner.milling.point import ridge_step, tips
 from planner.milling.rulings import Strip, strips
-from planner.problem import Cutter, Ruled
+from planner.problem import Ruled
+from planner.tool_heads import Cutter
 
 
 def cone(count: int = 400) -> Ruled:
