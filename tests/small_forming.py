@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -96,9 +97,8 @@ def dish_with_a_dome(around: int = 180) -> Mesh:
     corners = [(54, 0), (44, 0), (44 - 8 / down, -8), (14, -8), (14 - 5 / up, -3), (0, -3)]
     profile = [np.array(corners[0], dtype=float)]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
-        middle, arms = np.array(corner, dtype=float), []
-        for end in (before, after):
-            arms.append((end - middle) / np.linalg.norm(end - middle))
+        middle = np.array(corner, dtype=float)
+        arms = [(end - middle) / np.linalg.norm(end - middle) for end in (before, after)]
         half = 0.5 * np.arccos(arms[0] @ arms[1])
         centre = middle + (arms[0] + arms[1]) / np.linalg.norm(arms[0] + arms[1]) * 7.0 / np.sin(half)
         ends = [middle + 7.0 / np.tan(half) * arm - centre for arm in arms]
@@ -108,7 +108,7 @@ def dish_with_a_dome(around: int = 180) -> Mesh:
             profile.append(centre + mixed)
     profile.append(np.array(corners[-1], dtype=float))
     dense = [profile[0]]
-    for one, two in zip(profile, profile[1:], strict=False):
+    for one, two in itertools.pairwise(profile):
         count = max(1, int(np.ceil(np.linalg.norm(two - one) / 1.5)))
         dense += [one + (two - one) * k / count for k in range(1, count + 1)]
     return revolved([(float(r) * MM, float(z) * MM) for r, z in dense], around)
