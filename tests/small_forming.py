@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -72,3 +73,42 @@ def write(folder: Path, data: dict[str, Any], part: Mesh | None = None) -> Path:
     path = folder / "problem.yaml"
     path.write_text(yaml.safe_dump(data))
     return path
+
+
+def upside_down(mesh: Mesh) -> Mesh:
+    """The same part going the other way; its normals are up again."""
+    return Mesh(mesh.vertices * [1.0, 1.0, -1.0], mesh.faces[:, ::-1])
+
+
+def die(folder: Path, part: Mesh, kind: str, full: bool) -> dict[str, Any]:
+    """A die for a dish or dome (`dish`) as a problem file states it, its mesh written into ``folder``: the
+    part's lower face a little lower, whole, or only its rim (female) or top (male)."""
+    far = np.linalg.norm(part.vertices[part.faces].mean(axis=1)[:, :2], axis=1) > 22.0 * MM
+    kept = part.faces if full else part.faces[far if kind == "female" else ~far]
+    lower = part.vertices / MM - [0.0, 0.0, 0.02]
+    trimesh.Trimesh(lower, kept, process=False).export(folder / "die.ply")
+    spec: dict[str, Any] = {"file": "die.ply", "unit": "mm", "kind": kind, "full": full}
+    return spec if kind == "female" else {**spec, "holder": "sinking", "step_mm": 1}
+
+
+def dish_with_a_dome(around: int = 180) -> Mesh:
+    """A dish of 40 degrees and 8 mm, a dome of 35 degrees and 5 mm up on its floor, edges rounded by 7 mm."""
+    down, up = np.tan(np.deg2rad(40.0)), np.tan(np.deg2rad(35.0))
+    corners = [(54, 0), (44, 0), (44 - 8 / down, -8), (14, -8), (14 - 5 / up, -3), (0, -3)]
+    profile = [np.array(corners[0], dtype=float)]
+    for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
+        middle = np.array(corner, dtype=float)
+        arms = [(end - middle) / np.linalg.norm(end - middle) for end in (before, after)]
+        half = 0.5 * np.arccos(arms[0] @ arms[1])
+        centre = middle + (arms[0] + arms[1]) / np.linalg.norm(arms[0] + arms[1]) * 7.0 / np.sin(half)
+        ends = [middle + 7.0 / np.tan(half) * arm - centre for arm in arms]
+        turn = np.pi - 2.0 * half
+        for s in np.linspace(0.0, 1.0, 9):
+            mixed = (np.sin((1.0 - s) * turn) * ends[0] + np.sin(s * turn) * ends[1]) / np.sin(turn)
+            profile.append(centre + mixed)
+    profile.append(np.array(corners[-1], dtype=float))
+    dense = [profile[0]]
+    for one, two in itertools.pairwise(profile):
+        count = max(1, int(np.ceil(np.linalg.norm(two - one) / 1.5)))
+        dense += [one + (two - one) * k / count for k in range(1, count + 1)]
+    return revolved([(float(r) * MM, float(z) * MM) for r, z in dense], around)

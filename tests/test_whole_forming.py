@@ -188,6 +188,44 @@ def test_a_disk_along_the_border_is_proven(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("full", [True, False])
+@pytest.mark.parametrize("kind", ["female", "male"])
+def test_small_jobs_over_dies_are_proven(tmp_path: Path, kind: str, full: bool) -> None:
+    """Into a hollow die the dish goes down from its rim; over a male one from its top outward, the clamp
+    sinking by as many steps of 1 mm as it is deep."""
+    part = small_forming.dish(around=180)
+    part = part if kind == "female" else small_forming.upside_down(part)
+    data = small_forming.problem("tpif", die=small_forming.die(tmp_path, part, kind, full))
+    outcome = planner.plan(planner.load(small_forming.write(tmp_path, data, part)))
+    assert outcome.verified, outcome.issues
+    pulses = "".join(outcome.programs.values()).count("SetDO doBlankHolder,1;")
+    assert pulses == (0 if kind == "female" else 6)
+    tip = centres(outcome, "robot", "form/f1")[:, 2]
+    assert tip[-1] < tip[0] - 5.0 * MM  # down in either case
+
+
+@pytest.mark.long
+def test_a_second_stage_on_a_formed_floor_has_that_stage_s_border_supported(tmp_path: Path) -> None:
+    """Seed 000's subsequent forming: the first arm forms a dish that the second one supports; then the second
+    one forms the other way on the dish's floor, and the first goes round that border inside the dish."""
+    data = small_forming.problem("dpif_p", stepdown_mm=1.5)
+    data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 130, "place": UPRIGHT}
+    part = small_forming.dish_with_a_dome()
+    outcome = planner.plan(planner.load(small_forming.write(tmp_path, data, part)))
+    assert outcome.verified, outcome.issues
+    assert all(rule.ran and rule.passed for rule in outcome.proof.rules)
+    outer, inner = (centres(outcome, arm, name) for arm, name in (("right", "form/f1"), ("left", "form/f2")))
+    assert np.linalg.norm(outer[:, :2], axis=1).min() > 44.0 * MM
+    # on the floor: its top face is 8 mm down and the sheet's thickness up, and the ball is 5 mm over that
+    np.testing.assert_allclose(inner[:, 2], (-8.0 + 1.0 + 5.0) * MM, atol=2e-5)
+    round_ = np.linalg.norm(inner[:, :2], axis=1)
+    assert round_.min() > 14.0 * MM
+    assert round_.max() < 30.0 * MM
+    former = centres(outcome, "right", "form/f2")
+    assert former[-1, 2] > former[0, 2] + 4.0 * MM
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["contour", "alternating", "stepped"])
 def test_small_jobs_of_other_paths_are_proven(tmp_path: Path, kind: str) -> None:
     outcome = planned(tmp_path, "spif", path=kind)

@@ -137,8 +137,8 @@ class Bounds:
         follow each other, which are mostly near each other, then of each."""
         count = len(self.boxes)
         if not count or not len(self.box_pairs):
-            none = np.zeros(0, dtype=np.intp)
-            return _NearBox(none, none, none, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+            none, nowhere = np.zeros(0, dtype=np.intp), np.zeros((0, 3))
+            return _NearBox(none, none, none, nowhere, nowhere, nowhere, np.zeros(0))
         pose = np.stack([poses[box.body][0] @ box.shape.pose for box in self.boxes])
         place, turn = pose[:, :3, 3], pose[:, :3, :3]
         reach = self.outer[0] + self.outer[1]
@@ -156,24 +156,28 @@ class Bounds:
         there = row < len(centre)
         row, solid, box = row[there], solid[there], box[there]
         local = np.einsum("mc,mcd->md", centre[row, solid] - place[box], turn[box])
-        kept = np.flatnonzero(_box(local, self.half[box]) < reach[solid] + limit)
+        apart = _box(local, self.half[box])
+        kept = np.flatnonzero(apart < reach[solid] + limit)
         row, solid, box = row[kept], solid[kept], box[kept]
         along = np.einsum("mc,mcd->md", axis[row, solid], turn[box])
-        return _NearBox(row, solid, box, local[kept], along, self.half[box])
+        return _NearBox(row, solid, box, local[kept], along, self.half[box], apart[kept])
 
     def _below(self, lower: FloatArray, near: _NearBox, limit: float) -> None:
         """Takes lower bounds of the distances of outer capsules to the boxes into ``lower`` (B,).
 
-        A first bound from a few points of each axis, as distance changes by at most the way, settles most;
-        those that may be the least of their row, and below ``limit``, are worked out.
+        First bounds from the centres, then from a few points of each axis, as distance changes by at most the
+        way, settle most; those that may be the least of their row, and below ``limit``, are worked out.
         """
+        size, radius = self.outer[0][near.solid], self.outer[1][near.solid]
+        most = lower.copy()
+        np.minimum.at(most, near.row, near.apart - radius)
+        least = near.apart - size - radius
+        near = near.some(np.flatnonzero((least <= most[near.row]) & (least < limit)))
         value = self._on_axis(near, self.outer[0])
         step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
-        least = value.min(axis=1)
-        radius = self.outer[1][near.solid]
+        least, radius = value.min(axis=1), self.outer[1][near.solid]
         between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
         low = np.minimum(between.min(axis=1), least) - radius
-        most = lower.copy()
         np.minimum.at(most, near.row, least - radius)
         open_ = np.flatnonzero((low < most[near.row]) & (low < limit))
         low[open_] = np.maximum(low[open_], self._to_box(near.some(open_)))
@@ -200,8 +204,8 @@ class Bounds:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _NearBox:
-    """Capsules near boxes: row, solid and box (M,), centre and axis (M, 3) in the box's frame, and its half
-    size (M, 3)."""
+    """Capsules near boxes: row, solid and box (M,), centre and axis (M, 3) in the box's frame, its half size
+    (M, 3), and the distance (M,) of the centre."""
 
     row: IntArray
     solid: IntArray
@@ -209,6 +213,7 @@ class _NearBox:
     place: FloatArray
     along: FloatArray
     half: FloatArray
+    apart: FloatArray
 
     def some(self, chosen: IntArray) -> _NearBox:
         """Some of them."""

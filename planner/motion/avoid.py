@@ -119,14 +119,18 @@ class Avoid:
         # what was nearer by more than it moved is near still
         doubt = (bound < limit) & (np.isneginf(self._bound) | (self._bound + moved >= limit))
         far = FAR if float(np.median(moved)) < FAR else CLOSE
-        for kind, bounds in enumerate(self._bounds):
-            index = np.flatnonzero(doubt & (self._kind == kind))
-            if not len(index):
-                continue
+        parts = [
+            (bounds, index)
+            for kind, bounds in enumerate(self._bounds)
+            for rows in [np.flatnonzero(doubt & (self._kind == kind))]
+            for index in np.array_split(rows, -(-len(rows) // clearance.CHUNK) or 1)
+            if len(index)
+        ]
+        for bounds, index in parts:
             part = {arm: q[index, 6 * k : 6 * k + 6] for k, arm in enumerate(self._arms)}
             rows = self._model.stack(part)
             every = {arm: rows[:, 6 * k : 6 * k + 6] for k, arm in enumerate(self._model.arms)}
-            lower, _ = bounds.least(self._model.poses(every), limit + far)
+            lower, _ = bounds.least(self._model.poses(every), limit + far, both=False)
             bound[index] = np.minimum(lower, limit + far) - TOUCH
             self._bound[index], self._bound_at[index] = bound[index], q[index]
         return np.asarray(bound)
