@@ -23,20 +23,11 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from planner import align_commands, feature_commands, kerf_commands
+from planner.blame import given_wrong
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
-GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align"} | {
-    "wire.unknown_material",
-    "wire.size",
-    "wire.temperature",
-    "post.tasks",
-    "post.controller",
-    "post.signal",
-    "post.name",
-}
-"""Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 app = tyro.extras.SubcommandApp()
@@ -258,10 +249,7 @@ def _pipeline() -> ModuleType:
 
 
 def _infeasible_code(error: TandemError) -> int:
-    bad_input = all(
-        issue.code in GIVEN_WRONG or issue.code.split(".")[0] in GIVEN_WRONG for issue in error.issues
-    )
-    return BAD_INPUT if bad_input else NO_PLAN
+    return BAD_INPUT if given_wrong(error.issues) else NO_PLAN
 
 
 def _refused(error: TandemError, code: int) -> int:

@@ -55,7 +55,7 @@ def claim_folder(folder: Path, owned: tuple[str, ...], keep: Path | None = None)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _sweep(folder)
-        with _staging(folder):
+        with staging(folder):
             pass
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -79,8 +79,8 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
     """
     claim_folder(folder, owned)
     try:
-        with _staging(folder) as staging:
-            new, old = staging / "new", staging / "old"
+        with staging(folder) as hidden:
+            new, old = hidden / "new", hidden / "old"
             for side in (new, old):
                 side.mkdir()
             for name, content in files.items():
@@ -98,8 +98,11 @@ def write_folder(folder: Path, files: Mapping[str, str | bytes], owned: tuple[st
 
 
 @contextmanager
-def _staging(folder: Path) -> Iterator[Path]:
-    """A hidden folder that is gone at the end. Its lock ends with the process, however that ends."""
+def staging(folder: Path) -> Iterator[Path]:
+    """A hidden folder in ``folder`` that is gone at the end; what is whole may be renamed out of it.
+
+    Its lock ends with the process, however that ends, and :func:`claim_folder` clears what nobody locks.
+    """
     path, handle = None, None
     try:
         with unhurried():

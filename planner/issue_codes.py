@@ -312,6 +312,12 @@ CODES: Final[dict[str, str]] = {
     "forming.flat": "nothing of a part leaves the sheet plane",
     "forming.step": "a slicing step is no length above 0, or gives too many levels",
     "forming.order": "an order of forming names a feature twice, not at all, or before what it stands on",
+    # many problems at once
+    "batch.crashed": "the process that planned a problem ended before it was done",
+    "batch.timeout": "planning a problem took longer than was allowed",
+    "batch.memory": "planning a problem needed more memory than was allowed",
+    "batch.cancelled": "planning a problem was cancelled",
+    "batch.worker": "worker processes do not start",
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }

@@ -74,7 +74,7 @@ def test_writing_is_killed_at_many_moments(tmp_path: Path, number: signal.Signal
 
 
 def test_what_a_running_process_writes_is_left_to_it(tmp_path: Path) -> None:
-    with files._staging(tmp_path) as staging:
+    with files.staging(tmp_path) as staging:
         files.claim_folder(tmp_path, OWNED)
         assert staging.is_dir()
     assert not litter(tmp_path)

@@ -1,0 +1,1 @@
+"""Many problems: worker processes, batches, comparisons, a cluster. No planning logic lives here."""

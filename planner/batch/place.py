@@ -1,0 +1,103 @@
+"""Where a job's result goes: planned in a hidden folder beside it, renamed when it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from planner.batch.job import Done
+from planner.files import is_file, staging, unhurried, write_whole
+from planner.issues import Issue, TandemError
+
+RESULT = {
+    "programs",
+    "problem",
+    "plan.npz",
+    "plan.json",
+    "proof.json",
+    "report.html",
+    "replay.html",
+    "simulated_part.obj",
+}
+"""What a result folder holds (`planner.pipeline.OWNED`; asking there would import Drake)."""
+
+
+class Place:
+    """The result folder of one job and, while it is planned, the hidden folder that it is planned in."""
+
+    def __init__(self, folder: Path, record: Path | None) -> None:
+        self.folder, self.record = folder, record
+        self._open = contextlib.ExitStack()
+        self._hidden: Path | None = None
+
+    @staticmethod
+    def claim(folder: Path, record: Path | None) -> Place:
+        """The place, if ``folder`` can be one: missing, or a result. Raises ``TandemError``
+        (``output.folder``)."""
+        if os.path.lexists(folder):
+            foreign = (
+                sorted(p.name for p in folder.iterdir() if p.name not in RESULT) if folder.is_dir() else []
+            )
+            if foreign or folder.is_symlink() or not folder.is_dir():
+                got = f"holds {', '.join(foreign[:3])}" if foreign else "is no folder"
+                what = f"output folder {folder}: it {got}, and a result would replace it; choose another"
+                raise TandemError(Issue("output.folder", what, file=str(folder)))
+        return Place(folder, record)
+
+    def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:
+        """Write the job's files; where they lie, and where its result is to be written."""
+        self.folder.parent.mkdir(parents=True, exist_ok=True)
+        self._hidden = self._open.enter_context(staging(self.folder.parent)).resolve()
+        source = self._hidden / "problem"
+        for name, content in files.items():
+            path = source / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return source, self._hidden / "result"
+
+    def publish(self, done: Done) -> Done:
+        """Let the result appear under its name, with its record; a job that wrote none gets the report alone.
+
+        What is given back has ``output.folder`` as one more issue where the disk refuses.
+        """
+        if self._hidden is None:
+            self.prepare({})
+        if self._hidden is None:
+            raise RuntimeError("a place that is not prepared")
+        result = self._hidden / "result"
+        try:
+            if not is_file(result / "report.html"):
+                from planner.batch.solve import write_failure
+
+                write_failure(result, done.issues)
+            with unhurried():
+                if os.path.lexists(self.folder):
+                    self.folder.rename(self._hidden / "old")
+                if self.record is not None:
+                    write_whole(self.record, json.dumps(done.to_dict(), indent=1))
+                result.rename(self.folder)
+        except OSError as error:
+            what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
+            issue = Issue("output.folder", what, file=str(self.folder), hint="see to the disk and run again")
+            done = Done(done.name, "crashed", (*done.issues, issue), done.metrics, done.seconds)
+        finally:
+            self.leave()
+        return done
+
+    def leave(self) -> None:
+        """Remove the hidden folder; the place can be prepared anew."""
+        self._open.close()
+        self._hidden = None
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """A record as it was written, None where there is none or it is no record."""
+    try:
+        data = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) else None

@@ -1,0 +1,23 @@
+"""Whether what was given is to blame for a refusal, or what can be planned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from planner.issues import Issue
+
+GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align"} | {
+    "wire.unknown_material",
+    "wire.size",
+    "wire.temperature",
+    "post.tasks",
+    "post.controller",
+    "post.signal",
+    "post.name",
+}
+"""Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""
+
+
+def given_wrong(issues: Iterable[Issue]) -> bool:
+    """Whether all issues are faults of what was given (exit code 2), not of what is feasible (3)."""
+    return all(issue.code in GIVEN_WRONG or issue.code.split(".")[0] in GIVEN_WRONG for issue in issues)

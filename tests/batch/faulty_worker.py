@@ -1,0 +1,61 @@
+"""A worker for tests, which starts at once: jobs go wrong as their names say, and nothing is planned."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.batch import worker
+from planner.batch.job import Done
+from planner.issues import Issue
+
+KEPT: list[Any] = []
+
+
+def faulty(name: str, source: Path, result: Path, origins: Mapping[str, str], tell: Any, hear: Any) -> Done:
+    """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
+    kind = name.split("-")[0]
+    tell("fault", 0.5)
+    result.mkdir()
+    (result / "half").write_text("half a result")
+    if kind == "exit":
+        print("the library gave up", file=sys.stderr)
+        os._exit(7)
+    if kind == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "segfault":
+        ctypes.string_at(0)
+    if kind == "hang":
+        time.sleep(600)
+    if kind == "hog":
+        for _ in range(600):
+            KEPT.append(np.ones(1_250_000))  # 10 MB
+            time.sleep(0.005)
+    if kind == "keep":
+        KEPT.append(np.ones(25_000_000))  # 200 MB that the next job would be blamed for
+    if kind == "raise":
+        from planner.batch import solve
+
+        solve.pipeline.load = _wrong  # type: ignore[assignment]
+        (result / "half").unlink()
+        return solve.solve(name, source, result, origins, tell, hear)
+    (result / "half").unlink()
+    (result / "report.html").write_text(f"{name} {os.getpid()}")
+    hear([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
+    return Done(name, "verified", (), {"targets": 3.0}, 0.5)
+
+
+def _wrong(path: Path) -> None:
+    raise ZeroDivisionError(f"in {path}")
+
+
+if __name__ == "__main__":
+    sys.exit(worker.main(sys.argv[1:], lambda: faulty))

@@ -1,0 +1,228 @@
+"""Workers: what goes wrong with a job is its own affair, and a result folder is whole or not there."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from planner.batch.job import Done, Finished, Found, Job, Progress
+from planner.batch.place import read_record
+from planner.batch.workers import Workers
+from planner.issues import Issue, TandemError
+
+FAULTY = "tests.batch.faulty_worker"
+ROOT = Path(__file__).parents[2]
+
+
+def job(name: str, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
+    return Job(name, {"problem.yaml": b"tandem: 1\n"}, timeout_s, memory_mb)
+
+
+def run(workers: Workers, count: int, patience_s: float = 60.0) -> dict[str, Done]:
+    done: dict[str, Done] = {}
+    until = time.monotonic() + patience_s
+    while len(done) < count and time.monotonic() < until:
+        done |= {e.name: e.done for e in workers.events(1.0) if isinstance(e, Finished)}
+    return done
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Workers]:
+    with Workers(1, module=FAULTY) as made:
+        yield made
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("exit", "ended with code 7 (the library gave up)"),
+        ("kill", "was ended by SIGKILL"),
+        ("segfault", "was ended by SIGSEGV"),
+    ],
+)
+def test_a_crash_fails_its_job_alone(workers: Workers, tmp_path: Path, kind: str, said: str) -> None:
+    before = workers.pids
+    for name in (f"{kind}-1", "good-1"):
+        workers.start(job(name), tmp_path / name)
+    done = run(workers, 2)
+    assert {name: d.state for name, d in done.items()} == {f"{kind}-1": "crashed", "good-1": "verified"}
+    (issue,) = done[f"{kind}-1"].issues
+    assert issue.code == "batch.crashed"
+    assert said in issue.message
+    assert issue.hint is not None
+    assert [p.name for p in (tmp_path / f"{kind}-1").iterdir()] == ["report.html"]
+    assert "batch.crashed" in (tmp_path / f"{kind}-1" / "report.html").read_text()
+    assert not set(before) & set(workers.pids)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(done)
+
+
+def test_a_time_out_and_a_cancelled_job_end_alone(workers: Workers, tmp_path: Path) -> None:
+    workers.start(job("hang-1", timeout_s=0.3), tmp_path / "hang-1")
+    workers.start(job("hang-2"), tmp_path / "hang-2")
+    workers.start(job("hang-3"), tmp_path / "hang-3")
+    workers.start(job("good-2"), tmp_path / "good-2")
+    assert workers.cancel("hang-3")
+    done = run(workers, 2)
+    assert done["hang-1"].state == "timeout"
+    assert done["hang-3"].state == "cancelled"
+    (issue,) = done["hang-1"].issues
+    assert (issue.code, issue.limit, issue.unit) == ("batch.timeout", 0.3, "s")
+    assert done["hang-1"].seconds >= 0.3
+    while not any(isinstance(e, Progress) and e.name == "hang-2" for e in workers.events(1.0)):
+        pass
+    assert workers.cancel("hang-2")
+    done = run(workers, 2)
+    assert done["hang-2"].issues[0].code == "batch.cancelled"
+    assert done["good-2"].state == "verified"
+    assert not workers.cancel("hang-2")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["good-2", "hang-1"]
+
+
+def test_too_much_memory_ends_a_job(tmp_path: Path) -> None:
+    with Workers(1, memory_mb=600.0, module=FAULTY) as workers:
+        workers.start(job("hog-1"), tmp_path / "hog-1")
+        done = run(workers, 1)
+    assert done["hog-1"].state == "memory"
+    (issue,) = done["hog-1"].issues
+    assert (issue.code, issue.limit, issue.unit) == ("batch.memory", 600.0, "MB")
+
+
+def test_a_job_is_not_blamed_for_what_others_left(workers: Workers, tmp_path: Path) -> None:
+    workers.start(job("keep-1"), tmp_path / "keep-1")
+    run(workers, 1)
+    (one,) = workers.pids
+    limit = workers.memory_mb() - 100.0
+    workers.start(job("good-3", memory_mb=limit), tmp_path / "good-3")
+    workers.start(job("hang-4", timeout_s=1.0, memory_mb=limit), tmp_path / "hang-4")
+    done = run(workers, 2)
+    assert done["good-3"].state == "verified"
+    assert done["hang-4"].issues[0].code == "batch.timeout"
+    assert (one,) != workers.pids
+
+
+def test_what_is_heard_of_a_job(workers: Workers, tmp_path: Path) -> None:
+    record = tmp_path / "records" / "good.json"
+    known = Job("good", {"problem.yaml": b""}, origins={"problem.yaml": "mine.yaml"})
+    workers.start(known, tmp_path / "good", record)
+    with pytest.raises(ValueError, match="under way"):
+        workers.start(known, tmp_path / "other")
+    heard = []
+    while not heard or not isinstance(heard[-1], Finished):
+        heard += list(workers.events(1.0))
+    assert [type(e) for e in heard] == [Progress, Found, Finished]
+    assert heard[0] == Progress("good", "fault", 0.5)
+    assert isinstance(heard[-1], Finished)
+    assert Done.from_dict(read_record(record) or {}) == heard[-1].done
+    assert heard[-1].done.metrics == {"targets": 3.0}
+
+
+def test_an_error_of_ours_is_told_as_such(workers: Workers, tmp_path: Path) -> None:
+    workers.start(job("raise"), tmp_path / "raise")
+    done = run(workers, 1)["raise"]
+    assert (done.state, done.issues[0].code) == ("crashed", "internal.error")
+    assert "ZeroDivisionError: in problem.yaml" in done.issues[0].message
+
+
+def test_a_result_is_replaced_and_nothing_else(workers: Workers, tmp_path: Path) -> None:
+    folder = tmp_path / "good"
+    for _ in range(2):
+        workers.start(job("good"), folder)
+        assert run(workers, 1)["good"].state == "verified"
+    (folder / "mine.txt").write_text("mine")
+    with pytest.raises(TandemError, match=r"holds mine\.txt"):
+        workers.start(job("good"), folder)
+    with pytest.raises(TandemError, match="no folder"):
+        workers.start(job("good"), folder / "mine.txt")
+    assert (folder / "mine.txt").read_text() == "mine"
+
+
+def test_workers_that_do_not_start_are_told(tmp_path: Path) -> None:
+    with Workers(1, module="tests.batch.no_such_module") as workers:
+        workers.start(job("good"), tmp_path / "good")
+        with pytest.raises(TandemError, match="No module named") as caught:
+            run(workers, 1)
+    assert caught.value.issues[0].code == "batch.worker"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_end_with_their_parent(tmp_path: Path, number: signal.Signals) -> None:
+    code = f"""
+from pathlib import Path
+from planner.batch.job import Job, Progress
+from planner.batch.workers import Workers
+with Workers(2, module={FAULTY!r}) as workers:
+    for name in ("hang-1", "hang-2"):
+        workers.start(Job(name, {{"problem.yaml": b""}}), Path({str(tmp_path)!r}) / name)
+    begun = set()
+    while len(begun) < 2:
+        begun |= {{e.name for e in workers.events(1.0) if isinstance(e, Progress)}}
+    print(*workers.pids, flush=True)
+    while True:
+        list(workers.events(1.0))
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert parent.stdout is not None
+    pids = [int(pid) for pid in parent.stdout.readline().split()]
+    assert len(pids) == 2
+    parent.send_signal(number)
+    parent.communicate(timeout=30)
+    until = time.monotonic() + 10.0
+    while any(alive(pid) for pid in pids) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not any(alive(pid) for pid in pids)
+    assert all(p.name.startswith(".tandem-") for p in tmp_path.iterdir())
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has asked after does not."""
+    try:
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("name", ["", "..", ".hidden", "a/b", "a b", "a\0", "é", "x" * 101])
+def test_names_that_are_no_folders_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="no safe folder name"):
+        job(name)
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../x", "a/../b", "./a", "a//b"])
+def test_files_outside_a_job_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="no relative name"):
+        Job("a", {"problem.yaml": b"", name: b""})
+
+
+def test_a_job_needs_its_problem_and_sensible_limits() -> None:
+    with pytest.raises(ValueError, match=r"lack problem\.yaml"):
+        Job("a", {})
+    with pytest.raises(ValueError, match="above 0"):
+        job("a", timeout_s=0.0)
+    with pytest.raises(ValueError, match="at least 1"):
+        Workers(0)
+
+
+def test_identity_is_of_files_and_versions() -> None:
+    one = Job("a", {"problem.yaml": b"x", "files/1": b"y"})
+    same = Job("b", {"files/1": b"y", "problem.yaml": b"x"}, timeout_s=3.0)
+    other = Job("a", {"problem.yaml": b"x", "files/1": b"z"})
+    versions = {"tandem": "1"}
+    assert one.identity(versions) == same.identity(versions)
+    assert one.identity(versions) != other.identity(versions)
+    assert one.identity(versions) != one.identity({"tandem": "2"})
+
+
+def test_done_is_plain_data() -> None:
+    done = Done("a", "unproven", (Issue("mesh.unit", "m", value=1.0),), {"cycle_s": 1.5}, 2.0)
+    assert Done.from_dict(json.loads(json.dumps(done.to_dict()))) == done
+    with pytest.raises(ValueError, match="not known"):
+        Done.from_dict({**done.to_dict(), "state": "lost"})
