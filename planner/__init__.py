@@ -11,13 +11,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Issue", "Outcome", "TandemError", "__version__", "check", "load", "plan"]
+__all__ = ["Client", "Issue", "Outcome", "TandemError", "__version__", "check", "load", "plan"]
 
 if TYPE_CHECKING:
     from planner.issues import Issue, TandemError
     from planner.pipeline import Outcome, check, load, plan
+    from planner.service.client import Client
 
 _HOME = {
+    "Client": "planner.service.client",
     "Issue": "planner.issues",
     "TandemError": "planner.issues",
     "Outcome": "planner.pipeline",

@@ -1,6 +1,6 @@
 """The command line.
 
-``tandem plan | check | verify | robots | materials | kerf | align | features | issues``
+``tandem plan | check | verify | robots | materials | kerf | align | features | serve | token | issues``
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner import align_commands, feature_commands, kerf_commands
+from planner import align_commands, feature_commands, kerf_commands, service_commands
 from planner.blame import given_wrong
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
@@ -176,6 +176,26 @@ def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> i
     """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
     try:
         _print_issues(feature_commands.run(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> int:
+    """Serve Tandem over HTTP, with a page for browsers."""
+    try:
+        service_commands.serve(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def token(action: service_commands.Token) -> int:
+    """Make, list or revoke the tokens of a service."""
+    try:
+        service_commands.token(action)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     return DONE

@@ -87,7 +87,12 @@ def read(path: Path, models: OperationModels) -> Problem:
     Raises ``TandemError`` with every fault that was found, each with its field and, where the format gives
     it, its line.
     """
-    document = yaml_lines.read(path)
+    return build(yaml_lines.read(path), models)
+
+
+def build(document: Document, models: OperationModels) -> Problem:
+    """The problem of a file that is parsed; else as :func:`read`."""
+    path = document.path
     spec, issues = _validate(ProblemFile, document.data, document, ())
     raw_operations = document.data.get("operations")
     operations: list[Operation] = []

@@ -47,6 +47,10 @@ class Document:
         self.text = text
         self._root = root
 
+    def with_data(self, data: Any) -> Document:
+        """The same file with other values in the same places."""
+        return Document(self.path, data, self._root, self.text)
+
     def line(self, location: tuple[str | int, ...]) -> int | None:
         """Line, from 1, of the deepest part of ``location`` that the file has."""
         node, line = self._root, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 from pathlib import Path
 from typing import Final
 
@@ -50,7 +51,8 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
     if path.suffix.lower() not in SUFFIXES:
         raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
     try:
-        loaded = trimesh.load(str(path), force="mesh", process=False)
+        content = io.BytesIO(path.read_bytes())  # has no folder, so that nothing the file names is opened
+        loaded = trimesh.load(content, path.suffix[1:].lower(), force="mesh", process=False)
         vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     except Exception as error:  # readers of damaged files raise anything

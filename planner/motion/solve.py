@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
-import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -25,13 +23,13 @@ from planner.motion.search import Blocked
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
+from planner.versions import versions
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
 AWAY: Final = 50.0
-PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
 
 
 def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | None = None) -> Plan:
@@ -138,17 +136,6 @@ def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
             out[-1] = Stand((*out[-1].setups, setup), (*out[-1].jobs, jobs))
         else:
             out.append(Stand((setup,), (jobs,)))
-    return out
-
-
-def versions() -> dict[str, str]:
-    """Versions of what the plan depends on."""
-    out = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            out[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            out[name] = "not installed"
     return out
 
 

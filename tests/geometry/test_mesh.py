@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -121,3 +122,19 @@ def test_an_offset_beyond_the_radius_is_refused() -> None:
     with pytest.raises(TandemError) as caught:
         offset(sphere_cap(0.015), -0.02)
     assert caught.value.issues[0].code == "part.offset"
+
+
+def test_a_mesh_opens_no_file_but_its_own(tmp_path: Path) -> None:
+    """OBJ names materials, and those name pictures; whose mesh it is may not choose what is read."""
+    (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd secret.png\n")
+    text = "mtllib secret.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n"
+    (tmp_path / "a.obj").write_text(text)
+    opened: list[str] = []
+
+    def hear(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and str(arguments[0]).startswith(str(tmp_path)):
+            opened.append(Path(str(arguments[0])).name)
+
+    sys.addaudithook(hear)
+    assert len(read_mesh(tmp_path / "a.obj", 1.0).faces) == 1
+    assert opened == ["a.obj"]

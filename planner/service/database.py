@@ -1,0 +1,120 @@
+"""The connection to SQLite or PostgreSQL: transactions that are on the disk when they end, and the clock that
+all hosts share."""
+
+from __future__ import annotations
+
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from sqlalchemy import Connection, Engine, Float, cast, create_engine, event, extract, func, literal, text
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
+from sqlalchemy.sql.elements import ColumnElement
+
+from planner.issues import Issue, TandemError
+from planner.service.tables import METADATA
+
+POOL: Final = 20
+WAIT_S: Final = 120.0
+"""How long a request waits for a connection or for another writer."""
+
+
+class Database:
+    """One database; threads may share it."""
+
+    def __init__(self, url: str) -> None:
+        """Raises ``TandemError`` with ``service.database`` where it cannot be opened."""
+        self._lock = threading.Lock()
+        try:
+            self._engine = _engine(url)
+            self.sqlite = self._engine.dialect.name == "sqlite"
+            with self._engine.execution_options(write=True).begin() as connection:
+                if not self.sqlite:
+                    connection.execute(text("SELECT pg_advisory_xact_lock(7223)"))
+                METADATA.create_all(connection)
+        except (OperationalError, ArgumentError, NoSuchModuleError, ImportError) as error:
+            raise TandemError(_cannot_open(url, error)) from error
+        self._writer = self._engine.execution_options(write=True)
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A transaction that only reads."""
+        with self._engine.begin() as connection:
+            yield connection
+
+    @contextmanager
+    def write(self) -> Iterator[Connection]:
+        """A transaction that writes; all of it is kept, or nothing."""
+        if self.sqlite:
+            with self._lock, self._writer.begin() as connection:
+                yield connection
+        else:
+            with self._writer.begin() as connection:
+                yield connection
+
+    def clock(self) -> ColumnElement[float]:
+        """Seconds since 1970, by the one clock that all hosts of this database share."""
+        if self.sqlite:
+            return literal(time.time(), Float)
+        return cast(extract("epoch", func.clock_timestamp()), Float)
+
+    def one_at_a_time(self, connection: Connection, what: str) -> None:
+        """Let other transactions about ``what`` wait until this one ends; SQLite has one writer anyway."""
+        if not self.sqlite:
+            number = zlib.crc32(what.encode())
+            connection.execute(text("SELECT pg_advisory_xact_lock(7224, :n)"), {"n": number - 2**31})
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._engine.dispose()
+
+
+def default_url(data: Path) -> str:
+    """The URL of the SQLite file in the data folder."""
+    return f"sqlite:///{data.resolve() / 'tandem.db'}"
+
+
+def _engine(url: str) -> Engine:
+    if url.startswith(("postgres://", "postgresql://")):
+        url = "postgresql+psycopg://" + url.split("://", 1)[1]
+    kind = make_url(url).get_backend_name()
+    if kind not in ("sqlite", "postgresql"):
+        raise ArgumentError(f"got {kind}")
+    more: dict[str, Any] = {"connect_args": {"timeout": WAIT_S}} if kind == "sqlite" else {}
+    engine = create_engine(
+        url, pool_size=POOL, max_overflow=POOL, pool_timeout=WAIT_S, pool_pre_ping=kind != "sqlite", **more
+    )
+    if kind == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection: Any, record: Any) -> None:
+    """Write-ahead log, so that readers never wait; what is committed survives a power cut. The driver starts
+    no transactions of its own."""
+    del record
+    connection.isolation_level = None
+    for pragma in ("journal_mode=WAL", "synchronous=FULL"):
+        connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    writes = connection.get_execution_options().get("write", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+
+def _cannot_open(url: str, error: Exception) -> Issue:
+    shown = url.split("@")[-1].split("?")[0]  # no password in a message
+    if isinstance(error, ImportError):
+        what = "PostgreSQL needs its driver; pip install 'tandem-planner[service,postgres]'"
+    elif isinstance(error, OperationalError):
+        what = f"cannot be opened ({str(error.orig).splitlines()[0]}); see that it runs and may be written"
+    else:
+        what = "is no such URL; give sqlite:///FILE or postgresql://USER:PASSWORD@HOST/NAME"
+    return Issue("service.database", f"database {shown}: {what}", field="database")

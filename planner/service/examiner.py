@@ -1,0 +1,149 @@
+"""Processes that read what users upload, with limits of time and memory; a JSON line to and fro for each.
+
+A process that takes too long, too much memory or dies costs the one request that it was at.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import queue
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from planner.issues import Issue
+from planner.service.examine import Examined
+
+MB: Final = 1 << 20
+THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Examiners:
+    """A few processes that serve in turn; start on use, end with :meth:`close`."""
+
+    def __init__(self, count: int, scratch: Path, seconds: float, memory_mb: float) -> None:
+        self._scratch, self._seconds, self._memory = scratch, seconds, memory_mb
+        self._idle: queue.Queue[subprocess.Popen[str] | None] = queue.Queue()
+        for _ in range(count):
+            self._idle.put(None)
+        self._all: set[subprocess.Popen[str]] = set()
+        self._closed = False
+
+    def examine(self, problem: Path, uploads: Mapping[str, Path], reach: bool = False) -> Examined:
+        """As :func:`planner.service.examine.examine`, in a process of its own."""
+        process = self._idle.get()
+        try:
+            with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
+                if process is None or process.poll() is not None:
+                    process = self._start()
+                asked = {
+                    "folder": folder,
+                    "problem": str(problem),
+                    "uploads": {name: str(path) for name, path in uploads.items()},
+                    "reach": reach,
+                }
+                return self._ask(process, asked)
+        finally:
+            self._idle.put(process)
+
+    def close(self) -> None:
+        """End the processes."""
+        self._closed = True
+        for process in list(self._all):
+            process.kill()
+            process.wait()
+
+    def _start(self) -> subprocess.Popen[str]:
+        if self._closed:
+            raise RuntimeError("the service is stopping")
+        self._all = {process for process in self._all if process.poll() is None}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "planner.service.examiner", str(self._memory)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            env={**os.environ, **dict.fromkeys(THREADS, "1")},
+        )
+        self._all.add(process)
+        return process
+
+    def _ask(self, process: subprocess.Popen[str], asked: Mapping[str, Any]) -> Examined:
+        late = threading.Event()
+
+        def stop() -> None:
+            late.set()
+            process.kill()
+
+        timer = threading.Timer(self._seconds, stop)
+        timer.daemon = True
+        timer.start()
+        try:
+            answer = _exchange(process, json.dumps(asked))
+        finally:
+            timer.cancel()
+        if answer:
+            return _from_json(json.loads(answer))
+        process.kill()
+        process.wait()
+        what = (
+            f"took more than {self._seconds:g} s"
+            if late.is_set()
+            else f"needs more than the {self._memory:g} MB that reading may take, or broke off"
+        )
+        message = f"the problem {what}; make its meshes, tables and step counts smaller"
+        return Examined((Issue("service.check_stopped", message, field="problem"),))
+
+
+def _exchange(process: subprocess.Popen[str], line: str) -> str:
+    """The answer to one line; nothing where the process is gone."""
+    if process.stdin is None or process.stdout is None:
+        raise RuntimeError("an examiner has no pipes")
+    try:
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
+    except OSError:
+        return ""
+    answer = process.stdout.readline()
+    return answer if answer.endswith("\n") else ""
+
+
+def _to_json(examined: Examined) -> dict[str, Any]:
+    return {**dataclasses.asdict(examined), "issues": [issue.to_dict() for issue in examined.issues]}
+
+
+def _from_json(data: dict[str, Any]) -> Examined:
+    issues = tuple(Issue.from_dict(issue) for issue in data["issues"])
+    return Examined(**{**data, "issues": issues, "processes": tuple(data["processes"])})
+
+
+def serve() -> None:
+    """Answer requests from standard input until it ends."""
+    from planner.service.examine import examine
+
+    limit = int(float(sys.argv[1]) * MB)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print is no answer
+    for line in sys.stdin:
+        asked = json.loads(line)
+        uploads = {name: Path(path) for name, path in asked["uploads"].items()}
+        try:
+            found = examine(Path(asked["folder"]), Path(asked["problem"]), uploads, asked["reach"])
+            answer = json.dumps(_to_json(found))
+        except MemoryError:
+            os._exit(1)  # who asked says what it means
+        answers.write(answer + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,250 @@
+"""Jobs in the store, as the API sees them: made, found, listed, cancelled, deleted."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime as dt
+import json
+import secrets
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from sqlalchemy import Connection, RowMapping, and_, delete, func, insert, or_, select, update
+
+from planner.issues import Issue
+from planner.service.database import Database
+from planner.service.files import Blob
+from planner.service.limits import Limits
+from planner.service.models import OPEN, SETTLED, JobOut
+from planner.service.refusals import RefusedError, plain, unknown_job
+from planner.service.tables import EVENTS, FILES, JOBS
+
+CANCELLED: Final = 1
+DELETED: Final = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class NewJob:
+    """What a job is made of: ``files`` by the names of a result folder; its answer depends on ``key``."""
+
+    owner: str
+    name: str
+    digest: str
+    key: str
+    processes: tuple[str, ...]
+    files: Mapping[str, Blob]
+    timeout_s: float
+    memory_mb: float
+    issues: tuple[Issue, ...] = ()
+
+
+class Jobs:
+    """The jobs of one database."""
+
+    def __init__(self, database: Database, limits: Limits) -> None:
+        self._database, self._limits = database, limits
+
+    def create(self, new: NewJob) -> JobOut:
+        """Store a job; one whose problem was planned before has its answer at once.
+
+        Raises :class:`RefusedError`, 429, where the owner has too many.
+        """
+        job, now = secrets.token_hex(16), time.time()
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, new.owner)
+            self._allow(db, new.owner)
+            row = {
+                "id": job,
+                "owner": new.owner,
+                "name": new.name,
+                "digest": new.digest,
+                "key": new.key,
+                "processes": json.dumps(new.processes),
+                "state": "queued",
+                "created": now,
+                "timeout_s": new.timeout_s,
+                "memory_mb": new.memory_mb,
+                "issues": issues_json(new.issues),
+            }
+            db.execute(insert(JOBS).values(row))
+            put_files(db, job, new.files)
+            note(db, job, "state", {"state": "queued"})
+            if new.issues:
+                note(db, job, "issues", {"issues": [plain(issue) for issue in new.issues]})
+            answer_from_store(db, job, new.key)
+            return job_out(_row(db, job), self._ahead(db, job))
+
+    def get(self, job: str) -> tuple[str, JobOut]:
+        """Owner and job; raises :class:`RefusedError`, 404."""
+        with self._database.read() as db:
+            row = _row(db, job)
+            return row["owner"], job_out(row, self._ahead(db, job) if row["state"] == "queued" else None)
+
+    def page(
+        self, owner: str, states: Sequence[str], after: tuple[float, str] | None, count: int
+    ) -> list[JobOut]:
+        """Up to ``count`` jobs of the owner, the newest first, after the one made then with that id."""
+        query = select(JOBS).where(JOBS.c.owner == owner, JOBS.c.cancel != DELETED)
+        if states:
+            query = query.where(JOBS.c.state.in_(states))
+        if after is not None:
+            made, job = after
+            query = query.where(or_(JOBS.c.created < made, and_(JOBS.c.created == made, JOBS.c.id < job)))
+        query = query.order_by(JOBS.c.created.desc(), JOBS.c.id.desc()).limit(count)
+        with self._database.read() as db:
+            return [job_out(row) for row in db.execute(query).mappings()]
+
+    def cursor(self, job: str) -> tuple[float, str]:
+        """The place of a job in the list; raises :class:`RefusedError`, 404."""
+        with self._database.read() as db:
+            return float(_row(db, job)["created"]), job
+
+    def cancel(self, job: str, also_delete: bool = False) -> JobOut:
+        """Cancel a job: at once if it waits, else its worker is told; no more happens to one that is done."""
+        with self._database.write() as db:
+            self._database.one_at_a_time(db, job)
+            row = _row(db, job)
+            if row["state"] == "queued":
+                changed = db.execute(
+                    update(JOBS)
+                    .where(JOBS.c.id == job, JOBS.c.state == "queued")
+                    .values(state="cancelled", finished=time.time(), cancel=CANCELLED)
+                )
+                if changed.rowcount:
+                    note(db, job, "state", {"state": "cancelled"})
+            wanted = DELETED if also_delete else max(CANCELLED, row["cancel"])
+            db.execute(update(JOBS).where(JOBS.c.id == job, JOBS.c.state == "running").values(cancel=wanted))
+            done = job_out(_row(db, job, deleted_too=True))
+            if also_delete and done.state not in OPEN:
+                remove(db, job)
+            return done
+
+    def files(self, job: str) -> dict[str, Blob]:
+        """The files of a job by name."""
+        with self._database.read() as db:
+            return job_files(db, job)
+
+    def shas(self, shas: list[str]) -> set[str]:
+        """Those of the hashes that a job names."""
+        with self._database.read() as db:
+            return set(db.execute(select(FILES.c.sha).where(FILES.c.sha.in_(shas)).distinct()).scalars())
+
+    def counts(self) -> dict[str, int]:
+        """The number of jobs in each state."""
+        with self._database.read() as db:
+            rows = db.execute(select(JOBS.c.state, func.count()).group_by(JOBS.c.state))
+            return dict(tuple(row) for row in rows)
+
+    def _ahead(self, db: Connection, job: str) -> int | None:
+        row = _row(db, job)
+        if row["state"] != "queued":
+            return None
+        earlier = and_(JOBS.c.state == "queued", JOBS.c.created < row["created"])
+        return int(db.execute(select(func.count()).select_from(JOBS).where(earlier)).scalar_one())
+
+    def _allow(self, db: Connection, owner: str) -> None:
+        mine = select(func.count()).select_from(JOBS).where(JOBS.c.owner == owner)
+        waiting = int(db.execute(mine.where(JOBS.c.state.in_(OPEN))).scalar_one())
+        if waiting >= self._limits.open_jobs:
+            what = (
+                f"{waiting} jobs wait or run, at most {self._limits.open_jobs} may; wait for some, or cancel"
+            )
+            raise RefusedError(
+                429, Issue("service.too_many", what, limit=self._limits.open_jobs), {"Retry-After": "10"}
+            )
+        kept = int(db.execute(mine).scalar_one())
+        if kept >= self._limits.kept_jobs:
+            what = f"{kept} jobs are kept, at most {self._limits.kept_jobs} may be; delete old ones"
+            raise RefusedError(
+                429, Issue("service.too_many", what, limit=self._limits.kept_jobs), {"Retry-After": "60"}
+            )
+
+
+def note(db: Connection, job: str, kind: str, data: Mapping[str, Any]) -> None:
+    """Add an event to a job; its number is the next one, because the job's row is held until the end."""
+    db.execute(update(JOBS).where(JOBS.c.id == job).values(seq=JOBS.c.seq + 1))
+    number = db.execute(select(JOBS.c.seq).where(JOBS.c.id == job)).scalar_one()
+    row = {"job": job, "seq": number, "kind": kind, "data": json.dumps(data), "at": time.time()}
+    db.execute(insert(EVENTS).values(row))
+
+
+def put_files(db: Connection, job: str, files: Mapping[str, Blob]) -> None:
+    """Name a job's files, in place of those of the same names."""
+    if files:
+        db.execute(delete(FILES).where(FILES.c.job == job, FILES.c.name.in_(list(files))))
+        rows = [{"job": job, "name": n, "sha": blob.sha, "size": blob.size} for n, blob in files.items()]
+        db.execute(insert(FILES), rows)
+
+
+def job_files(db: Connection, job: str) -> dict[str, Blob]:
+    """The files of a job by name."""
+    rows = db.execute(select(FILES).where(FILES.c.job == job).order_by(FILES.c.name)).mappings()
+    return {row["name"]: Blob(row["sha"], row["size"]) for row in rows}
+
+
+def remove(db: Connection, job: str) -> None:
+    """Delete a job with its files and events; stored content goes with a later sweep."""
+    for table in (EVENTS, FILES):
+        db.execute(delete(table).where(table.c.job == job))
+    db.execute(delete(JOBS).where(JOBS.c.id == job))
+
+
+def answer_from_store(db: Connection, job: str, key: str) -> bool:
+    """Give a job the answer of one with the same key, if there is one."""
+    query = (
+        select(JOBS)
+        .where(JOBS.c.key == key, JOBS.c.state.in_(SETTLED), JOBS.c.id != job)
+        .order_by(JOBS.c.created)
+        .limit(1)
+    )
+    found = db.execute(query).mappings().first()
+    if found is None:
+        return False
+    kept = {name: found[name] for name in ("state", "issues", "metrics", "seconds", "stage", "fraction")}
+    db.execute(update(JOBS).where(JOBS.c.id == job).values(**kept, from_store=1, finished=time.time()))
+    put_files(db, job, job_files(db, found["id"]))
+    if found["issues"] != "[]":
+        note(db, job, "issues", {"issues": json.loads(found["issues"])})
+    note(db, job, "state", {"state": found["state"], "from_store": True})
+    return True
+
+
+def issues_json(issues: Sequence[Issue]) -> str:
+    """Issues for the store."""
+    return json.dumps([plain(issue) for issue in issues])
+
+
+def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
+    """A row as it is sent."""
+    return JobOut(
+        id=row["id"],
+        name=row["name"],
+        state=row["state"],
+        stage=row["stage"],
+        fraction=min(max(row["fraction"], 0.0), 1.0),
+        processes=json.loads(row["processes"]),
+        digest=row["digest"],
+        created=_moment(row["created"]),
+        started=None if row["started"] is None else _moment(row["started"]),
+        finished=None if row["finished"] is None else _moment(row["finished"]),
+        seconds=row["seconds"],
+        attempts=row["attempts"],
+        from_store=bool(row["from_store"]),
+        ahead=ahead,
+        timeout_s=row["timeout_s"],
+        memory_mb=row["memory_mb"],
+        issues=[Issue.from_dict(issue) for issue in json.loads(row["issues"])],
+        metrics=json.loads(row["metrics"]),
+    )
+
+
+def _moment(seconds: float) -> dt.datetime:
+    return dt.datetime.fromtimestamp(seconds, dt.UTC)
+
+
+def _row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
+    row = db.execute(select(JOBS).where(JOBS.c.id == job)).mappings().first()
+    if row is None or (row["cancel"] == DELETED and not deleted_too):
+        raise unknown_job(job)
+    return row

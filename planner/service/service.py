@@ -1,0 +1,193 @@
+"""All that a running service is made of, and what it was started with."""
+
+from __future__ import annotations
+
+import dataclasses
+import fcntl
+import functools
+import hashlib
+import io
+import json
+import os
+import secrets
+import shutil
+import socket
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Final
+
+from planner.issues import Issue, TandemError
+from planner.service.auth import Auth
+from planner.service.database import Database, default_url
+from planner.service.events import Hub
+from planner.service.examine import Examined
+from planner.service.examiner import Examiners
+from planner.service.files import Blob, Files
+from planner.service.guard import LOOPBACK
+from planner.service.jobs import Jobs, NewJob
+from planner.service.limits import Limits
+from planner.service.models import JobOut
+from planner.service.refusals import RefusedError
+from planner.service.runner import Runner, Team
+from planner.service.upload import Upload
+from planner.service.work import Work
+from planner.versions import versions
+
+PID: Final = ".pid-"
+REMEMBERED: Final = 256
+"""So many uploads that were read are known again."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """How a service is started. ``data``: folder of the files, and of the database where no URL is given."""
+
+    data: Path
+    host: str = "127.0.0.1"
+    port: int = 8000
+    database: str | None = None
+    workers: int = 1
+    examiners: int = 2
+    cluster: str | None = None
+    require_token: bool = False
+    lease_s: float = 30.0
+    limits: Limits = dataclasses.field(default_factory=Limits)
+
+    @property
+    def tokens_required(self) -> bool:
+        """Off loopback always."""
+        return self.require_token or self.host not in LOOPBACK
+
+    @property
+    def url(self) -> str:
+        """The database."""
+        return self.database or default_url(self.data)
+
+
+class Service:
+    """One instance of the service; :meth:`start` and :meth:`close` belong to its server's life."""
+
+    def __init__(self, options: Options, make_team: Callable[[], Team]) -> None:
+        """Raises ``TandemError``: the folder or the database cannot be had, or tokens are missing."""
+        self.options, self.limits = options, options.limits
+        self._lock = _claim(options.data, options.database is None)
+        self.database = Database(options.url)
+        self.auth = Auth(self.database)
+        if options.tokens_required and not self.auth.any():
+            self.database.close()
+            message = f"host {options.host}: whoever can reach it needs a token, and there is none yet"
+            hint = f"make one: tandem token add NAME --data {options.data}"
+            raise TandemError(Issue("service.start", message, field="host", hint=hint))
+        self.files = Files(options.data / "files")
+        self.host = f"{socket.gethostname()}{PID}{os.getpid()}-{secrets.token_hex(4)}"
+        self.scratch = _fresh(options.data / "work", options.database is None, self.host)
+        self.jobs = Jobs(self.database, self.limits)
+        self.hub = Hub(self.database, self.limits)
+        limits = self.limits
+        self._examiners = Examiners(options.examiners, self.scratch, limits.check_s, limits.check_memory_mb)
+        self.runner = Runner(
+            Work(self.database, self.host, options.lease_s),
+            self.files,
+            make_team,
+            options.workers,
+            self.scratch,
+            lease_s=options.lease_s,
+            alone=options.database is None,
+            keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
+            shas=self.jobs.shas,
+        )
+        self._read: OrderedDict[str, Examined] = OrderedDict()
+        self._read_lock = threading.Lock()
+
+    def start(self) -> None:
+        """Begin to plan."""
+        self.runner.start()
+
+    def close(self) -> None:
+        """Stop: jobs that run wait for the next start."""
+        self.hub.close()
+        self.runner.stop()
+        self._examiners.close()
+        self.database.close()
+        shutil.rmtree(self.scratch, ignore_errors=True)
+        self._lock.close()
+
+    def examine(self, upload: Upload, reach: bool = False) -> Examined:
+        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 422."""
+        rows = [upload.problem.sha, reach, sorted((name, blob.sha) for name, blob in upload.files.items())]
+        key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+        with self._read_lock:
+            known = self._read.get(key)
+        if known is None:
+            uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
+            known = self._examiners.examine(self.files.path(upload.problem.sha), uploads, reach)
+            if not known.readable:
+                raise RefusedError(422, known.issues)
+            with self._read_lock:
+                self._read[key] = known
+                while len(self._read) > REMEMBERED:
+                    self._read.popitem(last=False)
+        return known
+
+    def create(self, owner: str, upload: Upload, timeout_s: float | None, memory_mb: float | None) -> JobOut:
+        """A job for an upload; raises :class:`RefusedError`, 422 or 429."""
+        read = self.examine(upload)
+        sizes = {blob.sha: blob.size for blob in upload.files.values()}
+        text = self.files.put(io.BytesIO(read.text.encode()))
+        files = {f"problem/{name}": Blob(sha, sizes[sha]) for name, sha in read.files.items()}
+        return self.jobs.create(
+            NewJob(
+                owner=owner,
+                name=read.name,
+                digest=read.digest,
+                key=_key(read.digest),
+                processes=read.processes,
+                files={"problem/problem.yaml": text, **files},
+                timeout_s=min(timeout_s or self.limits.job_s, self.limits.job_s),
+                memory_mb=min(memory_mb or self.limits.job_memory_mb, self.limits.job_memory_mb),
+                issues=read.issues,
+            )
+        )
+
+
+def _key(digest: str) -> str:
+    """What a problem's answer depends on: the problem, and the versions that plan it."""
+    return hashlib.sha256(f"{digest} {_versions()}".encode()).hexdigest()
+
+
+@functools.cache
+def _versions() -> str:
+    return json.dumps(versions(), sort_keys=True)
+
+
+def _claim(data: Path, alone: bool) -> IO[str]:
+    """Make the data folder; where the database lies in it, keep other services out until this one ends."""
+    try:
+        data.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = (data / "service.lock").open("w")
+    except OSError as error:
+        message = f"data folder {data}: cannot be written ({error.strerror}); give another one"
+        raise TandemError(Issue("service.start", message, field="data")) from error
+    try:
+        if alone:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        message = f"data folder {data}: a service is running on it; stop it, or give another folder"
+        raise TandemError(Issue("service.start", message, field="data")) from error
+    return lock
+
+
+def _fresh(work: Path, alone: bool, host: str) -> Path:
+    """A folder of this instance for what is under way; what killed ones of this machine left is removed."""
+    work.mkdir(exist_ok=True, mode=0o700)
+    for old in work.iterdir():
+        name, _, rest = old.name.partition(PID)
+        gone = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
+        if alone or gone:
+            shutil.rmtree(old, ignore_errors=True)
+    folder = work / host
+    folder.mkdir(mode=0o700)
+    return folder

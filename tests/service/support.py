@@ -1,0 +1,174 @@
+"""A service for tests: in this process with a team that only pretends to plan, or a real one as a process."""
+
+from __future__ import annotations
+
+import collections
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from fastapi.testclient import TestClient
+
+from planner.batch.job import Done, Event, Finished, Found, Job, Progress
+from planner.issues import Issue, Severity
+from planner.service.app import create_app
+from planner.service.limits import Limits
+from planner.service.service import Options, Service
+from tests import small_problem
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLE = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]).encode()
+HERE = "http://127.0.0.1"
+NOTE = Issue("problem.field", "a note of the pretended plan", Severity.NOTE)
+
+
+class Team:
+    """Ends each job at once with a small result, or holds all while ``hold`` is set."""
+
+    def __init__(self) -> None:
+        self.hold = threading.Event()
+        self.started: list[str] = []
+        self.cancelled: list[str] = []
+        self._events: collections.deque[Event] = collections.deque()
+        self._open: dict[str, Path] = {}
+
+    def start(self, job: Job, folder: Path) -> None:
+        self.started.append(job.name)
+        self._open[job.name] = folder
+        self._events.append(Progress(job.name, "motion", 0.5))
+        self._events.append(Found(job.name, (NOTE,)))
+
+    def cancel(self, name: str) -> bool:
+        self.cancelled.append(name)
+        if name in self._open:
+            del self._open[name]
+            self._events.append(Finished(name, Done(name, "cancelled", (), {}, 0.1)))
+        return True
+
+    def events(self, timeout_s: float) -> Iterator[Event]:
+        if not self.hold.is_set():
+            for name, folder in self._open.items():
+                (folder / "programs").mkdir(parents=True)
+                (folder / "programs" / "main.mod").write_text("MODULE main")
+                (folder / "report.html").write_text("<script>1</script>")
+                self._events.append(Finished(name, Done(name, "verified", (NOTE,), {"cycle_s": 1.0}, 0.1)))
+            self._open.clear()
+        if not self._events:
+            time.sleep(min(timeout_s, 0.02))
+        while self._events:
+            yield self._events.popleft()
+
+    def close(self) -> None:
+        self._open.clear()
+
+
+class InProcess:
+    """A service with a pretended team, and a client that speaks to it."""
+
+    def __init__(self, data: Path, limits: Limits | None = None, **options: Any) -> None:
+        self.team = Team()
+        made = Options(data=data, limits=limits or Limits(), **options)
+        self.service = Service(made, lambda: self.team)
+        self.http = TestClient(create_app(self.service), base_url=HERE, raise_server_exceptions=False)
+
+    def __enter__(self) -> InProcess:
+        self.http.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.team.hold.clear()
+        self.http.__exit__(None, None, None)
+
+    def post(self, problem: str = small_problem.PROBLEM, path: str = "/v1/jobs", **more: Any) -> Any:
+        """Upload the small problem, or another one with the same table."""
+        files = [("problem", ("p.yaml", problem)), ("files", ("targets.csv", TABLE))]
+        return self.http.post(path, files=files, **more)
+
+    def ended(self, job: str, timeout_s: float = 20.0, **more: Any) -> dict[str, Any]:
+        """The job when it has ended."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            found: dict[str, Any] = self.http.get(f"/v1/jobs/{job}", **more).json()
+            if found["state"] not in ("queued", "running"):
+                return found
+            time.sleep(0.02)
+        raise TimeoutError(f"job {job} does not end")
+
+
+def named(name: str) -> str:
+    """The small problem under another name: another problem."""
+    return small_problem.PROBLEM.replace("name: small", f"name: {name}")
+
+
+def free_port() -> int:
+    """A port that nobody listens at."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+class Process:
+    """``tandem serve`` as a process of its own."""
+
+    def __init__(self, data: Path, *options: str) -> None:
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self._log = (data.parent / f"{data.name}-{self.port}.log").open("wb")
+        self._process = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "planner",
+                "serve",
+                "--data",
+                str(data),
+                "--port",
+                str(self.port),
+                *options,
+            ],
+            stdout=self._log,
+            stderr=self._log,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+            cwd=data.parent,
+        )
+        self.log = Path(self._log.name)
+
+    def wait(self, timeout_s: float = 60.0) -> Process:
+        """Until it answers."""
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            try:
+                with urllib.request.urlopen(f"{self.url}/v1/health", timeout=5):
+                    return self
+            except OSError:
+                if self._process.poll() is not None:
+                    break
+                time.sleep(0.1)
+        raise TimeoutError(self.log.read_text())
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def kill(self) -> None:
+        """kill -9."""
+        self._process.send_signal(signal.SIGKILL)
+        self._process.wait()
+
+    def stop(self) -> int:
+        """As an operator does."""
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            return self._process.wait(timeout=40)
+        finally:
+            self._process.kill()
+            self._process.wait()
+            self._log.close()

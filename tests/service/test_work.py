@@ -1,0 +1,147 @@
+"""The store as hosts see it: leases, jobs of hosts that are gone, and hosts that were given up too early; on
+SQLite and PostgreSQL."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from planner.service.database import Database, default_url
+from planner.service.files import Blob
+from planner.service.jobs import Jobs, NewJob
+from planner.service.limits import Limits
+from planner.service.work import MOST_ATTEMPTS, Work
+from tests.service import postgres
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
+    url = default_url(tmp_path) if request.param == "sqlite" else postgres.fresh(tmp_path)
+    made = Database(url)
+    yield made
+    made.close()
+
+
+def new(key: str, owner: str = "ann") -> NewJob:
+    return NewJob(
+        owner, "p", "0" * 64, key, ("targets",), {"problem/problem.yaml": Blob("0" * 64, 1)}, 9.0, 9.0
+    )
+
+
+def jobs_of(database: Database) -> Jobs:
+    return Jobs(database, Limits())
+
+
+def test_a_job_is_claimed_once(database: Database) -> None:
+    jobs = jobs_of(database)
+    made = {jobs.create(new(f"key{i}")).id for i in range(20)}
+    claimed: list[str] = []
+
+    def claim(host: str) -> None:
+        work = Work(database, host, 30.0)
+        while (found := work.claim()) is not None:
+            claimed.append(found.id)
+
+    threads = [threading.Thread(target=claim, args=(f"host{i}",)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(claimed) == sorted(made)
+
+
+def test_owners_take_turns(database: Database) -> None:
+    jobs, work = jobs_of(database), Work(database, "host", 30.0)
+    greedy = [jobs.create(new(f"a{i}")).id for i in range(3)]
+    other = jobs.create(new("b", "bob")).id
+    order = [claimed.id for _ in range(4) if (claimed := work.claim()) is not None]
+    assert order == [greedy[0], other, *greedy[1:]]
+
+
+def test_jobs_of_a_host_that_is_gone_are_taken_over(database: Database) -> None:
+    jobs = jobs_of(database)
+    job = jobs.create(new("key")).id
+    gone, here = Work(database, "gone", 0.3), Work(database, "here", 30.0)
+    old = gone.claim()
+    assert old is not None
+    assert here.take_over() == 0
+    assert here.claim() is None
+    time.sleep(0.4)
+    assert here.take_over() == 1
+    again = here.claim()
+    assert again is not None
+    assert (again.id, again.attempt) == (job, 2)
+    # the host comes back after all: nothing that it says counts
+    gone.progress(old, "motion", 0.5)
+    assert not gone.finish(old, "infeasible", (), {}, 1.0, {})
+    assert jobs.get(job)[1].state == "running"
+    assert here.finish(again, "verified", (), {"cycle_s": 2.0}, 1.0, {"report.html": Blob("1" * 64, 5)})
+    found = jobs.get(job)[1]
+    assert (found.state, found.attempts, found.metrics) == ("verified", 2, {"cycle_s": 2.0})
+    assert set(jobs.files(job)) == {"problem/problem.yaml", "report.html"}
+
+
+def test_a_lease_that_is_renewed_is_kept(database: Database) -> None:
+    jobs_of(database).create(new("key"))
+    busy, other = Work(database, "busy", 0.5), Work(database, "other", 30.0)
+    assert busy.claim() is not None
+    for _ in range(4):
+        time.sleep(0.2)
+        busy.renew()
+        assert other.take_over() == 0
+
+
+def test_a_job_that_takes_the_service_down_is_given_up(database: Database) -> None:
+    jobs = jobs_of(database)
+    job = jobs.create(new("key")).id
+    for number in range(MOST_ATTEMPTS):
+        assert Work(database, f"host{number}", 0.0).claim() is not None
+        assert Work(database, "next", 30.0).take_over(alone=True) == 1
+    found = jobs.get(job)[1]
+    assert found.state == "crashed"
+    assert [issue.code for issue in found.issues] == ["service.gave_up"]
+
+
+def test_a_job_given_back_at_a_stop_loses_no_attempt(database: Database) -> None:
+    jobs = jobs_of(database)
+    job = jobs.create(new("key")).id
+    for _ in range(MOST_ATTEMPTS + 2):
+        work = Work(database, "host", 30.0)
+        claimed = work.claim()
+        assert claimed is not None
+        work.give_back(claimed)
+    assert jobs.get(job)[1].state == "queued"
+
+
+def test_what_is_cancelled_or_deleted_while_its_host_goes_is_not_planned_again(database: Database) -> None:
+    jobs = jobs_of(database)
+    cancelled, deleted = (jobs.create(new(key)).id for key in ("a", "b"))
+    gone = Work(database, "gone", 0.0)
+    assert gone.claim() is not None
+    assert gone.claim() is not None
+    jobs.cancel(cancelled)
+    jobs.cancel(deleted, also_delete=True)
+    here = Work(database, "here", 30.0)
+    assert here.take_over(alone=True) == 2
+    assert here.claim() is None
+    assert jobs.get(cancelled)[1].state == "cancelled"
+    assert jobs.counts() == {"cancelled": 1}
+
+
+def test_old_jobs_are_forgotten_if_asked(database: Database) -> None:
+    jobs, work = jobs_of(database), Work(database, "host", 30.0)
+    jobs.create(new("done"))
+    claimed = work.claim()
+    assert claimed is not None
+    work.finish(claimed, "verified", (), {}, 1.0, {})
+    jobs.create(new("open"))
+    work.forget(None)
+    work.forget(3600.0)
+    assert jobs.counts() == {"verified": 1, "queued": 1}
+    time.sleep(0.02)
+    work.forget(0.01)
+    assert jobs.counts() == {"queued": 1}
