@@ -14,6 +14,9 @@ GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "
     "post.controller",
     "post.signal",
     "post.name",
+    "batch.field",
+    "batch.csv",
+    "batch.in_use",
 }
 """Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""
 

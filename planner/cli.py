@@ -1,6 +1,7 @@
 """The command line.
 
-``tandem plan | check | verify | robots | materials | kerf | align | features | serve | token | issues``
+``tandem plan | check | verify | robots | materials | kerf | align | features | batch | serve | token |
+issues``
 """
 
 from __future__ import annotations
@@ -15,17 +16,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner import align_commands, feature_commands, kerf_commands, service_commands
+from planner import align_commands, batch_commands, feature_commands, kerf_commands, service_commands
 from planner.blame import given_wrong
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
+
+if TYPE_CHECKING:
+    from planner.plans import Plan
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
@@ -182,6 +186,16 @@ def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> i
 
 
 @app.command
+def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
+    """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
+    _pipeline()
+    try:
+        return batch_commands.run(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+
+
+@app.command
 def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> int:
     """Serve Tandem over HTTP, with a page for browsers."""
     try:
@@ -305,4 +319,17 @@ def _summary(outcome: object, output: Path, seconds: float) -> None:
     cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
     out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
-    out.print(f"planned in {seconds:.1f} s; see {output / 'report.html'}", highlight=False)
+    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
+    spent = f" ({stages})" if stages else ""
+    out.print(
+        f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
+    )
+
+
+def _laps(plan: Plan) -> dict[str, float]:
+    """The time [s] of each stage of the motion, over all operations, where it took any."""
+    laps: dict[str, float] = {}
+    for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):
+        for name, seconds in metrics.get("stages", {}).items():
+            laps[name] = laps.get(name, 0.0) + float(seconds)
+    return {name: seconds for name, seconds in laps.items() if seconds >= 0.05}

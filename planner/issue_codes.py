@@ -318,6 +318,9 @@ CODES: Final[dict[str, str]] = {
     "batch.memory": "planning a problem needed more memory than was allowed",
     "batch.cancelled": "planning a problem was cancelled",
     "batch.worker": "worker processes do not start",
+    "batch.field": "a field of a batch file is missing, unknown or out of range",
+    "batch.csv": "a batch file's table cannot be read, or a line of it does not fit its heading",
+    "batch.in_use": "another batch is writing to the output folder",
     # the service
     "service.install": "the service needs packages that are not installed",
     "service.database": "the database of the service cannot be opened",

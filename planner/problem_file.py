@@ -138,7 +138,7 @@ def build(document: Document, models: OperationModels) -> Problem:
             issues += [_placed(issue, document) for issue in error.issues]
     if spec is None or cell is None or stock is None or issues:
         raise TandemError(issues)
-    source = _resolved(document.data, path.parent)
+    source = resolved(document.data, path.parent)
     problem = Problem(
         name=spec.name,
         cell=cell,
@@ -370,7 +370,7 @@ def bundle(problem: Problem) -> dict[str, bytes]:
     return {"problem.yaml": text.encode(), **files}
 
 
-def _resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The file's data with its cell inside and every file name made absolute."""
     out: dict[str, Any] = _each_file(data, lambda path: str(folder / path))
     if isinstance(data.get("cell"), str):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 from collections.abc import Mapping
@@ -26,16 +27,37 @@ RESULT = {
 """What a result folder holds (`planner.pipeline.OWNED`; asking there would import Drake)."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """What a batch remembers of a job, as JSON in the file ``path``: its :class:`Done`, and ``more``."""
+
+    path: Path
+    more: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def write(self, done: Done) -> None:
+        """Write it, whole or not at all; raises ``OSError``."""
+        write_whole(self.path, json.dumps({**self.more, **done.to_dict()}, indent=1, allow_nan=False))
+
+    @staticmethod
+    def read(path: Path) -> tuple[Done, dict[str, Any]] | None:
+        """The record in a file and all that it says; None where there is none, or it is no record."""
+        try:
+            data = json.loads(path.read_text("utf-8"))
+            return Done.from_dict(data), data
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+
+
 class Place:
     """The result folder of one job and, while it is planned, the hidden folder that it is planned in."""
 
-    def __init__(self, folder: Path, record: Path | None) -> None:
+    def __init__(self, folder: Path, record: Record | None) -> None:
         self.folder, self.record = folder, record
         self._open = contextlib.ExitStack()
         self._hidden: Path | None = None
 
     @staticmethod
-    def claim(folder: Path, record: Path | None) -> Place:
+    def claim(folder: Path, record: Record | None) -> Place:
         """The place, if ``folder`` can be one: missing, or a result. Raises ``TandemError``
         (``output.folder``)."""
         if os.path.lexists(folder):
@@ -78,7 +100,7 @@ class Place:
                 if os.path.lexists(self.folder):
                     self.folder.rename(self._hidden / "old")
                 if self.record is not None:
-                    write_whole(self.record, json.dumps(done.to_dict(), indent=1))
+                    self.record.write(done)
                 result.rename(self.folder)
         except OSError as error:
             what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
@@ -92,12 +114,3 @@ class Place:
         """Remove the hidden folder; the place can be prepared anew."""
         self._open.close()
         self._hidden = None
-
-
-def read_record(path: Path) -> dict[str, Any] | None:
-    """A record as it was written, None where there is none or it is no record."""
-    try:
-        data = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
-        return None
-    return data if isinstance(data, dict) else None

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from planner.batch.job import Done
     from planner.issues import Issue
 
+    Tell = Callable[[str, float], None]
     Hear = Callable[[Sequence[Issue]], None]
-    Solve = Callable[[str, Path, Path, Mapping[str, str], Callable[[str, float], None], Hear], Done]
+    Solve = Callable[[str, Path, Path, Mapping[str, str], Tell, Hear], Done]
 
 PR_SET_PDEATHSIG = 1
 """prctl(2): the signal that this process gets when its parent ends."""
@@ -65,9 +66,18 @@ def _say(answers: TextIO, kind: str, content: object) -> None:
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
     from planner.batch.solve import solve
+    from planner.cell import kept
+
+    models = kept.keep()
+
+    def with_kept_models(
+        name: str, source: Path, result: Path, origins: Mapping[str, str], tell: Tell, hear: Hear
+    ) -> Done:
+        models.next_job()
+        return solve(name, source, result, origins, tell, hear)
 
     logging.getLogger("drake").setLevel(logging.WARNING)
-    return solve
+    return with_kept_models
 
 
 def _end_with(parent: int) -> None:

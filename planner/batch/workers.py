@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from planner.batch.job import Done, Event, Finished, Found, Job, Progress, State
-from planner.batch.place import Place
+from planner.batch.place import Place, Record
 from planner.batch.process import MODULE, Process
 from planner.issues import Issue, TandemError
 
@@ -95,11 +95,11 @@ class Workers:
         """Memory [MB] that the largest worker holds now."""
         return max((process.memory_mb() for process in self._processes()), default=0.0)
 
-    def start(self, job: Job, folder: Path, record: Path | None = None) -> None:
+    def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
         """Plan a job, as soon as a worker is free, into the result folder ``folder``, which appears whole or
         not at all; an older result there is replaced then.
 
-        ``record``: a file that gets the :class:`Done` as JSON just before the folder appears. Raises
+        ``record``: what is written of the :class:`Done` just before the folder appears. Raises
         ``ValueError`` for the name of a job that has not ended, and ``TandemError`` (``output.folder``) where
         ``folder`` holds what is no result.
         """

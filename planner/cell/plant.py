@@ -18,6 +18,7 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from planner import catalogue
 from planner.catalogue import RobotData
+from planner.cell import kept
 from planner.cell.bodies import body_poses, collect, own_shapes
 from planner.cell.bounds import Bounds, prepare
 from planner.cell.distance import Solid
@@ -191,7 +192,21 @@ def build(
     A held stock is fixed to its holder's tool. With ``meshcat`` a visualizer of the visible shapes is part of
     the diagram. Raises :class:`TandemError` for an unknown robot and for names of bodies that clash
     (``cell.body_name``), ``KeyError`` for an unknown holder, ``ValueError`` for a held stock on a support.
+    Worker processes get one that an earlier job left (`planner.cell.kept`).
     """
+    if meshcat is not None:
+        return _new(cell, stock, stock_pose, bases, meshcat)
+    content = (cell, stock, np.asarray(stock_pose, dtype=np.float64), bases)
+    return kept.get(content, lambda: _new(cell, stock, stock_pose, bases, None))
+
+
+def _new(
+    cell: Cell,
+    stock: Stock,
+    stock_pose: FloatArray,
+    bases: Mapping[str, FloatArray] | None,
+    meshcat: Any,
+) -> CellModel:
     _check_names(cell)
     if stock.held_by is not None and stock.support:
         raise ValueError("a held stock has no support")

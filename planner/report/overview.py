@@ -135,14 +135,9 @@ def picture(shown: Picture, title: str = "") -> Raw:
 
 
 def made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Raw:
-    """Stage times, figures of the plan, versions and programs."""
-    stages = [
-        *_stages(plan.metrics),
-        *(row for op in plan.operations for row in _stages(op.metrics, op.name)),
-    ]
+    """Figures of the plan, versions and programs; no times of this run: the same problem gives the same
+    report."""
     parts = []
-    if stages:
-        parts.append(markup.figure("Planning time", markup.table(("stage", "s"), _once(stages))))
     figures = [row for op in plan.operations for row in _figures(op.metrics)]
     if figures:
         parts.append(markup.figure("Figures of the plan", markup.table(("figure", "value"), _once(figures))))
@@ -157,14 +152,6 @@ def made(plan: Plan, programs: Sequence[tuple[str, int]]) -> Raw:
 
 def _code(text: str) -> str:
     return f"<code>{html.escape(text)}</code>"
-
-
-def _stages(metrics: Mapping[str, Any], operation: str = "") -> Iterable[tuple[str, Raw]]:
-    stages = metrics.get("stages")
-    if isinstance(stages, Mapping):
-        for name, seconds in stages.items():
-            if isinstance(seconds, int | float):
-                yield f"{name}", Raw(markup.fixed(float(seconds), 3))
 
 
 def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object]]:

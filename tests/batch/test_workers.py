@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from planner.batch.job import Done, Finished, Found, Job, Progress
-from planner.batch.place import read_record
+from planner.batch.place import Record
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError
 
@@ -109,7 +109,7 @@ def test_a_job_is_not_blamed_for_what_others_left(workers: Workers, tmp_path: Pa
 
 
 def test_what_is_heard_of_a_job(workers: Workers, tmp_path: Path) -> None:
-    record = tmp_path / "records" / "good.json"
+    record = Record(tmp_path / "records" / "good.json", {"identity": "mine"})
     known = Job("good", {"problem.yaml": b""}, origins={"problem.yaml": "mine.yaml"})
     workers.start(known, tmp_path / "good", record)
     with pytest.raises(ValueError, match="under way"):
@@ -120,7 +120,11 @@ def test_what_is_heard_of_a_job(workers: Workers, tmp_path: Path) -> None:
     assert [type(e) for e in heard] == [Progress, Found, Finished]
     assert heard[0] == Progress("good", "fault", 0.5)
     assert isinstance(heard[-1], Finished)
-    assert Done.from_dict(read_record(record) or {}) == heard[-1].done
+    read = Record.read(record.path)
+    assert read is not None
+    assert read[0] == heard[-1].done
+    assert read[1]["identity"] == "mine"
+    assert Record.read(tmp_path / "none.json") is None
     assert heard[-1].done.metrics == {"targets": 3.0}
 
 

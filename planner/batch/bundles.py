@@ -1,0 +1,41 @@
+"""Problems as jobs: files that stand alone, and what people call them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import planner
+from planner import problem_file
+from planner.batch.job import PROBLEM, Job
+from planner.motion.solve import versions as of_packages
+from planner.problem import Problem
+
+
+def job(name: str, problem: Problem, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
+    """The problem as a job; its issues name files as the problem file does."""
+    files = problem_file.bundle(problem)
+    carried = yaml.safe_load(files[PROBLEM])
+    origins = dict(_pairs(carried, problem.source))
+    return Job(name, files, timeout_s, memory_mb, origins)
+
+
+def versions() -> dict[str, str]:
+    """Versions of all that a result depends on."""
+    return {"tandem": planner.__version__, **of_packages()}
+
+
+def _pairs(carried: Any, source: Any) -> Iterator[tuple[str, str]]:
+    """Names of files in the bundle and in the problem, where both have a value of the key ``file``."""
+    if isinstance(carried, dict):
+        for key, value in carried.items():
+            if key == "file" and isinstance(value, str):
+                yield value, str(Path(source[key]))
+            else:
+                yield from _pairs(value, source[key])
+    elif isinstance(carried, list):
+        for one, other in zip(carried, source, strict=True):
+            yield from _pairs(one, other)

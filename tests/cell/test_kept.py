@@ -1,0 +1,59 @@
+"""Models that a process keeps: the same content, one job after the other, never twice within a job."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from planner.cell import kept, plant
+from tests.cell.cells import BLOCK, facing
+
+
+@pytest.fixture
+def models() -> Iterator[kept.Kept[object]]:
+    yield kept.keep(3)
+    kept.forget()
+
+
+def test_a_job_shares_nothing_and_the_next_one_finds_all(models: kept.Kept[object]) -> None:
+    cell, stock, pose = facing(), BLOCK, np.eye(4)
+    first = [plant.build(cell, stock, pose) for _ in range(2)]
+    assert first[0].plant is not first[1].plant
+    models.next_job()
+    again = [plant.build(facing(), BLOCK, pose.copy()) for _ in range(2)]
+    assert [m.plant for m in again] == [m.plant for m in first]
+    assert models.reused == 2
+
+
+def test_another_cell_stock_or_place_is_another_model(models: kept.Kept[object]) -> None:
+    cell, stock, pose = facing(), BLOCK, np.eye(4)
+    one = plant.build(cell, stock, pose)
+    models.next_job()
+    moved = np.eye(4)
+    moved[0, 3] = 1e-9
+    settled = dataclasses.replace(cell, obstacles=())
+    for other in (plant.build(cell, stock, moved), plant.build(settled, stock, pose)):
+        assert other.plant is not one.plant
+    assert models.reused == 0
+
+
+def test_no_more_than_so_many_are_kept() -> None:
+    some = kept.Kept[list[int]](2)
+    made = [some.get(n, lambda n=n: [n]) for n in range(3)]
+    some.next_job()
+    assert some.get(2, lambda: [-1]) is made[2]
+    assert some.get(0, lambda: [-1]) == [-1]
+
+
+def test_a_process_that_keeps_nothing_builds_anew() -> None:
+    assert kept.get("x", list) is not kept.get("x", list)
+
+
+def test_content_is_told_apart() -> None:
+    values = (1, 1.0, True, "1", None, (1,), [1], {"1": 1}, np.ones(1), np.ones((1, 1)), np.float32(1))
+    assert len({kept.digest(value) for value in values}) == len(values)
+    with pytest.raises(TypeError, match="a set has no digest"):
+        kept.digest({1})
