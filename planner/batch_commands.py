@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 out = Console(highlight=False)
 err = Console(stderr=True)
 STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow"}
-SHOWN = ("targets", "cycle_s", "clearance_mm", "joint_limits_deg", "joint_speed_percent")
+SHOWN = ("targets", "cycle_s", "clearance_mm")
 """Figures that the table has room for; ``summary.csv`` and ``summary.html`` have them all."""
 
 
@@ -122,7 +122,8 @@ class _Shown:
             if event.done.state != "verified":
                 issue = next(iter(event.done.issues), None)
                 said = f": {issue}" if issue is not None else ""
-                self._bar.console.print(f"{event.name}: {event.done.state}{said}", markup=False)
+                text = f"{event.name}: {event.done.state}{said}"
+                self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         elif isinstance(event, job.Progress):
             if event.name not in self._jobs:
                 self._jobs[event.name] = self._bar.add_task(event.name, total=1.0)

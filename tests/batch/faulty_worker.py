@@ -35,6 +35,8 @@ def faulty(name: str, source: Path, result: Path, origins: Mapping[str, str], te
         ctypes.string_at(0)
     if kind == "hang":
         time.sleep(600)
+    if kind == "slow":
+        time.sleep(0.1)
     if kind == "hog":
         for _ in range(600):
             KEPT.append(np.ones(1_250_000))  # 10 MB

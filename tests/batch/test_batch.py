@@ -1,0 +1,348 @@
+"""A batch: results as one by one, nothing lost or repeated when it is killed, summaries, exit codes."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import os
+import random
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from planner import cli, pipeline
+from planner.batch import run as batch
+from planner.batch import summary, summary_page
+from planner.batch.collect import Item, collect
+from planner.batch.job import Done, Event, Finished, Job, State
+from planner.batch.place import Record
+from planner.batch.run import Row, Settings
+from planner.batch.workers import Workers
+from planner.batch_commands import Batch
+from planner.batch_commands import run as command
+from planner.issues import Issue, Severity, TandemError
+from tests import small_problem
+from tests.batch.test_workers import FAULTY, alive
+
+PLAIN = Settings()
+BAD = small_problem.PROBLEM.replace("irb140", "irb9000")
+
+
+def items(folder: Path, names: Sequence[str]) -> list[Item]:
+    """Items that all read one small problem, so that a faulty worker does as their names say."""
+    path = folder / "problem.yaml"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        small_problem.write(folder)
+    return [Item(name, str(path), lambda: pipeline.load(path)) for name in names]
+
+
+def plan(
+    found: Sequence[Item], out: Path, settings: Settings = PLAIN, count: int = 2
+) -> tuple[list[Row], list[Event]]:
+    heard: list[Event] = []
+    with batch.claimed(out), Workers(count, module=FAULTY) as workers:
+        return batch.run(found, out, workers, 2 * count, settings, heard.append), heard
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:
+    single = "\n".join([small_problem.COLUMNS, small_problem.ROWS[0]])
+    texts = {
+        "bad": (BAD, None),
+        "good": (small_problem.PROBLEM, None),
+        "few": (small_problem.PROBLEM, single),
+    }
+    for name, (text, rows) in texts.items():
+        (tmp_path / "in" / name).mkdir(parents=True)
+        small_problem.write(tmp_path / "in" / name, text, rows)
+    assert command(Batch((tmp_path / "in",), tmp_path / "out", workers=1)) == 2
+    for name in texts:
+        cli.plan(tmp_path / "in" / name / "problem.yaml", tmp_path / "alone" / name)
+        assert content(tmp_path / "out" / name) == content(tmp_path / "alone" / name)
+    assert (tmp_path / "out" / "good" / "programs").is_dir()
+    told = (tmp_path / "out" / "summary.csv").read_text()
+    bad, few, good = csv.DictReader(io.StringIO(told))
+    assert [(r["name"], r["state"]) for r in (bad, few, good)] == [
+        ("bad", "bad_input"),
+        ("few", "bad_input"),
+        ("good", "verified"),
+    ]
+    assert "problem.unknown_robot" in bad["issues"]
+    assert str(tmp_path / "in" / "few" / "targets.csv") in few["message"]
+    assert good["targets"] == "6"
+    assert float(good["clearance_mm"]) > 10.0
+    page = (tmp_path / "out" / "summary.html").read_text()
+    assert page.count('<img alt="" src="data:image/png') == 2  # where a cell could be drawn
+    before = {name: (tmp_path / "out" / name).stat().st_ino for name in ("good", "few")}
+    assert command(Batch((tmp_path / "in",), tmp_path / "out", workers=1, resume=True)) == 2
+    assert before == {name: (tmp_path / "out" / name).stat().st_ino for name in before}
+    assert "2 kept from earlier runs" in (tmp_path / "out" / "summary.html").read_text()
+
+
+@pytest.mark.parametrize("rounds", [5, pytest.param(40, marks=pytest.mark.long)])
+@pytest.mark.parametrize("whom", ["parent", "worker"])
+def test_a_batch_that_is_killed_at_many_moments_goes_on(tmp_path: Path, whom: str, rounds: int) -> None:
+    moments, out = random.Random(whom), tmp_path / "out"
+    names = [f"slow-{i:02d}" for i in range(3 * rounds)]
+    found = items(tmp_path, names)
+    finished: dict[str, tuple[int, bytes]] = {}
+    for _ in range(rounds):
+        wait = moments.randint(0, 3), moments.uniform(0.0, 0.15)
+        child = os.fork()
+        if child == 0:
+            _batch_in_child(found, out, wait if whom == "worker" else None)
+        if whom == "parent":
+            _until_finished(out, len(finished) + wait[0])
+            time.sleep(wait[1])
+            os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        now = {p.name: _standing(p) for p in out.glob("slow-*")}
+        for name, standing in finished.items():
+            assert now[name] == standing, f"{name} was finished and was planned again"
+        for name, (_, text) in now.items():
+            assert text.startswith(f"{name} ".encode()) or b"batch.crashed" in text
+            assert [p.name for p in (out / name).iterdir()] == ["report.html"]
+        finished |= {n: s for n, s in now.items() if b"batch.crashed" not in s[1]}
+        assert len([p for p in out.iterdir() if p.name.startswith(".tandem-")]) <= 2
+    rows, _ = plan(found, out, Settings(resume=True))
+    assert [row.done.state for row in rows] == ["verified"] * len(names)
+    assert sum(row.kept for row in rows) == len(finished) > 0
+    for name, standing in finished.items():
+        assert _standing(out / name) == standing
+    assert sorted(p.name for p in out.iterdir()) == [batch.RECORDS, *names]
+    assert sorted(p.name for p in (out / batch.RECORDS).iterdir()) == [f"{name}.json" for name in names]
+
+
+def _until_finished(out: Path, count: int) -> None:
+    until = time.monotonic() + 60.0
+    while len(list(out.glob("slow-*"))) < count and time.monotonic() < until:
+        time.sleep(0.005)
+
+
+def _batch_in_child(found: Sequence[Item], out: Path, kill: tuple[int, float] | None) -> None:
+    """A batch in a forked process, which never comes back; a worker is killed when so many jobs have
+    finished, and so many seconds have gone by since."""
+    try:
+        ended, since = 0, 0.0
+        with batch.claimed(out), Workers(2, module=FAULTY) as workers:
+
+            def tell(event: Event) -> None:
+                nonlocal ended, since, kill
+                ended += isinstance(event, Finished)
+                if kill is not None and ended >= kill[0]:
+                    since = since or time.monotonic()
+                    if time.monotonic() - since > kill[1]:
+                        kill = None
+                        os.kill(workers.pids[-1], signal.SIGKILL)
+
+            rest = [item for item in found if not (out / item.name).exists()]
+            some = found if kill is None else [*rest[:5], *[i for i in found if i not in rest]]
+            batch.run(some, out, workers, 4, Settings(resume=True), tell)
+    finally:
+        os._exit(0)
+
+
+@pytest.mark.parametrize("moment", ["before the record", "after the record", "before the rename of the old"])
+def test_a_kill_between_two_steps_of_the_end_of_a_job(tmp_path: Path, moment: str) -> None:
+    found, out = items(tmp_path, ["good-1"]), tmp_path / "out"
+    plan(found, out)
+    old = _standing(out / "good-1")
+    child = os.fork()
+    if child == 0:
+        real = Record.write
+
+        def killed(self: Record, done: Done) -> None:
+            if moment == "after the record":
+                real(self, done)
+            os._exit(9)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Record, "write", killed)
+            if moment == "before the rename of the old":
+                patch.setattr(Path, "rename", lambda *_: os._exit(9))
+            plan(found, out)
+        os._exit(0)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
+    assert not (out / "good-1").exists() or _standing(out / "good-1") == old
+    ((row,), _) = plan(found, out, Settings(resume=True))
+    assert row.done.state == "verified"
+    assert row.kept == (moment == "before the rename of the old")
+    assert sorted(p.name for p in out.iterdir()) == [batch.RECORDS, "good-1"]
+
+
+def _standing(folder: Path) -> tuple[int, bytes]:
+    return folder.stat().st_ino, (folder / "report.html").read_bytes()
+
+
+def test_what_is_tried_again(tmp_path: Path) -> None:
+    found = items(tmp_path, ["exit-1", "hang-1", "good-1"])
+    out = tmp_path / "out"
+    rows, _ = plan(found, out, Settings(timeout_s=0.5))
+    assert [row.done.state for row in rows] == ["crashed", "timeout", "verified"]
+    assert batch.exit_code(rows) == 1
+    rows, heard = plan(found, out, Settings(timeout_s=0.5, resume=True))
+    assert [row.kept for row in rows] == [False, True, True]
+    assert [e.name for e in heard if isinstance(e, Finished)].count("good-1") == 1
+    rows, _ = plan(found[1:], out, Settings(timeout_s=0.6, resume=True))
+    assert [row.kept for row in rows] == [False, True]
+    assert rows[0].done.issues[0].limit == 0.6
+    rows, _ = plan(found[2:], out)
+    assert [row.kept for row in rows] == [False]
+    (tmp_path / "targets.csv").write_text((tmp_path / "targets.csv").read_text() + "\n")
+    rows, _ = plan(found[2:], out, Settings(resume=True))
+    assert [row.kept for row in rows] == [False]  # a file of the problem has changed
+    (out / batch.RECORDS / "good-1.json").write_text("{")
+    rows, _ = plan(found[2:], out, Settings(resume=True))
+    assert [row.kept for row in rows] == [False]
+
+
+def test_one_folder_that_cannot_be_replaced_fails_its_job_alone(tmp_path: Path) -> None:
+    found = items(tmp_path, ["good-1", "good-2"])
+    (tmp_path / "out" / "good-1").mkdir(parents=True)
+    (tmp_path / "out" / "good-1" / "mine.txt").write_text("mine")
+    rows, _ = plan(found, tmp_path / "out")
+    assert [row.done.state for row in rows] == ["bad_input", "verified"]
+    assert rows[0].done.issues[0].code == "output.folder"
+    assert (tmp_path / "out" / "good-1" / "mine.txt").read_text() == "mine"
+
+
+def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
+    refused = pytest.raises(TandemError, match="another batch is writing")
+    with batch.claimed(tmp_path), refused as caught, batch.claimed(tmp_path):
+        pass
+    assert caught.value.issues[0].code == "batch.in_use"
+    with batch.claimed(tmp_path):
+        pass
+
+
+def test_workers_are_gone_after_ctrl_c(tmp_path: Path) -> None:
+    found = items(tmp_path, ["hang-1"])
+    pids: list[int] = []
+    with pytest.raises(KeyboardInterrupt), batch.claimed(tmp_path / "out"), Workers(1, module=FAULTY) as w:
+
+        def stop(_: Event) -> None:
+            pids.extend(w.pids)
+            raise KeyboardInterrupt
+
+        batch.run(found, tmp_path / "out", w, 2, Settings(), stop)
+    assert len(pids) == 1
+    assert not alive(pids[0])
+    assert [p.name for p in (tmp_path / "out").iterdir()] == [batch.RECORDS]
+
+
+def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:
+    for place in ("a", "a/deep", "B", ".hidden", "out/a/problem"):
+        (tmp_path / place).mkdir(parents=True, exist_ok=True)
+        small_problem.write(tmp_path / place)
+    (tmp_path / "a" / "small.yaml").write_text(small_problem.PROBLEM)
+    (tmp_path / "a" / "cell.yaml").write_text("arms: []\n")
+    (tmp_path / "a" / "broken.yaml").write_text("tandem: [")
+    found = collect([tmp_path], tmp_path / "out")
+    assert [item.name for item in found] == ["B", "a-deep", "a", "a-small"]
+    again = collect([tmp_path / "a" / "problem.yaml", tmp_path / "a", Path("wing")], tmp_path / "out")
+    assert [item.name for item in again] == ["a", "deep", "a-2", "small", "wing"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(TandemError) as caught:
+        collect([tmp_path / "nowhere", tmp_path / "empty"], tmp_path / "out")
+    assert [issue.code for issue in caught.value.issues] == ["problem.missing_file"] * 2
+
+
+def row(state: State = "verified", name: str = "a", **more: object) -> Row:
+    item = Item(name, "p.yaml", lambda: pipeline.load("p"), {"settings.seed": 3})
+    return Row(item, dataclasses.replace(Done(name, state), **more))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("states", "code"),
+    [
+        (("verified",), 0),
+        (("verified", "bad_input"), 2),
+        (("bad_input", "infeasible"), 3),
+        (("unproven", "infeasible"), 4),
+        (("timeout", "unproven"), 1),
+        (("memory",), 1),
+        (("crashed",), 1),
+    ],
+)
+def test_exit_codes(states: tuple[State, ...], code: int) -> None:
+    assert batch.exit_code([row(state) for state in states]) == code
+
+
+def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
+    issues = (
+        Issue("mesh.unit", "=1+1 <b>", Severity.WARNING),
+        Issue("mesh.unit", '@cmd, "quoted"\nline'),
+        Issue("mesh.empty", "note", Severity.NOTE),
+    )
+    rows = [row("infeasible", issues=issues, metrics={"cycle_s": 1.25, "targets": 4.0}), row(name="b")]
+    first, second = csv.DictReader(io.StringIO(summary.table(rows), newline=""))
+    assert first["message"] == '\'@cmd, "quoted"\nline'
+    assert first["issues"] == "mesh.unit mesh.empty"
+    assert (first["cycle_s"], first["targets"], first["settings.seed"]) == ("1.25", "4", "3")
+    assert second["cycle_s"] == ""
+    assert summary.counted(rows[0]) == "1 error, 1 warning, 1 note"
+    page = summary_page.page("A & B", rows, tmp_path, 3.0)
+    assert "A &amp; B" in page
+    assert "@cmd" in page
+    assert "<b> " not in page
+    assert page.endswith("</html>\n")
+
+
+def test_thumbnails_come_from_reports_and_from_nothing_else(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    Image.new("RGBA", (900, 300), (255, 0, 0, 255)).save(stream, "PNG")
+    import base64
+
+    address = f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
+    report = tmp_path / "report.html"
+    report.write_text(f'<img alt="the cell" src="{address}">')
+    small = summary_page.thumbnail(report)
+    assert small is not None
+    with Image.open(io.BytesIO(small)) as picture:
+        assert picture.size == (200, 67)
+    report.write_text('<img alt="the cell" src="data:image/png;base64,AAAA">')
+    assert summary_page.thumbnail(report) is None
+    assert summary_page.thumbnail(tmp_path / "none.html") is None
+
+
+def test_records_that_are_none_are_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    good = Done("a", "verified").to_dict()
+    for wrong in (
+        [],
+        {},
+        {**good, "state": "lost"},
+        {**good, "issues": [{"code": "x"}]},
+        {**good, "metrics": 1},
+    ):
+        path.write_text(json.dumps(wrong))
+        assert Record.read(path) is None
+    Record(path, {"identity": "i"}).write(Done("a", "verified"))
+    assert Record.read(path) is not None
+
+
+def test_numbers_and_names_of_a_command_are_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(TandemError) as caught:
+        command(Batch((), tmp_path, workers=0, timeout=-1.0, memory=float("nan")))
+    assert [issue.code for issue in caught.value.issues] == ["batch.field"] * 4
+    assert {issue.field for issue in caught.value.issues} == {"--workers", "--timeout", "--memory", None}
+
+
+def test_issues_call_files_as_the_problem_does(tmp_path: Path) -> None:
+    from planner.batch.bundles import job
+
+    small_problem.write(tmp_path)
+    made = job("a", pipeline.load(tmp_path / "problem.yaml"))
+    (name,) = (file for file in made.files if file.startswith("files/"))
+    assert made.origins == {name: str(tmp_path / "targets.csv")}
+    assert isinstance(made, Job)
