@@ -11,8 +11,8 @@ import yaml
 import planner
 from planner import problem_file
 from planner.batch.job import PROBLEM, Job
-from planner.motion.solve import versions as of_packages
 from planner.problem import Problem
+from planner.versions import versions as of_packages
 
 
 def job(name: str, problem: Problem, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
