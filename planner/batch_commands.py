@@ -48,6 +48,8 @@ class Batch:
     """longest planning of one problem, in seconds"""
     memory: float | None = None
     """largest memory of one worker, in MB"""
+    cluster: str | None = None
+    """plan on a Dask cluster: tcp://HOST:PORT of its scheduler, or local"""
 
 
 def run(request: Batch) -> int:
@@ -72,7 +74,7 @@ def run(request: Batch) -> int:
                 shown.hear(event)
 
             try:
-                done = batch.run(items, request.output, planners, batch.AHEAD * count, settings, tell)
+                done = batch.run(items, request.output, planners, settings, tell)
             except BaseException:
                 so_far = [rows[item.name] for item in items if item.name in rows]
                 _write(request, so_far, time.perf_counter() - start)
@@ -97,10 +99,16 @@ def _check(request: Batch) -> None:
 
 @contextmanager
 def _planners(request: Batch, count: int) -> Iterator[Planners]:
-    from planner.batch.workers import Workers
+    if request.cluster is not None:
+        from planner.batch.cluster import Cluster
 
-    with Workers(count) as workers:
-        yield workers
+        with Cluster(request.cluster, count) as cluster:
+            yield cluster
+    else:
+        from planner.batch.workers import Workers
+
+        with Workers(count) as workers:
+            yield workers
 
 
 class _Shown:

@@ -17,6 +17,7 @@ GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "
     "batch.field",
     "batch.csv",
     "batch.in_use",
+    "batch.install",
 }
 """Issue codes, and rooms of codes, that what was given is to blame for, not what can be planned."""
 

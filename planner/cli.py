@@ -1,7 +1,7 @@
 """The command line.
 
-``tandem plan | check | verify | robots | materials | kerf | align | features | batch | serve | token |
-issues``
+``tandem plan | check | verify | robots | materials | kerf | align | features | batch | compare | serve |
+token | issues``
 """
 
 from __future__ import annotations
@@ -23,7 +23,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner import align_commands, batch_commands, feature_commands, kerf_commands, service_commands
+from planner import (
+    align_commands,
+    batch_commands,
+    compare_commands,
+    feature_commands,
+    kerf_commands,
+    service_commands,
+)
 from planner.blame import given_wrong
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
@@ -193,6 +200,17 @@ def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
         return batch_commands.run(request)
     except TandemError as error:
         return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+
+
+@app.command
+def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int:
+    """Show two plans, or two batches, side by side."""
+    _pipeline()
+    try:
+        compare_commands.run(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
 
 
 @app.command

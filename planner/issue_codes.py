@@ -320,6 +320,9 @@ CODES: Final[dict[str, str]] = {
     "batch.worker": "worker processes do not start",
     "batch.field": "a field of a batch file is missing, unknown or out of range",
     "batch.csv": "a batch file's table cannot be read, or a line of it does not fit its heading",
+    "batch.install": "a cluster needs packages that are not installed",
+    "batch.cluster": "a cluster cannot be reached, has no workers, or went away",
+    "batch.versions": "a worker of a cluster has other versions than what plans on it",
     "batch.in_use": "another batch is writing to the output folder",
     # the service
     "service.install": "the service needs packages that are not installed",

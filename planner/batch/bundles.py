@@ -8,11 +8,9 @@ from typing import Any
 
 import yaml
 
-import planner
 from planner import problem_file
 from planner.batch.job import PROBLEM, Job
 from planner.problem import Problem
-from planner.versions import versions as of_packages
 
 
 def job(name: str, problem: Problem, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
@@ -21,11 +19,6 @@ def job(name: str, problem: Problem, timeout_s: float | None = None, memory_mb: 
     carried = yaml.safe_load(files[PROBLEM])
     origins = dict(_pairs(carried, problem.source))
     return Job(name, files, timeout_s, memory_mb, origins)
-
-
-def versions() -> dict[str, str]:
-    """Versions of all that a result depends on."""
-    return {"tandem": planner.__version__, **of_packages()}
 
 
 def _pairs(carried: Any, source: Any) -> Iterator[tuple[str, str]]:

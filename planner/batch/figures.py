@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Final
 
 from planner.plans import Plan
-from planner.verify.result import Proof
+from planner.verify.result import RuleResult
 
 MARGINS: Final[dict[str, str]] = {
     "verify.clearance": "clearance_mm",
@@ -19,7 +20,7 @@ MARGINS: Final[dict[str, str]] = {
 share of a limit, least distance to a singularity, share of the cut faces within tolerance."""
 
 
-def figures(plan: Plan, proof: Proof | None) -> dict[str, float]:
+def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
     """``targets``, ``cycle_s`` [s], ``path_cost``, and the worst values of `MARGINS`.
 
     What a plan or proof does not know, or is not finite, is left out.
@@ -32,7 +33,7 @@ def figures(plan: Plan, proof: Proof | None) -> dict[str, float]:
     known = [float(cost) for cost in costs if isinstance(cost, int | float)]
     if known and len(known) == len(costs):
         out["path_cost"] = sum(known)
-    for rule in proof.rules if proof is not None else ():
+    for rule in rules:
         if rule.code in MARGINS and rule.worst is not None:
             out[MARGINS[rule.code]] = float(rule.worst)
     return {name: value for name, value in out.items() if math.isfinite(value)}

@@ -8,7 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import PurePosixPath
 from typing import Any, Literal, get_args
 
+import planner
 from planner.issues import Issue
+from planner.versions import versions
 
 State = Literal[
     "verified", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
@@ -115,6 +117,11 @@ class Finished:
 
 
 Event = Progress | Found | Finished
+
+
+def all_versions() -> dict[str, str]:
+    """Versions of all that a result depends on."""
+    return {"tandem": planner.__version__, **versions()}
 
 
 def safe_name(name: str) -> bool:

@@ -13,15 +13,13 @@ from typing import Final, Protocol
 
 from planner.batch import bundles
 from planner.batch.collect import Item
-from planner.batch.job import Done, Event, Finished, Job
+from planner.batch.job import Done, Event, Finished, Job, all_versions
 from planner.batch.place import Place, Record
 from planner.files import claim_folder
 from planner.issues import Issue, TandemError
 
 RECORDS: Final = ".records"
 """The folder, beside the results, of what a batch remembers of its jobs."""
-AHEAD: Final = 2
-"""So many jobs are read ahead for each worker."""
 
 
 class Planners(Protocol):
@@ -30,6 +28,10 @@ class Planners(Protocol):
     @property
     def busy(self) -> bool:
         """Whether any job has not ended."""
+
+    @property
+    def ahead(self) -> int:
+        """How many jobs to hand over before one has ended."""
 
     def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
         """Plan a job into a folder."""
@@ -59,21 +61,18 @@ class Settings:
 Tell = Callable[[Event], None]
 
 
-def run(
-    items: Sequence[Item], out: Path, planners: Planners, ahead: int, settings: Settings, tell: Tell
-) -> list[Row]:
+def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings, tell: Tell) -> list[Row]:
     """Plan all items into ``out``; the rows in the order of the items, as far as it came when interrupted
     nothing is lost but what was under way.
 
-    ``ahead``: how many jobs are handed over before one has ended. ``tell`` hears every event, a
-    :class:`Finished` of what was kept too. Raises ``TandemError`` where nothing can be written or planned
-    (``output.folder``, ``batch.worker``, ``batch.in_use``).
+    ``tell`` hears every event, a :class:`Finished` of what was kept too. Raises ``TandemError`` where nothing
+    can be written or planned (``output.folder``, ``batch.worker``, ``batch.cluster``, ``batch.versions``).
     """
     rows: dict[str, Row] = {}
     waiting = collections.deque(items)
     under_way: dict[str, Item] = {}
     known = {item.name: item for item in items}
-    versions = bundles.versions()
+    versions = all_versions()
 
     def ended(row: Row) -> None:
         rows[row.item.name] = row
@@ -81,7 +80,7 @@ def run(
         tell(Finished(row.item.name, row.done))
 
     while waiting or planners.busy:
-        while waiting and len(under_way) < ahead:
+        while waiting and len(under_way) < planners.ahead:
             item = waiting.popleft()
             row = _begin(item, out, planners, settings, versions)
             if row is not None:

@@ -56,7 +56,7 @@ def solve(
         where = f"{Path(last.filename).name}, line {last.lineno}"
         return done("crashed", [Issue("internal.error", called.text(what), hint=where)], {})
     state: State = "verified" if pipeline.exit_code(outcome) == 0 else "unproven"
-    return done(state, outcome.issues, figures(outcome.plan, outcome.proof))
+    return done(state, outcome.issues, figures(outcome.plan, outcome.proof.rules))
 
 
 def write_failure(folder: Path, issues: Sequence[Issue]) -> None:

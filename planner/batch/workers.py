@@ -22,6 +22,8 @@ from planner.batch.place import Place, Record
 from planner.batch.process import MODULE, Process
 from planner.issues import Issue, TandemError
 
+AHEAD = 2
+"""Jobs at hand for each worker."""
 WATCH = 0.1
 """Time-outs and memory are looked at so often [s]."""
 STARTS = 3
@@ -49,13 +51,16 @@ class Workers:
 
     All methods belong to one thread. Time-outs, memory and results are looked after while :meth:`events` is
     asked, so ask it all the time. ``memory_mb`` is the limit of jobs that have none of their own, ``module``
-    what the workers run.
+    what the workers run. Without ``reports`` a job that was stopped gets no result folder.
     """
 
-    def __init__(self, count: int, memory_mb: float | None = None, module: str = MODULE) -> None:
+    def __init__(
+        self, count: int, memory_mb: float | None = None, module: str = MODULE, reports: bool = True
+    ) -> None:
         if count < 1:
             raise ValueError(f"workers: got {count}; give at least 1")
-        self._count, self._limit_mb, self._module = count, memory_mb, module
+        self._count, self._limit_mb = count, memory_mb
+        self._module, self._reports = module, reports
         self._idle: list[Process] = []
         self._starting: list[Process] = []
         self._running: dict[str, _Running] = {}
@@ -80,6 +85,11 @@ class Workers:
     def busy(self) -> bool:
         """Whether any job is queued or under way, or something of one has not been told."""
         return bool(self._queue or self._running or self._told)
+
+    @property
+    def ahead(self) -> int:
+        """So many jobs at hand keep all workers busy."""
+        return AHEAD * self._count
 
     @property
     def ready(self) -> int:
@@ -270,7 +280,7 @@ class Workers:
 
     def _tell_end(self, order: _Order, issue: Issue, seconds: float, state: State = "cancelled") -> None:
         done = Done(order.job.name, state, (issue,), {}, seconds)
-        if state != "cancelled":
+        if state != "cancelled" and self._reports:
             done = order.place.publish(done)
         self._told.append(Found(order.job.name, done.issues))
         self._told.append(Finished(order.job.name, done))

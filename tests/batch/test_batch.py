@@ -48,7 +48,7 @@ def plan(
 ) -> tuple[list[Row], list[Event]]:
     heard: list[Event] = []
     with batch.claimed(out), Workers(count, module=FAULTY) as workers:
-        return batch.run(found, out, workers, 2 * count, settings, heard.append), heard
+        return batch.run(found, out, workers, settings, heard.append), heard
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -147,7 +147,7 @@ def _batch_in_child(found: Sequence[Item], out: Path, kill: tuple[int, float] | 
 
             rest = [item for item in found if not (out / item.name).exists()]
             some = found if kill is None else [*rest[:5], *[i for i in found if i not in rest]]
-            batch.run(some, out, workers, 4, Settings(resume=True), tell)
+            batch.run(some, out, workers, Settings(resume=True), tell)
     finally:
         os._exit(0)
 
@@ -234,7 +234,7 @@ def test_workers_are_gone_after_ctrl_c(tmp_path: Path) -> None:
             pids.extend(w.pids)
             raise KeyboardInterrupt
 
-        batch.run(found, tmp_path / "out", w, 2, Settings(), stop)
+        batch.run(found, tmp_path / "out", w, Settings(), stop)
     assert len(pids) == 1
     assert not alive(pids[0])
     assert [p.name for p in (tmp_path / "out").iterdir()] == [batch.RECORDS]

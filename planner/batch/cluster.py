@@ -1,0 +1,249 @@
+"""Jobs on a Dask cluster: the same jobs and results as on worker processes, on any number of machines.
+
+Files travel with a job and come back with its result, as bytes: workers need no disk that others see. What
+Dask sends is pickled by it, so a cluster must be one that its users trust; see docs/batch.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.util
+import json
+import logging
+import queue
+import time
+import uuid
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+from planner.batch.job import Done, Event, Finished, Found, Job, Progress, all_versions
+from planner.batch.place import Place, Record
+from planner.batch.process import MODULE
+from planner.issues import Issue, TandemError
+
+CONNECT_S: Final = 20.0
+WORKERS_S: Final = 120.0
+"""So long [s] is waited for a first worker."""
+LEAST_AHEAD: Final = 4
+AHEAD: Final = 2
+"""Jobs at hand for each thread of the cluster."""
+INSTALL: Final = "pip install 'tandem-planner[cluster]'"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Sent:
+    job: Job
+    place: Place
+    future: Any
+    token: str
+    since: float
+
+
+class Cluster:
+    """Plans jobs on the cluster whose scheduler is at ``address`` (``tcp://`` or ``tls://``), or on a
+    ``local`` one of ``count`` workers; a context manager, used as `planner.batch.workers.Workers` is.
+
+    A job whose worker disappears is planned again on another one, and counts as crashed when that happened
+    as often as Dask allows (``distributed.scheduler.allowed-failures``). Raises ``TandemError``
+    (``batch.install``, ``batch.field``, ``batch.cluster``).
+    """
+
+    def __init__(
+        self, address: str, count: int = 1, memory_mb: float | None = None, module: str = MODULE
+    ) -> None:
+        if importlib.util.find_spec("distributed") is None:
+            what = "a cluster needs Dask, which is not installed"
+            raise TandemError(Issue("batch.install", what, hint=f"install it: {INSTALL}"))
+        if address != "local" and not address.startswith(("tcp://", "tls://")):
+            what = f"--cluster: got {address!r}; give tcp://HOST:PORT of a scheduler, or local"
+            raise TandemError(Issue("batch.field", what, field="--cluster"))
+        self._memory_mb, self._module = memory_mb, module
+        self._sent: dict[str, _Sent] = {}
+        self._heard: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._topic = f"tandem-{uuid.uuid4().hex}"
+        self._open = contextlib.ExitStack()
+        self._versions = all_versions()
+        try:
+            self._client = self._connect(address, count)
+        except BaseException:
+            self._open.close()
+            raise
+
+    def _connect(self, address: str, count: int) -> Any:
+        import dask
+        from distributed import Client, LocalCluster
+
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        quiet = {
+            "distributed.admin.large-graph-warning-threshold": "1GB",
+            "distributed.comm.timeouts.connect": f"{CONNECT_S:g}s",
+        }
+        self._open.enter_context(dask.config.set(quiet))
+        try:
+            target: Any = address
+            if address == "local":
+                target = self._open.enter_context(
+                    LocalCluster(
+                        n_workers=count,
+                        threads_per_worker=1,
+                        processes=True,
+                        memory_limit=0,  # what plans is watched in its own process
+                        dashboard_address=None,
+                        silence_logs=logging.CRITICAL,
+                    )
+                )
+            client = self._open.enter_context(Client(target, timeout=CONNECT_S, set_as_default=False))
+            client.wait_for_workers(1, timeout=WORKERS_S)
+        except (OSError, TimeoutError, ValueError) as error:
+            what = f"cluster {address}: cannot be reached, or has no workers ({error})"
+            hint = "start `dask scheduler` and `dask worker`, and give the scheduler's address"
+            raise TandemError(Issue("batch.cluster", what, hint=hint)) from error
+        client.subscribe_topic(self._topic, lambda event: self._heard.put(("event", event)))
+        return client
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def busy(self) -> bool:
+        """Whether any job has not ended."""
+        return bool(self._sent)
+
+    @property
+    def ahead(self) -> int:
+        """So many jobs at hand keep the cluster busy."""
+        threads = sum(int(count) for count in self._client.nthreads().values())
+        return max(LEAST_AHEAD, AHEAD * threads)
+
+    def start(self, job: Job, folder: Path, record: Record | None = None) -> None:
+        """As of `planner.batch.workers.Workers`."""
+        if job.name in self._sent:
+            raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
+        from planner.batch import remote
+
+        place = Place.claim(folder, record)
+        token = f"tandem-{uuid.uuid4().hex}"
+        more = {
+            "name": job.name,
+            "timeout_s": job.timeout_s,
+            "memory_mb": job.memory_mb if job.memory_mb is not None else self._memory_mb,
+            "origins": dict(job.origins),
+            "module": self._module,
+        }
+        arguments = (token, self._topic, dict(job.files), more, self._versions)
+        future = self._client.submit(remote.plan, *arguments, key=token, pure=False)
+        self._sent[job.name] = _Sent(job, place, future, token, time.monotonic())
+        future.add_done_callback(lambda _: self._heard.put(("ended", (job.name, token))))
+
+    def cancel(self, name: str) -> bool:
+        """As of `planner.batch.workers.Workers`."""
+        from planner.batch import remote
+
+        sent = self._sent.pop(name, None)
+        if sent is None:
+            return False
+        with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
+            self._client.run(remote.cancel, sent.token, on_error="ignore")
+        sent.future.cancel(force=True)
+        issue = Issue("batch.cancelled", f"{name}: planning was cancelled; start it again if wanted")
+        done = Done(name, "cancelled", (issue,), {}, time.monotonic() - sent.since)
+        self._heard.put(("told", Finished(name, done)))
+        return True
+
+    def events(self, timeout_s: float) -> Iterator[Event]:
+        """As of `planner.batch.workers.Workers`. Raises ``TandemError`` (``batch.cluster``,
+        ``batch.versions``) where the cluster is of no use any more."""
+        wait_until = time.monotonic() + timeout_s
+        while True:
+            try:
+                kind, content = self._heard.get(timeout=max(0.0, wait_until - time.monotonic()))
+            except queue.Empty:
+                return
+            for event in self._told(kind, content):
+                yield event
+                wait_until = time.monotonic()  # what more is at hand, and no more waiting
+
+    def close(self) -> None:
+        """Let go of the cluster; jobs that are under way there are cancelled."""
+        for name in tuple(self._sent):
+            self.cancel(name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            self._open.close()
+
+    def _told(self, kind: str, content: Any) -> Iterator[Event]:
+        if kind == "told":
+            yield content
+        elif kind == "event":
+            message = json.loads(content[1])
+            event: Event
+            if "progress" in message:
+                event = Progress(*message["progress"])
+            else:
+                name, issues = message["found"]
+                event = Found(name, tuple(Issue.from_dict(issue) for issue in issues))
+            if event.name in self._sent:  # it may come later than the end of its job
+                yield event
+        else:
+            name, token = content
+            if name in self._sent and self._sent[name].token == token:
+                yield self._end(self._sent.pop(name))
+
+    def _end(self, sent: _Sent) -> Finished:
+        status = sent.future.status
+        if status == "finished":
+            done = self._result(sent)
+        elif status == "error":
+            done = self._failed(sent)
+        else:  # cancelled or lost by the scheduler, which knows nothing of us any more
+            what = f"{sent.job.name}: the cluster's scheduler went away while it was planned"
+            hint = "start it again, and the batch with --resume"
+            raise TandemError(Issue("batch.cluster", what, hint=hint))
+        return Finished(sent.job.name, done)
+
+    def _result(self, sent: _Sent) -> Done:
+        answer = sent.future.result()
+        sent.future.release()
+        if "versions" in answer:
+            raise TandemError(self._other_versions(answer))
+        done = Done.from_dict(answer["done"])
+        if done.state == "cancelled":
+            return done
+        if answer["files"]:
+            from planner.batch.solve import write_result
+
+            write_result(sent.place.prepare({})[1], answer["files"])
+        return sent.place.publish(done)
+
+    def _failed(self, sent: _Sent) -> Done:
+        error = sent.future.exception()
+        name = sent.job.name
+        if type(error).__name__ == "KilledWorker":
+            what = f"{name}: the workers that planned it disappeared, one after the other; other jobs go on"
+            issue = Issue("batch.crashed", what, hint="see to the memory of the workers, and plan it again")
+        elif isinstance(error, TandemError):
+            issue = error.issues[0]
+        else:
+            what = f"{name}: {type(error).__name__}: {error}; please report this"
+            issue = Issue("internal.error", what)
+        return sent.place.publish(Done(name, "crashed", (issue,), {}, time.monotonic() - sent.since))
+
+    def _other_versions(self, answer: dict[str, Any]) -> Issue:
+        theirs = answer["versions"]
+        names = sorted({*theirs, *self._versions})
+        told = ", ".join(
+            f"{name} {theirs.get(name, 'none')} instead of {self._versions.get(name, 'none')}"
+            for name in names
+            if theirs.get(name) != self._versions.get(name)
+        )
+        what = f"worker {answer['worker']} has {told}; results would differ"
+        return Issue("batch.versions", what, hint="install the same versions on all machines")

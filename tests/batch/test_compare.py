@@ -1,0 +1,121 @@
+"""Two plans, or two batches, side by side."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner import plan_io
+from planner.batch import compare
+from planner.batch.job import Done, State
+from planner.batch.place import Record
+from planner.batch.run import RECORDS
+from planner.compare_commands import Compare, run
+from planner.issues import Issue, TandemError
+from planner.plans import OperationPlan, Plan
+from planner.targets import Targets
+
+LABELS = ("approach", "cut", "cut", "link", "cut")
+
+
+def plan(time: tuple[float, ...] = (0, 1, 2, 3, 4), labels: tuple[str, ...] = LABELS, **more: Any) -> Plan:
+    count = len(labels)
+    pose = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
+    every = np.ones(count)
+    flags = np.zeros(count, dtype=bool)
+    targets = Targets(("a",), {"a": pose}, {"a": "world"}, (), every, 0 * every, every, flags, labels)
+    q = {"a": np.zeros((count, 6))}
+    operation = OperationPlan(
+        "job", targets, q, np.zeros((count, 0)), np.array(time, dtype=float), {}, {}, ("a",),
+        {"trajopt_cost": 2.0},
+    )  # fmt: skip
+    operation = dataclasses.replace(operation, **more)
+    return Plan("p", "d", {}, (np.eye(4),), {}, (operation,), {})
+
+
+def compared(tmp_path: Path, first: Plan, second: Plan) -> compare.Plans:
+    for name, made in (("a", first), ("b", second)):
+        plan_io.save(made, tmp_path / name)
+    return compare.plans(tmp_path / "a", tmp_path / "b")
+
+
+def test_a_plan_is_the_same_as_itself(tmp_path: Path) -> None:
+    found = compared(tmp_path, plan(), plan())
+    assert found.segments == ()
+    assert found.issues == {}
+    assert {pair.name: pair.first for pair in found.figures} == {
+        "targets": 5.0,
+        "cycle_s": 4.0,
+        "path_cost": 2.0,
+    }
+    assert all(pair.change == 0.0 for pair in found.figures)
+
+
+def test_what_changed_is_found_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = plan((0, 1, 2.5, 3.5, 4.5), issues=(Issue("mesh.unit", "m", count=3),))
+    other.operations[0].q["a"][4, 2] = np.deg2rad(7.0)
+    other.operations[0].targets.pose["a"][4, 0, 3] = 0.002
+    found = compared(tmp_path, plan(), other)
+    cut, again = found.segments
+    assert (cut.segment, cut.targets, cut.seconds) == ("cut", (2, 2), (2.0, 2.5))
+    assert (cut.joints_deg, cut.poses_mm) == (0.0, 0.0)
+    assert again.segment == "cut (2)"
+    assert again.joints_deg == pytest.approx(7.0)
+    assert again.poses_mm == pytest.approx(2.0)
+    assert found.issues == {"mesh.unit": (0, 3)}
+    assert next(p for p in found.figures if p.name == "cycle_s").change == 0.5
+    run(Compare(tmp_path / "a", tmp_path / "b"))
+    shown = capsys.readouterr().out
+    for text in ("+0.5 (+12.5 %)", "job/cut (2)", "mesh.unit", "no proof"):
+        assert text in shown
+
+
+def test_segments_of_one_side_alone_and_of_other_length(tmp_path: Path) -> None:
+    found = compared(tmp_path, plan(), plan((0, 1, 2, 3), ("approach", "cut", "cut", "cut")))
+    assert [(s.segment, s.targets) for s in found.segments] == [
+        ("cut", (2, 3)),
+        ("link", (1, None)),
+        ("cut (2)", (1, None)),
+    ]
+    renamed = compared(tmp_path, plan(), plan(name="new"))
+    assert {(s.operation, s.targets[0] is None) for s in renamed.segments} == {("job", False), ("new", True)}
+
+
+def test_folders_that_hold_no_plan_are_both_named(tmp_path: Path) -> None:
+    with pytest.raises(TandemError) as caught:
+        compare.plans(tmp_path / "a", tmp_path / "b")
+    assert [issue.code for issue in caught.value.issues] == ["plan.missing_file"] * 2
+    found = compared(tmp_path, plan(), plan())
+    assert found.first.ok is None
+    (tmp_path / "a" / "proof.json").write_text('{"ok": true, "rules": [{"x": 1}], "issues": []}')
+    with pytest.raises(TandemError, match=r"proof\.json is damaged"):
+        compare.plans(tmp_path / "a", tmp_path / "b")
+
+
+def record(folder: Path, name: str, state: State, metrics: Mapping[str, float], *codes: str) -> None:
+    issues = tuple(Issue(code, "m") for code in codes)
+    Record(folder / RECORDS / f"{name}.json").write(Done(name, state, issues, metrics, 2.0))
+
+
+def test_batches_are_compared_job_by_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    record(one, "a", "verified", {"cycle_s": 10.0})
+    record(one, "gone", "verified", {})
+    record(other, "a", "unproven", {"cycle_s": 8.0}, "verify.surface")
+    record(other, "new", "timeout", {}, "batch.timeout")
+    a, gone, new = compare.batches(one, other)
+    assert a.figure("cycle_s").change == -2.0
+    assert a.figure("planning_s").change == 0.0
+    assert a.issues == {"verify.surface": (0, 1)}
+    assert (gone.second, new.first) == (None, None)
+    run(Compare(one, other))
+    shown = capsys.readouterr().out
+    assert "3 jobs, the status of 3 differs" in shown
+    assert "cycle s, sum over 1 jobs: 10 to 8" in shown
+    with pytest.raises(TandemError, match="no batch has ended"):
+        run(Compare(one, tmp_path / "none"))
