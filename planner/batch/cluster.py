@@ -218,10 +218,13 @@ class Cluster:
         done = Done.from_dict(answer["done"])
         if done.state == "cancelled":
             return done
-        if answer["files"]:
-            from planner.batch.solve import write_result
+        try:
+            if answer["files"]:
+                from planner.batch.solve import write_result
 
-            write_result(sent.place.prepare({})[1], answer["files"])
+                write_result(sent.place.prepare({})[1], answer["files"])
+        except TandemError as error:
+            return dataclasses.replace(done, state="crashed", issues=(*done.issues, *error.issues))
         return sent.place.publish(done)
 
     def _failed(self, sent: _Sent) -> Done:

@@ -71,14 +71,19 @@ class Place:
         return Place(folder, record)
 
     def prepare(self, files: Mapping[str, bytes]) -> tuple[Path, Path]:
-        """Write the job's files; where they lie, and where its result is to be written."""
-        self.folder.parent.mkdir(parents=True, exist_ok=True)
-        self._hidden = self._open.enter_context(staging(self.folder.parent)).resolve()
-        source = self._hidden / "problem"
-        for name, content in files.items():
-            path = source / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+        """Write the job's files; where they lie, and where its result is to be written. Raises
+        ``TandemError`` (``output.folder``)."""
+        try:
+            self.folder.parent.mkdir(parents=True, exist_ok=True)
+            self._hidden = self._open.enter_context(staging(self.folder.parent)).resolve()
+            source = self._hidden / "problem"
+            for name, content in files.items():
+                path = source / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+        except OSError as error:
+            self.leave()
+            raise TandemError(self._refusal(error)) from error
         return source, self._hidden / "result"
 
     def publish(self, done: Done) -> Done:
@@ -86,31 +91,37 @@ class Place:
 
         What is given back has ``output.folder`` as one more issue where the disk refuses.
         """
-        if self._hidden is None:
-            self.prepare({})
-        if self._hidden is None:
-            raise RuntimeError("a place that is not prepared")
-        result = self._hidden / "result"
         try:
+            hidden = self._hidden or self.prepare({})[1].parent
+            result = hidden / "result"
             if not is_file(result / "report.html"):
                 from planner.batch.solve import write_failure
 
                 write_failure(result, done.issues)
             with unhurried():
                 if os.path.lexists(self.folder):
-                    self.folder.rename(self._hidden / "old")
+                    self.folder.rename(hidden / "old")
                 if self.record is not None:
                     self.record.write(done)
                 result.rename(self.folder)
         except OSError as error:
-            what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
-            issue = Issue("output.folder", what, file=str(self.folder), hint="see to the disk and run again")
-            done = Done(done.name, "crashed", (*done.issues, issue), done.metrics, done.seconds)
+            done = _also(done, (self._refusal(error),))
+        except TandemError as error:
+            done = _also(done, error.issues)
         finally:
             self.leave()
         return done
+
+    def _refusal(self, error: OSError) -> Issue:
+        what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
+        return Issue("output.folder", what, file=str(self.folder), hint="see to the disk and run again")
 
     def leave(self) -> None:
         """Remove the hidden folder; the place can be prepared anew."""
         self._open.close()
         self._hidden = None
+
+
+def _also(done: Done, issues: tuple[Issue, ...]) -> Done:
+    """An end whose result could not be written."""
+    return dataclasses.replace(done, state="crashed", issues=(*done.issues, *issues))

@@ -182,9 +182,13 @@ class Workers:
                 return
 
     def _begin(self, order: _Order, process: Process) -> None:
+        try:
+            source, result = order.place.prepare(order.job.files)
+        except TandemError as error:
+            self._told.append(Finished(order.job.name, Done(order.job.name, "crashed", error.issues)))
+            return
         self._idle.remove(process)
         first = process.jobs == 0
-        source, result = order.place.prepare(order.job.files)
         self._running[order.job.name] = _Running(order, process, time.monotonic(), first)
         process.order(
             {

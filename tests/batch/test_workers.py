@@ -148,6 +148,24 @@ def test_a_result_is_replaced_and_nothing_else(workers: Workers, tmp_path: Path)
     assert (folder / "mine.txt").read_text() == "mine"
 
 
+def test_a_full_disk_fails_a_job_alone(
+    workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for step in ("write_bytes", "rename"):
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, step, full)
+            workers.start(job("good-4"), tmp_path / "good-4")
+            done = run(workers, 1)["good-4"]
+        assert (done.state, done.issues[-1].code) == ("crashed", "output.folder")
+        assert "No space left" in done.issues[-1].message
+    assert list(tmp_path.iterdir()) == []
+    workers.start(job("good-4"), tmp_path / "good-4")
+    assert run(workers, 1)["good-4"].state == "verified"
+
+
 def test_workers_that_do_not_start_are_told(tmp_path: Path) -> None:
     with Workers(1, module="tests.batch.no_such_module") as workers:
         workers.start(job("good"), tmp_path / "good")
