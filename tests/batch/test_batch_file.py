@@ -186,3 +186,17 @@ def test_names_of_files_start_at_the_batch_file(tmp_path: Path) -> None:
     change(data, "list.x.file", "e", tmp_path)
     assert data["part"]["mesh"] == {"file": str(tmp_path / "c.stl"), "more": [{"file": str(tmp_path / "d")}]}
     assert data["list"][0]["file"] == str(tmp_path / "e")
+
+
+def test_the_batch_file_of_the_documentation_reads(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
+    path = tmp_path / "many.yaml"
+    path.write_text(text.split("```yaml\n")[1].split("```")[0])
+    found = read_batch(path)
+    assert len(found) == 2 * 3 * 4
+    assert found[-1].values == {
+        "settings.clearance_mm": 10,
+        "operations.wing.feed_mm_s": 8,
+        "settings.seed": 6,
+    }
+    assert found[-1].read().operations[0].name == "wing"
