@@ -26,8 +26,9 @@ MAX_PIXELS: Final = 40_000_000
 _PICTURE = re.compile(r'<img alt="the cell" src="data:image/png;base64,([A-Za-z0-9+/=]+)"')
 KIND: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
 OWN: Final = (
-    "main{max-width:1500px}td img{display:block;width:160px;border-radius:6px;background:#fff}"
-    "td.wrap{max-width:380px}td a{color:var(--accent)}"
+    "main{max-width:1500px}td img{display:block;width:128px;border-radius:6px;background:#fff}"
+    "td a{color:var(--accent)}td:first-child{width:140px}td .soft{font-size:12px;overflow-wrap:anywhere}"
+    "tr.has>td{border-bottom:0}tr.said>td{padding-top:0}"
 )
 
 
@@ -35,8 +36,11 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
     """The page; ``out`` is the folder of the results, which links and thumbnails come from, and ``seconds``
     [s] what the whole batch took this time."""
     paths = varied(rows)
-    heads = ["", "name", "status", *paths, *FIGURES.values(), "planned in s", "issues"]
-    body = [[Raw(_cell(cell)) for cell in _line(row, paths, out)] for row in rows]
+    known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
+    varied_heads = [Raw(html.escape(path).replace(".", ".<wbr>")) for path in paths]
+    figure_heads = [FIGURES[name] for name in known]
+    heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
+    body = "".join(_lines(row, paths, known, out, len(heads)) for row in rows)
     counts: Counter[str] = Counter(row.done.state for row in rows)
     tiles = "".join(
         _tile(str(counts[state]), name, state != "verified")
@@ -74,7 +78,8 @@ def thumbnail(report: Path) -> bytes | None:
     return stream.getvalue()
 
 
-def _line(row: Row, paths: Sequence[str], out: Path) -> list[object]:
+def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, width: int) -> str:
+    """A job's row of the table, and one more for its issues where it has any."""
     report = f"{row.item.name}/report.html"
     small = thumbnail(out / report)
     shown = ""
@@ -85,29 +90,32 @@ def _line(row: Row, paths: Sequence[str], out: Path) -> list[object]:
     tag = f'<span class="tag {KIND.get(state, "bad")}">{STATES[state]}</span>'
     linked = (out / report).is_file()
     name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
+    name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
     values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
+    figures = [_figure(figure, row.done.metrics.get(figure)) for figure in known]
+    cells = [Raw(shown), Raw(name), Raw(tag), *values, *figures, row.done.seconds]
+    kind = ' class="has"' if row.done.issues else ""
+    line = f"<tr{kind}>{''.join(_cell(cell) for cell in cells)}</tr>"
     said = worst(row)
-    issue = html.escape(counted(row))
+    if not row.done.issues:
+        return line
+    text = html.escape(counted(row))
     if said is not None:
-        issue += f"<br><code>{said.code}</code> {html.escape(said.message)}"
-    figures = [_figure(figure, row.done.metrics.get(figure)) for figure in FIGURES]
-    origin = f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
-    return [Raw(shown), Raw(name + origin), Raw(tag), *values, *figures, row.done.seconds, Raw(issue)]
+        text += f": <code>{said.code}</code> {html.escape(said.message)}"
+    return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
 
 
 def _figure(name: str, value: float | None) -> object:
-    return Raw("") if value is None else int(value) if name == "targets" else value
+    return "" if value is None else int(value) if name == "targets" else value
 
 
 def _cell(cell: object) -> str:
-    if isinstance(cell, int | float):
-        return f'<td class="n">{markup.text(cell)}</td>'
-    return f'<td class="wrap">{markup.text(cell)}</td>'
+    kind = ' class="n"' if isinstance(cell, int | float) else ""
+    return f"<td{kind}>{markup.text(cell)}</td>"
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Raw:
-    head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
-    body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+def _table(heads: Sequence[str], body: str) -> Raw:
+    head = "".join(f"<th>{markup.text(name)}</th>" for name in heads)
     inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
     return Raw(f'<div class="scroll"><table>{inner}</table></div>')
 
