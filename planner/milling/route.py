@@ -61,8 +61,7 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
     rapid, plunge = op.rapid_mm_s * MM, op.plunge_mm_s * MM
     for number, run in enumerate(passes):
         path, count = run.path, len(run.path)
-        start = _above(op, path.tip[0], path.axis[0], box, run.name)
-        end = _above(op, path.tip[-1], path.axis[-1], box, run.name)
+        start, end = ends(op, run, box)
         tips += [start[None], path.tip, end[None]]
         axes += [path.axis[:1], path.axis, path.axis[-1:]]
         feeds += [np.array([rapid, plunge]), path.feed[1:], np.array([rapid])]
@@ -82,6 +81,16 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
         np.array([*reach, 0.0]),
         (*labels, "retreat"),
         np.append(np.concatenate(stops), True),
+    )
+
+
+def ends(op: Milling, run: Run, box: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places (3,) on the safe plane where a pass begins and ends. Raises ``TandemError`` with
+    ``milling.safe_plane``."""
+    path = run.path
+    return (
+        _above(op, path.tip[0], path.axis[0], box, run.name),
+        _above(op, path.tip[-1], path.axis[-1], box, run.name),
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planner.claims import MillsAlong
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 LEVER = 0.05
 """What a turn of the axis by one radian counts as, against ways of the tip [m]."""
@@ -56,6 +57,19 @@ def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
         stretch, share = stretch + k, float(shares[k])
     missed += way.skipped(tip[-1:], axis[-1:], stretch, len(way.step), _step(tip[-2:], axis[-2:]))
     return Followed(off, turn, missed)
+
+
+def looks(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
+    """Rows (K,) of samples (T, 3) at which a way is held against what is claimed: all that are two tolerances
+    [m] apart, and both ends. Between them a tool goes no farther off than by one more."""
+    if len(tip) < 2:
+        return np.arange(len(tip))
+    ways = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    ways = np.maximum(ways, LEVER * np.linalg.norm(np.diff(axis, axis=0), axis=1))
+    number = np.floor(np.append(0.0, np.cumsum(ways)) / (2.0 * tolerance))
+    # the first sample behind each mark; the last one before it, too, where the next is farther on than that
+    marks = np.diff(number)
+    return np.flatnonzero(np.append(True, marks > 0.0) | np.append(marks > 1.0, True))
 
 
 def _step(tip: FloatArray, axis: FloatArray) -> float:

@@ -12,7 +12,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, solids, sweep
-from planner.verify.mill_follow import follow
+from planner.verify.mill_follow import follow, looks
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
@@ -126,8 +126,8 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:
-    """Where a tool follows curves, its tip stays on them and its axis along theirs, within the tolerances,
-    and passes all of them in order."""
+    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is passed
+    in order, ways in and out too."""
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
@@ -135,7 +135,8 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if not len(track.rows):
             issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
             continue
-        found = follow(claim, track.tip, track.axis)
+        some = looks(track.tip, track.axis, claim.tolerance)
+        found = follow(claim, track.tip[some], track.axis[some])
         off, turn = found.off, found.turn
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
@@ -148,7 +149,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
                 f"{np.rad2deg(claim.turn):.2f} deg"
             )
             measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
-            row = int(track.rows[i])
+            row = int(track.rows[some[i]])
             issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"

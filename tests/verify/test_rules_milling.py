@@ -118,6 +118,40 @@ def test_a_tip_that_is_too_high_leaves_the_wall(wall: Job) -> None:
     assert "verify.milled" in wall.broken(bad)
 
 
+@pytest.mark.parametrize("way", ["", "_in", "_out"])
+def test_a_tip_that_is_too_deep_where_no_face_says_so(wall: Job, way: str) -> None:
+    """Below the wall and beside it there is no face of the part; what is there is not to be milled."""
+    bad = in_procedure(
+        wall.programs, f"mill_wall{way}", lambda text: moved(text, slice(3, None), (0, 0, -2.0))
+    )
+    assert "verify.mill_path" in wall.broken(bad)
+
+
+def test_a_way_through_the_block_is_caught(wall: Job) -> None:
+    """The cutter goes off into the block, away from the wall, and comes back."""
+
+    def aside(text: str) -> str:
+        move = list(MOVE.finditer(text))[12]
+        line = next(line for line in text.split("\n") if move[0] in line)
+        slow = re.sub(r"\\T:=[\d.]+", r"\\T:=1.0", line)
+        over = slow.replace(move[0], f"{move[1]}{move[2]},{float(move[3]) - 15:.4f},{move[4]}{move[5]}")
+        return text.replace(line, "\n".join([line, over, slow]))
+
+    assert "verify.mill_path" in wall.broken(in_procedure(wall.programs, "mill_wall", aside))
+
+
+def test_a_roughing_pass_that_is_left_out_is_caught(tmp_path: Path) -> None:
+    """The finishing pass would take all of the wall's height at once."""
+    rough = Job(tmp_path, WALL, cuts=[{"flank": "wall", "stepdown_mm": 25}])
+    assert rough.prove(rough.programs, last=None).ok
+    bad = {file: re.sub(r"\n +mill_wall_r1(_in|_out)?;", "", text) for file, text in rough.programs.items()}
+    bad = {
+        file: re.sub(r" *PROC mill_wall_r1(?:_in|_out)?\(\).*?ENDPROC\r?\n", "", text, flags=re.S)
+        for file, text in bad.items()
+    }
+    assert "verify.mill_path" in rough.broken(bad)
+
+
 def test_a_pass_that_is_left_out_is_caught(wall: Job) -> None:
     bad = {file: re.sub(r"\n +mill_wall;", "", text) for file, text in wall.programs.items()}
     assert bad != wall.programs
