@@ -78,6 +78,10 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
     told: set[str] = set()
     deep = one.depth if face.name == "front" else 0.0
     for section in body.sections(job.cutter):
+        ways = [(run, *_way(run)) for run in one.runs]
+        ways = [way for way in ways if body.comes_near(face.mesh.vertices, *way[1:], section)]
+        if not ways:
+            continue
         size = float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance))
         if size not in known:
             corners = face.mesh.vertices[face.mesh.faces]
@@ -85,8 +89,8 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
             known[size] = pieces.sum(axis=1) / 3.0, owner
         points, owner = known[size]
         allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
-        for run in one.runs:
-            apart, where = body.off(points, *_way(run), section)
+        for run, tip, axis in ways:
+            apart, where = body.off(points, tip, axis, section)
             k = int(apart.argmin())
             if apart[k] >= -allowed or section.name in told:
                 continue

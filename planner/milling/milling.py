@@ -16,9 +16,10 @@ from planner.claims import Claim
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling import mill_claims
 from planner.milling.frames import poses, spin
-from planner.milling.job import Job, job
+from planner.milling.job import Job
 from planner.milling.mill_check import check
 from planner.milling.mill_exhibits import exhibits
+from planner.milling.once import job_once
 from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
 from planner.problem import Part, Setup
@@ -35,7 +36,7 @@ LEVER: Final = 0.05
 
 def make_targets(operation: Milling, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-    made = job(operation, setup, part)
+    made = job_once(operation, setup, part)
     route = lay_out(operation, made.runs, made.box)
     issues = check(made)
     if has_errors(issues):
@@ -45,7 +46,7 @@ def make_targets(operation: Milling, setup: Setup, part: Part | None) -> Targets
 
 def claims(operation: Milling, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    return mill_claims.claims(job(operation, setup, part))
+    return mill_claims.claims(job_once(operation, setup, part))
 
 
 def _targets(made: Job, setup: Setup, route: Route, issues: tuple[Issue, ...]) -> Targets:

@@ -11,7 +11,7 @@ from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
-from planner.verify.mill_body import SIGHT, Solid, solids, sweep
+from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
 from planner.verify.mill_follow import follow, looks
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
@@ -104,8 +104,10 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             continue
         for solid in solids(claim.cutter):
             allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
-            points = milling.places(claim, solid.widest)
             tip, axis, rows = track.spaced(_GOUGE * _step(solid, claim.tolerance))
+            points = claim.vertices[:1]
+            if comes_near(claim.vertices, tip, axis, solid):
+                points = milling.places(claim, solid.widest)
             off, place = sweep(points, tip, axis, solid)
             k = int(off.argmin())
             if -off[k] - allowed > worst:
