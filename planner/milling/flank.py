@@ -76,11 +76,10 @@ def _ahead(strip: Strip, radius: float) -> FloatArray:
     for _ in range(ZOOMS):
         tried = best[:, None] + np.linspace(-width, width, TRIED)
         tried = np.clip(tried, -most, most)
-        cost = np.empty_like(tried)
-        for k in range(TRIED):
-            low, high = _touching(strip, radius, rows, tried[:, k])
-            worst = np.abs(_off(strip, radius, low, high, rows + 0.5 * tried[:, k])).max(axis=1)
-            cost[:, k] = worst + STIFF * radius * np.square(tried[:, k] * step / radius)
+        which, ahead = np.repeat(rows, TRIED), tried.ravel()
+        low, high = _touching(strip, radius, which, ahead)
+        worst = np.abs(_off(strip, radius, low, high, which + 0.5 * ahead)).max(axis=1)
+        cost = worst.reshape(tried.shape) + STIFF * radius * np.square(tried * step / radius)
         best = tried[np.arange(len(rows)), cost.argmin(axis=1)]
         width *= 2.0 / (TRIED - 1)
     spread = np.interp(np.arange(count), rows, best)

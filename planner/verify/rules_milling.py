@@ -128,8 +128,8 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:
-    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is passed
-    in order, ways in and out too."""
+    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
+    passed in order, ways in and out too."""
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
