@@ -121,7 +121,7 @@ def _gouge(
     allowed: float,
 ) -> Issue:
     at = ", ".join(f"{v / MM:.1f}" for v in points[k])
-    target = f"mill/{run.name}/{max(where - run.first, 1)}"
+    target = _target(run, where - 1)
     measure = {"value": float(-apart[k] / MM), "limit": allowed / MM, "unit": "mm"}
     own = one.face is not None and one.face.name == face.name
     flank = isinstance(one.cut, FlankCut)
@@ -138,12 +138,22 @@ def _gouge(
     what = f"{run.name}: the {section.name} goes {-apart[k] / MM:.2f} mm into {face.name} at "
     what += f"{at} mm (target {target}); "
     what += f"allowed: {allowed / MM:.2f} mm; "
-    what += (
-        "take a thinner cutter, another axis, or other leads"
-        if section.name == "cutter"
-        else "take a longer or slimmer tool, or lean its axis away"
-    )
+    leads = flank and not run.first < where - 1 <= run.last
+    if section.name != "cutter":
+        what += "take a longer or slimmer tool, or lean its axis away"
+    elif leads:
+        what += "that is on its way in or out: give a lead_mm that ends before (0: down and up at the wall)"
+    else:
+        what += "take a thinner cutter, another axis, or other leads"
     return Issue("milling.gouge", what, target=target, **measure)  # type: ignore[arg-type]
+
+
+def _target(run: Run, row: int) -> str:
+    """Name of the target at a row of the run's path, -1 and one behind it for the ways down and up."""
+    if row <= run.first:
+        return f"mill/{run.name}_in/{max(row + 1, 1)}"
+    out = row > run.last
+    return f"mill/{run.name}{'_out' if out else ''}/{row - (run.last if out else run.first)}"
 
 
 def largest_that_fits(
