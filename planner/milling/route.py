@@ -27,6 +27,8 @@ SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
 """Axis of the stock frame and end (0 low, 1 high) of each side."""
 LEAST: Final = 15.0 * DEG
 """Tools must rise from the block's side by this angle at least, or they never reach the safe plane."""
+DOWN: Final = 2.0 * MM
+"""Least way down to a pass and up from it, where the pass begins or ends on the safe plane or beyond it."""
 SHARP: Final = 31.0 * DEG
 """The tool stops where its way turns by more than this."""
 STILL: Final = 1e-6
@@ -115,7 +117,7 @@ def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name
             )
         )
     level = box[end, side] + sign * op.safe_mm * MM
-    return np.asarray(tip + max(sign * (level - tip[side]) / rise, 0.0) * axis)
+    return np.asarray(tip + max(sign * (level - tip[side]) / rise, DOWN) * axis)
 
 
 def _stops(tip: FloatArray) -> NDArray[np.bool_]:
