@@ -7,7 +7,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, FeedWindow, MillsAlong, MillsSurface, SparesPart
+from planner.claims import (
+    Claim,
+    ConfirmedPower,
+    ContactOnlyIn,
+    FeedWindow,
+    MillsAlong,
+    MillsSurface,
+    SparesPart,
+)
+from planner.milling import spoken
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.job import Done, Job
 from planner.milling.operation import FlankCut
@@ -29,6 +38,7 @@ def claims(job: Job) -> tuple[Claim, ...]:
     that all of them spare."""
     op = job.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
+    out.append(ConfirmedPower(op.signal, spoken.told(job), spoken.asked(job), spoken.DONE, op.spin_down_s))
     for one in job.cuts:
         for run in one.runs:
             feed = _feed(job, one, run)
