@@ -22,10 +22,11 @@ IntArray = NDArray[np.int64]
 def signals(context: Context) -> Outcome:
     """Only the signals of wires, of spindles and of clamps that sink are switched, to 0 or 1, at once, by
     one task between two synchronisation points, and are off before anybody is asked or an arm moves."""
-    issues = _left_on(context)
+    issues: list[Issue] = []
     known = {claim.signal.lower() for claim in context.contacts}
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
     known.add(context.problem.cell.controller.wire_signal.lower())
+    issues += _left_on(context, known)
     for stage in context.job.stages:
         first: TaskText | None = None
         for task in context.job.tasks:
@@ -58,8 +59,8 @@ def signals(context: Context) -> Outcome:
     return Outcome(tuple(issues))
 
 
-def _left_on(context: Context) -> list[Issue]:
-    """Signals that a program before this one may have left on, when a task asks or moves at first."""
+def _left_on(context: Context, known: set[str]) -> list[Issue]:
+    """Power that a program before this one may have left on, when a task asks or moves at first."""
     issues = []
     for task in context.job.tasks:
         off: set[str] = set()
@@ -67,7 +68,7 @@ def _left_on(context: Context) -> list[Issue]:
         for step in task.steps:
             if isinstance(step, MoveStep) or (isinstance(step, MessageStep) and step.confirm):
                 first = first or step
-            elif isinstance(step, SignalStep):
+            elif isinstance(step, SignalStep) and step.signal.lower() in known:
                 name = step.signal.lower()
                 if name not in off and (first is not None or step.value):
                     what = f"{step.signal} is not switched off first; a run before this may have left it on"
