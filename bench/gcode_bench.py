@@ -18,6 +18,7 @@ from planner.milling.gcode_file import GCodeFile
 LINES = 1_000_000
 PLANNED = 332
 """Lines of the raster that is planned, each of 301 places: 100,000 lines of the file."""
+END = "G0 Z30\nM5\nM30\n"
 PROBLEM = """\
 tandem: 1
 name: gcode_100k
@@ -63,12 +64,16 @@ def raster(rows: int) -> list[str]:
 def program(lines: list[str]) -> str:
     """A whole file of these places."""
     head = ["G21 G90 G94 G17", "S12000 M3 F3000", "G0 X-150 Y-110 Z20 I0 J0 K1", f"G1 {lines[0]}"]
-    return "\n".join([*head, *lines[1:], "G0 Z30", "M5", "M30", ""])
+    return "\n".join([*head, *lines[1:], END])
 
 
 def _read(path: Path) -> dict[str, Any]:
     lines = raster(PLANNED)
-    path.write_text(program(lines * (LINES // len(lines) + 1)))
+    with path.open("w") as stream:  # piece by piece: what writing takes must not hide what reading takes
+        stream.write(program(lines).removesuffix(END))
+        for _ in range(LINES // len(lines)):
+            stream.write("\n".join([*lines, ""]))
+        stream.write(END)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
     spec = GCodeFile.model_validate({"file": path, "origin": {}, "tool_axis": "ijk"})

@@ -239,6 +239,7 @@ CODES: Final[dict[str, str]] = {
     "forming.inside_out": "faces of a part's mesh look to different sides",
     "forming.wall_angle": "a wall is too steep to be formed, or too steep for one pass",
     "forming.support_radius": "the supporting tool's ball is larger than the part leaves room for",
+    "forming.gap": "between targets the gap of two tools cannot be kept as well as it should be",
     "forming.shift": "a support is to be turned around the former by more than the wall's angle",
     "forming.support_tool": "a mode of forming has not the tool that it needs",
     "forming.die_gouge": "a die would cut into the wanted part",

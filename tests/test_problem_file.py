@@ -84,7 +84,7 @@ def test_all_faults_come_at_once_with_their_lines(tmp_path: Path) -> None:
     assert ("problem.unknown_process", "operations.0.process", 21) in found
     messages = "\n".join(issue.message for issue in issues)
     assert "unknown key" in messages
-    assert "known are elastic_wire, forming, straight_wire, targets" in messages
+    assert "known are elastic_wire, forming, milling, straight_wire, targets" in messages
 
 
 FIRST_ROBOT = "robot: irb140\n      base: {xyz_mm: [-8"

@@ -57,3 +57,19 @@ def test_two_arms_of_one_or_two_brands_form_a_dish_by_handshake(tmp_path: Path, 
     }
     assert kinds["right"] == {".src", ".dat"}
     assert kinds["left"] == ({".src", ".dat"} if left.startswith("kr") else {".mod", ".pgf"})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["engrave", "flank_wall"])
+def test_one_arm_mills_from_krl(tmp_path: Path, name: str) -> None:
+    """The spindle's output is switched by its number, and each face is within its tolerance."""
+    outcome = planner.plan(planner.load(name))
+    assert outcome.verified, outcome.issues
+    text = "".join(outcome.programs.values())
+    assert {Path(file).suffix for file in outcome.programs} == {".src", ".dat"}
+    assert "$OUT[17]=TRUE" in text and "$OUT[17]=FALSE" in text
+    assert len(outcome.proof.surfaces) == {"engrave": 1, "flank_wall": 4}[name]
+    for face in outcome.proof.surfaces:
+        assert face.share >= face.wanted_share, face.segment
+    outcome.save(tmp_path / "out")
+    assert pipeline.verify(outcome.problem, pipeline.read_programs(tmp_path / "out")).ok

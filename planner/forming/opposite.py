@@ -47,7 +47,9 @@ _SHORT: Final = 5e-5
 """Moves of both tools that are not longer [m] are not parted."""
 _STILL: Final = 3e-6
 """A ball that goes no farther [m] while what it leans on turns stands at a corner."""
-_ROUNDS: Final = 8
+_ROUNDS: Final = 40
+"""Moves are parted so often at most. Where the line has to turn steadily, a finer move leaves less of a turn
+to its neighbour, which is next; rounds with few of them cost little."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -108,6 +110,7 @@ def opposite_path(
         support_axis=leaned(normal, np.minimum(tilt, lean)),
         gap=np.where(air, np.nan, gap),
         contact=contact,
+        loose=count > 1,
     )
 
 

@@ -23,12 +23,12 @@ from planner.forming.clamp import Clamp
 from planner.forming.clearing import FarFace, radius_issue
 from planner.forming.heated import heated
 from planner.forming.operation import Forming
-from planner.forming.opposite import opposite_path
+from planner.forming.opposite import SHARE, opposite_path
 from planner.forming.tilt import axes
 from planner.forming.values import ContactPath, Pass, ToolPath
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, Severity, TandemError
 from planner.tool_heads import FormingHead
-from planner.units import DEG
+from planner.units import DEG, MM
 
 _MIRROR: Final = np.array([1.0, 1.0, -1.0])
 
@@ -77,8 +77,9 @@ def support_issues(
     support: FormingHead | None,
     thickness: float,
 ) -> tuple[Issue, ...]:
-    """Warnings (forming.support_radius) of a path of two tools opposite each other: where the support is too
-    large to be opposite, and so is turned aside."""
+    """Warnings of a path of two tools opposite each other: where the support is too large to be opposite, and
+    so is turned aside (forming.support_radius), and where straight moves do not keep the gap as they should
+    (forming.gap)."""
     if path.support is None or support is None or operation.mode not in ("dsif", "dpif_l"):
         return ()
     contact, across = path.contact, path.former - path.support
@@ -90,7 +91,22 @@ def support_issues(
     radii = np.array([former.radius, support.radius])
     gap = np.nan_to_num(path.gap)
     issue = radius_issue(one, FarFace(one, thickness, contact, former.radius), contact, off, gap, radii)
-    return () if issue is None else (issue,)
+    loose = _loose_issue(one, path, operation)
+    return tuple(found for found in (issue, loose) if found is not None)
+
+
+def _loose_issue(one: Pass, path: ToolPath, operation: Forming) -> Issue | None:
+    if path.loose is None or not path.loose.any():
+        return None
+    rows = np.flatnonzero(path.loose)
+    first = ", ".join(f"{value:.1f}" for value in path.former[rows[0]] / MM)
+    what = (
+        f"pass {one.name}: on {len(rows)} moves between targets, first at ({first}) mm, the gap of the tools "
+        f"is off by more than {SHARE:.0%} of gap_tol_mm {operation.gap_tol_mm:g}, however near the targets "
+        "are; the proof decides whether it holds"
+    )
+    hint = "smooth the part's mesh there, or allow a larger gap_tol_mm"
+    return Issue("forming.gap", what, Severity.WARNING, value=float(len(rows)), limit=0.0, hint=hint)
 
 
 def _lean(operation: Forming) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +61,8 @@ class ToolPath:
     ``former`` (N, 3) [m] centre of the forming ball. ``support`` (N, 3) [m]: centre of the other tool's ball
     or disk, or None where one tool works alone. ``gap`` (N,) [m] wanted between both tools' surfaces, NaN
     where none is stated. ``axis`` and ``support_axis`` (N, 3): unit vectors from the tools to the sheet.
-    ``contact`` is the contact's path at the same targets.
+    ``contact`` is the contact's path at the same targets. ``loose`` (N,): more targets were wanted on the way
+    to this one, but did not help; None where nothing is.
     """
 
     former: FloatArray
@@ -69,3 +71,4 @@ class ToolPath:
     support_axis: FloatArray | None
     gap: FloatArray
     contact: ContactPath
+    loose: BoolArray | None = None

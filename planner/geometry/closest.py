@@ -84,10 +84,12 @@ def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArra
     owners: list[IntArray] = []
     finished = 0
     while len(corners):
-        length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        edges = np.empty_like(corners)
+        np.subtract(corners[:, 1:], corners[:, :2], out=edges[:, :2])
+        np.subtract(corners[:, 0], corners[:, 2], out=edges[:, 2])
+        length = np.einsum("tcd,tcd->tc", edges, edges)
         longest = np.argmax(length, axis=1)
-        rows = np.arange(len(corners))
-        fine = (length[rows, longest] <= size) | (finished + 2 * len(corners) > most)
+        fine = (np.sqrt(length.max(axis=1)) <= size) | (finished + 2 * len(corners) > most)
         done.append(corners[fine])
         owners.append(owner[fine])
         finished += int(fine.sum())

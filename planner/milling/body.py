@@ -25,6 +25,9 @@ LEAST: Final = 0.5e-3
 MOST: Final = 2_000_000
 SIGHT: Final = 2e-3
 """Points that are farther off than this [m] are as good as any other."""
+LEAF: Final = 16
+CHUNK: Final = 4000
+"""Points that are looked at at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +42,8 @@ class Section:
     corner: float = 0.0
 
     def off(self, back: FloatArray, beside: FloatArray) -> FloatArray:
-        """Distance (N,) [m] of points ``back`` behind the tip and ``beside`` the axis from the section,
-        below zero inside."""
+        """Distance [m] of points ``back`` behind the tip and ``beside`` the axis from the section, below zero
+        inside, in the shape of both."""
         radial = beside - (self.radius - self.corner)
         front = self.start + self.corner - back
         # a rounded edge at the front, a sharp one behind
@@ -81,6 +84,16 @@ def between(
     return tips, axes, np.concatenate([[0], to])
 
 
+def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section: Section) -> bool:
+    """Whether a section on a path (N,) may come within ``SIGHT`` of a face of ``vertices`` (V, 3), by the
+    boxes around both. On moves it stays in that of their ends, but for what a turning axis goes beyond."""
+    turns = np.linalg.norm(0.5 * (axis[1:] + axis[:-1]), axis=1)
+    room = section.radius + SIGHT + section.end * (1.0 - float(turns.min(initial=1.0)))
+    ends = np.stack([tip + section.start * axis, tip + section.end * axis])
+    low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
+    return bool(((low <= vertices.max(axis=0)) & (high >= vertices.min(axis=0))).all())
+
+
 def off(
     points: FloatArray, tip: FloatArray, axis: FloatArray, section: Section
 ) -> tuple[FloatArray, IntArray]:
@@ -100,18 +113,36 @@ def off(
     some = np.flatnonzero(near)
     if not len(some):
         return best, where
-    tree = cKDTree(centre)
-    some = some[tree.query(points[some], distance_upper_bound=reach)[0] < reach]
-    if not len(some):
-        return best, where
-    index = tree.query(points[some], k=min(NEAR, len(centre)))[1].reshape(len(some), -1)
-    for column in range(index.shape[1]):
-        rows = some
-        place = index[:, column] // levels
-        rest = points[rows] - tips[place]
-        behind = np.einsum("nd,nd->n", rest, axes[place])
-        beside = np.linalg.norm(rest - behind[:, None] * axes[place], axis=1)
-        here = section.off(behind, beside)
-        better = here < best[rows]
-        best[rows[better]], where[rows[better]] = here[better], to[place[better]]
+    # what is within sight of a section is within reach of one of its centres; the index behind the last
+    # stands for nothing there
+    some = some[np.lexsort(np.floor(points[some] / max(section.radius, LEAST)).T)]
+    tree = cKDTree(centre, leafsize=LEAF)
+    for rows in np.array_split(some, max(1, len(some) // CHUNK)):
+        index = tree.query(points[rows], k=min(NEAR, len(centre)), distance_upper_bound=reach)[1]
+        index = index.reshape(len(rows), -1)
+        near_rows = np.flatnonzero(index[:, 0] < len(centre))
+        index, rows = index[near_rows], rows[near_rows]
+        if not len(rows):
+            continue
+        place = np.where(index < len(centre), index, index[:, :1]) // levels
+        behind, beside = _cylindrical(points[rows], tips, axes, place)
+        here = beside - section.radius  # no section is nearer than one without ends
+        here[:, 0] = section.off(behind[:, 0], beside[:, 0])
+        nearer = np.nonzero(here < here[:, :1])
+        here[nearer] = section.off(behind[nearer], beside[nearer])
+        column = here.argmin(axis=1)[:, None]
+        least = np.take_along_axis(here, column, axis=1)[:, 0]
+        better = least < SIGHT
+        best[rows[better]] = least[better]
+        where[rows[better]] = to[np.take_along_axis(place, column, axis=1)[better, 0]]
     return best, where
+
+
+def _cylindrical(
+    points: FloatArray, tips: FloatArray, axes: FloatArray, place: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far (N, K) [m] points (N, 3) are behind the tips and beside the axes at places (N, K)."""
+    rest = [points[:, d, None] - tips[:, d][place] for d in range(3)]
+    behind = sum(r * axes[:, d][place] for d, r in enumerate(rest))
+    square = rest[0] * rest[0] + rest[1] * rest[1] + rest[2] * rest[2] - behind * behind
+    return np.asarray(behind), np.sqrt(np.maximum(square, 0.0))

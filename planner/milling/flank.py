@@ -44,9 +44,8 @@ def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
     ``radius`` [m] on the outer side of a strip with evenly spaced rulings."""
     if radius == 0.0:
         return strip.low, strip.high
-    # straight on beyond both ends, so that what is ahead of the last ruling is there
-    longer = Strip(_on(strip.low), _on(strip.high), strip.out)
-    ahead = _ahead(longer, radius)
+    longer = _longer(strip)
+    ahead = _ahead(longer, radius, strip.ring)
     low, high = _touching(longer, radius, np.arange(len(longer.low)), ahead)
     return low[WINDOW:-WINDOW], high[WINDOW:-WINDOW]
 
@@ -54,7 +53,20 @@ def axes(strip: Strip, radius: float) -> tuple[FloatArray, FloatArray]:
 def deviation(strip: Strip, radius: float, low: FloatArray, high: FloatArray) -> FloatArray:
     """How far (M, K) [m] cylinders about the axes from ``low`` to ``high`` (M, 3) are off the surface at the
     levels: left where positive, cut too deep where negative."""
-    return _off(strip, radius, low, high, np.arange(len(strip.low), dtype=np.float64))
+    at = np.arange(len(strip.low), dtype=np.float64)
+    if strip.ring:
+        return _off(_longer(strip), radius, low, high, at + WINDOW)
+    return _off(strip, radius, low, high, at)
+
+
+def _longer(strip: Strip) -> Strip:
+    """The strip with ``WINDOW`` more rulings at both ends, so that what is ahead of the last one is there:
+    a ring goes on as it began, others straight."""
+    if strip.ring:
+        around = len(strip.low) - 1
+        rows = np.arange(-WINDOW, around + 1 + WINDOW) % around
+        return Strip(strip.low[rows], strip.high[rows], strip.out)
+    return Strip(_on(strip.low), _on(strip.high), strip.out)
 
 
 def _on(side: FloatArray) -> FloatArray:
@@ -64,29 +76,33 @@ def _on(side: FloatArray) -> FloatArray:
     return np.concatenate([side[0] + more[::-1] * before, side, side[-1] + more * behind])
 
 
-def _ahead(strip: Strip, radius: float) -> FloatArray:
-    """How many rulings (M,) the place on the upper guide is ahead."""
+def _ahead(strip: Strip, radius: float, ring: bool) -> FloatArray:
+    """How many rulings (M,) the place on the upper guide is ahead; ``ring``: of the longer strip of one."""
     count = len(strip.low)
     if count < 5:
         return np.zeros(count)
     step = float(np.median(np.linalg.norm(np.diff(strip.high, axis=0), axis=1)))
     most = min(AHEAD * radius / max(step, 1e-9), WINDOW - 2.0)
-    rows = np.unique(np.linspace(0, count - 1, min(count, LOOKED)).astype(np.int64))
+    edge = WINDOW if ring else 0
+    rows = np.unique(np.linspace(edge, count - 1 - edge, min(count, LOOKED)).astype(np.int64))
     best, width = np.zeros(len(rows)), most
     for _ in range(ZOOMS):
         tried = best[:, None] + np.linspace(-width, width, TRIED)
         tried = np.clip(tried, -most, most)
-        cost = np.empty_like(tried)
-        for k in range(TRIED):
-            low, high = _touching(strip, radius, rows, tried[:, k])
-            worst = np.abs(_off(strip, radius, low, high, rows + 0.5 * tried[:, k])).max(axis=1)
-            cost[:, k] = worst + STIFF * radius * np.square(tried[:, k] * step / radius)
+        which, ahead = np.repeat(rows, TRIED), tried.ravel()
+        low, high = _touching(strip, radius, which, ahead)
+        worst = np.abs(_off(strip, radius, low, high, which + 0.5 * ahead)).max(axis=1)
+        cost = worst.reshape(tried.shape) + STIFF * radius * np.square(tried * step / radius)
         best = tried[np.arange(len(rows)), cost.argmin(axis=1)]
         width *= 2.0 / (TRIED - 1)
     spread = np.interp(np.arange(count), rows, best)
     # the guides end: what is ahead of the last ruling is not there
     room = np.minimum(np.arange(count), np.arange(count)[::-1]).astype(np.float64)
-    spread = gaussian_filter1d(spread, SOFT, mode="nearest")
+    if ring:
+        spread = gaussian_filter1d(spread[WINDOW : -WINDOW - 1], SOFT, mode="wrap")
+        spread = spread[np.arange(-WINDOW, count - WINDOW) % len(spread)]
+    else:
+        spread = gaussian_filter1d(spread, SOFT, mode="nearest")
     return np.asarray(np.clip(spread, -room, room))
 
 

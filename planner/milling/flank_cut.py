@@ -156,13 +156,14 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
             Issue("milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm")
         )
     if cut.guides == "surface":
-        out += _corners(cut, pieces, field)
+        out += _corners(cut, pieces, ruled.closed, field)
     return out
 
 
-def _corners(cut: FlankCut, pieces: list[Strip], field: str) -> list[Issue]:
+def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, field: str) -> list[Issue]:
     out = []
-    for before, after in itertools.pairwise(pieces):
+    around = [*pieces, pieces[0]] if closed and not pieces[0].ring else pieces
+    for before, after in itertools.pairwise(around):
         turn = float(np.arcsin(np.clip(after.tangents()[0][0] @ before.normals()[0][-1], -1.0, 1.0)))
         if turn > INNER:
             at = ", ".join(f"{v / MM:.1f}" for v in after.low[0])

@@ -112,27 +112,38 @@ def _chunks(dialect: Dialect) -> Iterator[bytes]:
     if not is_file(path):
         what = f"{path}: no such G-code file; check the path, which starts at the problem file's folder"
         raise TandemError(Issue("problem.missing_file", what, file=str(path), field=f"{dialect.field}.file"))
+    line = 1
     try:
         with path.open("rb") as stream:
             rest = stream.read(3).removeprefix(b"\xef\xbb\xbf")
             while data := stream.read(CHUNK):
-                whole, end, rest = (rest + data).rpartition(b"\n")
+                whole, end, rest = _lines(rest + data).rpartition(b"\n")
                 if whole or end:
                     yield _text(whole + end, path)
+                    line += whole.count(b"\n") + 1
                 if len(rest) > LONGEST:
-                    raise _no_text(path, f"a line is longer than {LONGEST} bytes")
+                    raise _no_text(path, f"line {line} is longer than {LONGEST} bytes", line)
             if rest:
-                yield _text(rest + b"\n", path)
+                yield _text(_lines(rest + b"\n"), path)
     except OSError as error:
         raise _no_text(path, error.strerror or str(error)) from error
+
+
+def _lines(text: bytes) -> bytes:
+    """Text whose lines end with a line feed alone; a carriage return at the very end may still be followed by
+    one."""
+    if b"\r" not in text:
+        return text
+    body, last = (text[:-1], text[-1:]) if text.endswith(b"\r") else (text, b"")
+    return body.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
 
 
 def _text(chunk: bytes, path: object) -> bytes:
     if b"\0" in chunk or chunk[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise _no_text(path, "it has bytes that no text has, as in UTF-16 or a binary file")
-    return chunk.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in chunk else chunk
+    return chunk
 
 
-def _no_text(path: object, reason: str) -> TandemError:
+def _no_text(path: object, reason: str, line: int | None = None) -> TandemError:
     what = f"{path}: cannot be read as G-code: {reason}; save it as plain text"
-    return TandemError(Issue("gcode.syntax", what, file=str(path)))
+    return TandemError(Issue("gcode.syntax", what, file=str(path), line=line))

@@ -18,7 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.milling import gcode
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.gcode_rows import Event
-from planner.milling.thin import thinned
+from planner.milling.thin import filled, thinned
 from planner.milling.values import Run, ToolPath
 
 FloatArray = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Passes:
 
 
 def passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Passes:
-    """The passes of a file; ``step`` [m] is the longest way between places that are nearer to one another.
+    """The passes of a file; ``step`` [m] is the longest way between places of a pass.
 
     Raises ``TandemError`` with the codes ``gcode.*``.
     """
@@ -141,8 +141,19 @@ def _run(
         path.tip[rows], path.axis[rows], feed, kind, path.spindle[rows], path.tool[rows], path.line[rows]
     )
     stops = [(int(np.searchsorted(rows, row)), seconds) for row, seconds in waits]
-    held = [(min(at, len(rows) - 1), seconds) for at, seconds in stops]
-    return Run(name, thin, 0, len(rows) - 1, 0.0, before=asked, waits=tuple(held), follow=path)
+    # a long move gets places of its own, or a spin about the tool would have to turn all at once
+    to, tip, axis = filled(thin.tip, thin.axis, step)
+    own = ToolPath(
+        tip,
+        axis,
+        thin.feed[to],
+        tuple(kind[row] for row in to.tolist()),
+        thin.spindle[to],
+        thin.tool[to],
+        thin.line[to],
+    )
+    held = [(int(np.searchsorted(to, min(at, len(rows) - 1), "right")) - 1, s) for at, s in stops]
+    return Run(name, own, 0, len(own) - 1, 0.0, before=asked, waits=tuple(held), follow=path)
 
 
 def _kept(points: FloatArray, feed: FloatArray, waits: Sequence[int], chord: float, step: float) -> IntArray:

@@ -55,6 +55,8 @@ def settle(out: Gathered, last: Last | None, dialect: Dialect, faults: Faults) -
         "far",
         f"a place beyond {FARTHEST:g} m; correct it, or the unit (G20 inches, G21 millimetres)",
     )
+    if far.any():  # refused; numbers too large to reckon with are not carried on
+        rows = dataclasses.replace(rows, place=np.where(far[:, None], 0.0, rows.place))
     rows, ends = _divided(rows, last, dialect)
     axis = _axis(rows, dialect, faults)
     before = np.concatenate([axis[:1] if last is None else last.axis[None], axis[:-1]])

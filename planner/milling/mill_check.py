@@ -78,6 +78,10 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
     told: set[str] = set()
     deep = one.depth if face.name == "front" else 0.0
     for section in body.sections(job.cutter):
+        ways = [(run, *_way(run)) for run in one.runs]
+        ways = [way for way in ways if body.comes_near(face.mesh.vertices, *way[1:], section)]
+        if not ways:
+            continue
         size = float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance))
         if size not in known:
             corners = face.mesh.vertices[face.mesh.faces]
@@ -85,8 +89,8 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
             known[size] = pieces.sum(axis=1) / 3.0, owner
         points, owner = known[size]
         allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
-        for run in one.runs:
-            apart, where = body.off(points, *_way(run), section)
+        for run, tip, axis in ways:
+            apart, where = body.off(points, tip, axis, section)
             k = int(apart.argmin())
             if apart[k] >= -allowed or section.name in told:
                 continue
@@ -117,7 +121,7 @@ def _gouge(
     allowed: float,
 ) -> Issue:
     at = ", ".join(f"{v / MM:.1f}" for v in points[k])
-    target = f"mill/{run.name}/{max(where - run.first, 1)}"
+    target = _target(run, where - 1)
     measure = {"value": float(-apart[k] / MM), "limit": allowed / MM, "unit": "mm"}
     own = one.face is not None and one.face.name == face.name
     flank = isinstance(one.cut, FlankCut)
@@ -134,12 +138,22 @@ def _gouge(
     what = f"{run.name}: the {section.name} goes {-apart[k] / MM:.2f} mm into {face.name} at "
     what += f"{at} mm (target {target}); "
     what += f"allowed: {allowed / MM:.2f} mm; "
-    what += (
-        "take a thinner cutter, another axis, or other leads"
-        if section.name == "cutter"
-        else "take a longer or slimmer tool, or lean its axis away"
-    )
+    leads = flank and not run.first < where - 1 <= run.last
+    if section.name != "cutter":
+        what += "take a longer or slimmer tool, or lean its axis away"
+    elif leads:
+        what += "that is on its way in or out: give a lead_mm that ends before (0: down and up at the wall)"
+    else:
+        what += "take a thinner cutter, another axis, or other leads"
     return Issue("milling.gouge", what, target=target, **measure)  # type: ignore[arg-type]
+
+
+def _target(run: Run, row: int) -> str:
+    """Name of the target at a row of the run's path, -1 and one behind it for the ways down and up."""
+    if row <= run.first:
+        return f"mill/{run.name}_in/{max(row + 1, 1)}"
+    out = row > run.last
+    return f"mill/{run.name}{'_out' if out else ''}/{row - (run.last if out else run.first)}"
 
 
 def largest_that_fits(

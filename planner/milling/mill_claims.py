@@ -4,15 +4,33 @@ from __future__ import annotations
 
 from typing import Final
 
-from planner.claims import Claim, ContactOnlyIn, FeedWindow, MillsAlong, MillsSurface, SparesPart
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import (
+    Claim,
+    ConfirmedPower,
+    ContactOnlyIn,
+    FeedWindow,
+    MillsAlong,
+    MillsSurface,
+    SparesPart,
+)
+from planner.milling import spoken
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.job import Done, Job
 from planner.milling.operation import FlankCut
+from planner.milling.route import ends
 from planner.milling.values import Run, ToolPath
 from planner.units import DEG, MM
 
+FloatArray = NDArray[np.float64]
+
 TURN: Final = 0.5 * DEG
 """How far a tool may be turned off the axis that it is to follow."""
+
+BESIDE: Final = 0.5 * MM
+"""How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
 def claims(job: Job) -> tuple[Claim, ...]:
@@ -20,6 +38,7 @@ def claims(job: Job) -> tuple[Claim, ...]:
     that all of them spare."""
     op = job.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
+    out.append(ConfirmedPower(op.signal, spoken.told(job), spoken.asked(job), spoken.DONE, op.spin_down_s))
     for one in job.cuts:
         for run in one.runs:
             feed = _feed(job, one, run)
@@ -51,20 +70,34 @@ def _followed(run: Run) -> ToolPath:
 def _shape(job: Job, one: Done) -> list[Claim]:
     """The surface that a cut makes; where it follows curves, those."""
     op = job.operation
+    out: list[Claim] = []
     if one.face is not None:
         # roughing passes leave the surface to the last one
         finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
         segments = tuple(f"mill/{run.name}" for run in finish)
         mesh = (one.face.mesh.vertices, one.face.mesh.faces)
-        return [MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share)]
-    return [
-        MillsAlong(
-            f"mill/{run.name}",
-            op.arms[0],
-            _followed(run).tip,
-            _followed(run).axis,
-            one.tolerance,
-            TURN,
-        )
-        for run in one.runs
-    ]
+        out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
+    # where a surface is claimed it is the measure; the way then only says that nothing else is milled
+    near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
+    for run in one.runs:
+        for way, (tip, axis) in _ways(job, run).items():
+            out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, near, TURN))
+    return out
+
+
+def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Tips and axes (N, 3) of a pass, and of the ways from the safe plane and back to it, by what they add to
+    its name: nothing else of the block is to be milled than what lies along these."""
+    path, main = run.path, _followed(run)
+    start, end = ends(job.operation, run, job.box)
+    return {
+        "_in": (
+            np.concatenate([start[None], path.tip[: run.first + 1]]),
+            np.concatenate([path.axis[:1], path.axis[: run.first + 1]]),
+        ),
+        "": (main.tip, main.axis),
+        "_out": (
+            np.concatenate([path.tip[run.last :], end[None]]),
+            np.concatenate([path.axis[run.last :], path.axis[-1:]]),
+        ),
+    }

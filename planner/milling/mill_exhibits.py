@@ -13,7 +13,7 @@ from planner.milling.operation import FlankCut, LinesCut
 from planner.milling.route import Route
 from planner.units import MM
 
-KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G-code"))
+KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
 SHOWN: Final = 80
 """Curves that the picture of the ways shows at most."""
 
@@ -33,10 +33,17 @@ def _setup(job: Job) -> dict[str, Any]:
         ("TCP", "the tip of the cutter, on its axis; z out of the spindle"),
         ("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)"),
         ("spindle signal", op.signal),
-        ("feed", f"{op.feed_mm_s:g}", "mm/s"),
+        ("feed", _feeds(job), "mm/s"),
         ("safe plane", f"{op.safe_mm:g} mm off the block, side {op.safe_side}"),
     ]
     return {"kind": "setup", "title": "Milling", "items": items}
+
+
+def _feeds(job: Job) -> str:
+    """Least and greatest feed [mm/s] of the passes."""
+    feeds = np.concatenate([run.path.feed[run.first + 1 : run.last + 1] for run in job.runs]) / MM
+    low, high = float(feeds.min()), float(feeds.max())
+    return f"{low:g}" if np.isclose(low, high) else f"{low:.3g} to {high:.3g}"
 
 
 def _cuts(job: Job) -> dict[str, Any]:
@@ -48,7 +55,11 @@ def _cuts(job: Job) -> dict[str, Any]:
             off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""
             rows.append((run.name, kind, len(run.path), f"{way:.2f}", off, f"{one.tolerance / MM:g}"))
     columns = ("pass", "kind", "targets", "way [m]", "cutter off the surface [mm]", "allowed [mm]")
-    return {"kind": "table", "title": "Passes in order", "columns": columns, "rows": rows}
+    # only flanks can be off by their own geometry
+    kept = [k for k in range(len(columns)) if k != 4 or any(row[4] for row in rows)]
+    shown = [tuple(row[k] for k in kept) for row in rows]
+    names = tuple(columns[k] for k in kept)
+    return {"kind": "table", "title": "Passes in order", "columns": names, "rows": shown}
 
 
 def _paths(job: Job) -> dict[str, Any]:

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.milling import mill_claims
+from planner.milling import mill_claims, spoken
 from planner.milling.frames import poses, spin
-from planner.milling.job import Job, job
+from planner.milling.job import Job
 from planner.milling.mill_check import check
 from planner.milling.mill_exhibits import exhibits
+from planner.milling.once import job_once
 from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
 from planner.problem import Part, Setup
 from planner.targets import Action, Targets
-from planner.units import MM
 
 FloatArray = NDArray[np.float64]
 
@@ -35,23 +35,23 @@ LEVER: Final = 0.05
 
 def make_targets(operation: Milling, setup: Setup, part: Part | None) -> Targets:
     """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-    made = job(operation, setup, part)
+    made = job_once(operation, setup, part)
     route = lay_out(operation, made.runs, made.box)
     issues = check(made)
     if has_errors(issues):
         raise TandemError(aggregate(issues))
-    return _targets(made, setup, route, aggregate(issues))
+    return _targets(made, route, aggregate(issues))
 
 
 def claims(operation: Milling, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    return mill_claims.claims(job(operation, setup, part))
+    return mill_claims.claims(job_once(operation, setup, part))
 
 
-def _targets(made: Job, setup: Setup, route: Route, issues: tuple[Issue, ...]) -> Targets:
+def _targets(made: Job, route: Route, issues: tuple[Issue, ...]) -> Targets:
     op = made.operation
     arm, count = op.arms[0], len(route.segment)
-    actions = tuple(sorted(_actions(made, setup, route), key=lambda action: action.at))
+    actions = tuple(sorted(_actions(made, route), key=lambda action: action.at))
     stop = route.stop.copy()
     stop[[action.at for action in actions]] = True
     return Targets(
@@ -80,22 +80,19 @@ def _travel(route: Route) -> FloatArray:
     return out
 
 
-def _actions(made: Job, setup: Setup, route: Route) -> tuple[Action, ...]:
+def _actions(made: Job, route: Route) -> tuple[Action, ...]:
     """What the operator is told and asked, and the spindle."""
-    op, size = made.operation, (setup.stock.upper - setup.stock.lower) / MM
-    tool = f"{made.cutter.kind} mill of {2e3 * made.cutter.radius:g} mm, {op.spindle_rpm:g} 1/min"
+    op = made.operation
     last = len(route.segment) - 1
-    asked = made.runs[0].before
     return (
-        Action(0, "message", f"Block {size[0]:g} x {size[1]:g} x {size[2]:g} mm; {tool}"),
-        *([Action(0, "confirm", asked)] if asked else []),
-        Action(0, "confirm", "Block and cutter clamped, nobody in the cell?"),
+        Action(0, "message", spoken.told(made)),
+        *(Action(0, "confirm", question) for question in spoken.asked(made)[0]),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", "Spindle stands, take the part out?"),
+        Action(last, "confirm", spoken.DONE),
     )
 
 

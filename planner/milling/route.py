@@ -27,6 +27,8 @@ SIDES: Final[dict[SafeSide, tuple[int, int]]] = {
 """Axis of the stock frame and end (0 low, 1 high) of each side."""
 LEAST: Final = 15.0 * DEG
 """Tools must rise from the block's side by this angle at least, or they never reach the safe plane."""
+DOWN: Final = 2.0 * MM
+"""Least way down to a pass and up from it, where the pass begins or ends on the safe plane or beyond it."""
 SHARP: Final = 31.0 * DEG
 """The tool stops where its way turns by more than this."""
 STILL: Final = 1e-6
@@ -61,8 +63,7 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
     rapid, plunge = op.rapid_mm_s * MM, op.plunge_mm_s * MM
     for number, run in enumerate(passes):
         path, count = run.path, len(run.path)
-        start = _above(op, path.tip[0], path.axis[0], box, run.name)
-        end = _above(op, path.tip[-1], path.axis[-1], box, run.name)
+        start, end = ends(op, run, box)
         tips += [start[None], path.tip, end[None]]
         axes += [path.axis[:1], path.axis, path.axis[-1:]]
         feeds += [np.array([rapid, plunge]), path.feed[1:], np.array([rapid])]
@@ -82,6 +83,16 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
         np.array([*reach, 0.0]),
         (*labels, "retreat"),
         np.append(np.concatenate(stops), True),
+    )
+
+
+def ends(op: Milling, run: Run, box: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places (3,) on the safe plane where a pass begins and ends. Raises ``TandemError`` with
+    ``milling.safe_plane``."""
+    path = run.path
+    return (
+        _above(op, path.tip[0], path.axis[0], box, run.name),
+        _above(op, path.tip[-1], path.axis[-1], box, run.name),
     )
 
 
@@ -106,7 +117,7 @@ def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name
             )
         )
     level = box[end, side] + sign * op.safe_mm * MM
-    return np.asarray(tip + max(sign * (level - tip[side]) / rise, 0.0) * axis)
+    return np.asarray(tip + max(sign * (level - tip[side]) / rise, DOWN) * axis)
 
 
 def _stops(tip: FloatArray) -> NDArray[np.bool_]:

@@ -18,12 +18,14 @@ FloatArray = NDArray[np.float64]
 class Strip:
     """A smooth piece: ruling i from ``low[i]``, at the tip, to ``high[i]`` (M, 3) [m].
 
-    ``out`` is +1 where the outward normal is tangent x (high - low), else -1.
+    ``out`` is +1 where the outward normal is tangent x (high - low), else -1. A ``ring`` is a whole closed
+    surface without corners: its last ruling is its first one again.
     """
 
     low: FloatArray
     high: FloatArray
     out: float
+    ring: bool = False
 
     def tangents(self) -> tuple[FloatArray, FloatArray]:
         """Unit tangents (M, 3) of both guides; where one stands still, that of the other."""
@@ -41,16 +43,17 @@ class Strip:
 
     def reversed(self) -> Strip:
         """The same piece the other way."""
-        return Strip(self.low[::-1], self.high[::-1], -self.out)
+        return Strip(self.low[::-1], self.high[::-1], -self.out, self.ring)
 
 
 def strips(ruled: Ruled, tip_at_start: bool, chord: float, step: float) -> list[Strip]:
     """The smooth pieces of a ruled surface along its guides, rulings at most ``step`` [m] apart."""
     fine = resample(ruled, chord, step)
+    ring = fine.closed and not fine.corner.any()
     out = []
     for rows in runs(fine):
         start, end = fine.start[rows], fine.end[rows]
-        out.append(Strip(start, end, 1.0) if tip_at_start else Strip(end, start, -1.0))
+        out.append(Strip(start, end, 1.0, ring) if tip_at_start else Strip(end, start, -1.0, ring))
     return out
 
 

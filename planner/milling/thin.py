@@ -1,4 +1,4 @@
-"""Few targets: rows of a path between which straight moves stay within a chord of it."""
+"""Few targets: rows of a path between which straight moves stay within a chord of it; more on long moves."""
 
 from __future__ import annotations
 
@@ -25,6 +25,28 @@ def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
             stop = start + max((stop - start) * 3 // 4, 1)
         kept.append(stop)
     return np.array(kept, dtype=np.int64)
+
+
+def filled(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Tips and axes (M, 3) with evenly laid places between those of ``tip``, ``axis`` (N, 3) that are farther
+    apart than ``step`` [m], and the row (M,) that each of them leads to. Axes turn evenly, the shorter way.
+    """
+    way = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    count = np.maximum(np.ceil(way / step - 1e-9).astype(np.int64), 1)
+    to = np.repeat(np.arange(1, len(tip)), count)
+    share = (np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[to - 1]
+    between = np.flatnonzero(share < 1.0)
+    tips, axes = tip[to], axis[to]
+    end, part = to[between], share[between, None]
+    before, after = axis[end - 1], axis[end]
+    tips[between] = tip[end - 1] + part * (tip[end] - tip[end - 1])
+    # the part of the later axis that is square to the earlier one, and the angle from the one to the other
+    square = after - np.einsum("nd,nd->n", before, after)[:, None] * before
+    size = np.linalg.norm(square, axis=1, keepdims=True)
+    turn = np.arctan2(size, np.einsum("nd,nd->n", before, after)[:, None])
+    square = square / np.maximum(size, 1e-15)
+    axes[between] = np.cos(part * turn) * before + np.sin(part * turn) * square
+    return np.append(0, to), np.concatenate([tip[:1], tips]), np.concatenate([axis[:1], axes])
 
 
 def _off(rows: FloatArray, along: FloatArray) -> float:

@@ -14,11 +14,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
-from toppra.interpolator import AbstractGeometricPath
 
 from planner.motion.joints import JointPath
+from planner.motion.plain_toppra import (
+    TOPPRA,
+    AbstractGeometricPath,
+    DiscretizationType,
+    JointAccelerationConstraint,
+    LinearConstraint,
+)
 from planner.motion.timing_drake import parameterise_drake
 
 FloatArray = NDArray[np.float64]

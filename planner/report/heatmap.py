@@ -20,7 +20,8 @@ _GRID = (1500, 41)
 _MISSED = np.array([0.35, 0.13, 0.45])
 CUT: Final = ("too much cut", "left standing", "the wire did not pass")
 FORMED: Final = ("pressed too far", "not pressed so far", "the ball did not pass")
-"""What negative, positive and missing deviations of a cut and of a formed face are called."""
+MILLED: Final = ("too much cut", "left standing", "the cutter did not pass")
+"""What negative, positive and missing deviations of a cut, a formed and a milled face are called."""
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

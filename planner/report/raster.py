@@ -119,23 +119,26 @@ def draw(camera: Camera, things: list[Thing]) -> Image:
     color[seen] = _shade(camera, base[thing[seen]], glow[thing[seen]], np.asarray(shown))
     dark = _occlusion(depth, camera) * _ink(depth, normal, thing)
     dark = np.where(seen, np.maximum(dark, glow[thing]), 1.0)
-    return Image(color * dark[..., None], depth, thing)
+    color *= dark[..., None].astype(np.float32)
+    return Image(color, depth, thing)
 
 
 def _shade(
     camera: Camera, base: NDArray[np.float32], glow: NDArray[np.float32], normal: FloatArray
 ) -> FloatArray:
     """Warm key light from above, cool fill from below, a soft highlight."""
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
     view = -camera.pose[:3, 2]
-    normal = np.where((normal @ view)[:, None] < 0.0, -normal, normal)
     light = _LIGHT / np.linalg.norm(_LIGHT)
     side = view + np.cross(view, [0.0, 0.0, 1.0])
-    key = np.clip(normal @ light, 0.0, None)
-    fill = np.clip(normal @ (side / np.linalg.norm(side)), 0.0, None)
-    sky = 0.5 + 0.5 * normal[:, 2]
     half = light + view
-    shine = np.clip(normal @ (half / np.linalg.norm(half)), 0.0, None) ** 32
+    ways = np.stack([view, light, side / np.linalg.norm(side), half / np.linalg.norm(half), [0.0, 0.0, 1.0]])
+    length = np.maximum(np.sqrt(np.einsum("nc,nc->n", normal, normal)), 1e-12)
+    seen = (normal @ ways.T.astype(np.float32)) / length[:, None]
+    seen *= np.where(seen[:, :1] < 0.0, np.float32(-1.0), np.float32(1.0))
+    key, fill, shine = (np.maximum(seen[:, k], 0.0) for k in (1, 2, 3))
+    sky = 0.5 + 0.5 * seen[:, 4]
+    for _ in range(5):
+        shine *= shine  # to the power of 32
     lit = base * (0.34 + 0.46 * key + 0.14 * fill + 0.20 * sky)[:, None] + 0.10 * shine[:, None]
     return np.asarray(np.clip(lit + glow[:, None] * (base - lit), 0.0, 1.0))
 

@@ -15,6 +15,8 @@ from planner.units import MM
 from planner.verify.result import CutFace, RuleResult
 
 FloatArray = NDArray[np.float64]
+_WORDS = {"form": ("ball", heatmap.FORMED), "mill": ("cutter", heatmap.MILLED)}
+"""What passes a face, and what deviations are called, by the kind of its segment; a wire cuts."""
 _ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
 
 
@@ -76,7 +78,7 @@ def rules(results: Sequence[RuleResult]) -> Raw:
 def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Raw:
     """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
-    formed = segment_kind(cut.segment) == "form"
+    tool, words = _WORDS.get(segment_kind(cut.segment), ("wire", heatmap.CUT))
     items = [
         (f"within {_allowed(cut)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),
@@ -84,9 +86,7 @@ def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> 
         ("largest", f"{cut.largest / MM:.3f} mm"),
         ("points compared", f"{len(cut.points)}"),
     ]
-    items += (
-        [(f"not passed by the {'ball' if formed else 'wire'}", f"{100 * missed:.2f} %")] if missed else []
-    )
+    items += [(f"not passed by the {tool}", f"{100 * missed:.2f} %")] if missed else []
     good = cut.share >= cut.wanted_share
     tag = f' <span class="tag {"ok" if good else "bad"}">{"holds" if good else "does not hold"}</span>'
     chart = heatmap.deviation_map(
@@ -95,7 +95,7 @@ def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> 
         cut.tolerance,
         Raw(f"Simulated less wanted: {markup.text(cut.segment)}{tag}"),
         rulings,
-        heatmap.FORMED if formed else heatmap.CUT,
+        words,
     )
     spread = markup.figure("Spread", heatmap.histogram(cut.deviation, cut.tolerance))
     return Raw(f'<div class="grid two part">{chart}<div>{spread}{markup.facts(items)}</div></div>')

@@ -17,7 +17,7 @@ SIGHT = 3e-3
 """Points farther off than this [m] are not told apart."""
 _FINEST = 0.25e-3
 _MOST = 3_000_000
-_CHUNK = 20_000
+_CHUNK = 4_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,12 +64,12 @@ def _cylinder(name: str, start: float, end: float, radius: float) -> Solid:
 
 
 def signed(solid: Solid, back: FloatArray, beside: FloatArray) -> FloatArray:
-    """Distance (N,) [m] of points from a solid, below zero inside: the distance to the polygon of its half
-    section, which is convex."""
+    """Distance [m] of points from a solid, below zero inside, in the shape of ``back`` and ``beside``:
+    the distance to the polygon of its half section, which is convex."""
     b = np.concatenate([[solid.back[0]], solid.back, [solid.back[-1]]])
     r = np.concatenate([[0.0], solid.beside, [0.0]])
-    out = np.full(len(back), np.inf)
-    inside = np.ones(len(back), dtype=bool)
+    least = np.full(back.shape, np.inf)
+    inside = np.ones(back.shape, dtype=bool)
     for k in range(len(b) - 1):
         way = np.array([b[k + 1] - b[k], r[k + 1] - r[k]])
         square = float(way @ way)
@@ -77,9 +77,23 @@ def signed(solid: Solid, back: FloatArray, beside: FloatArray) -> FloatArray:
             continue
         x, y = back - b[k], beside - r[k]
         share = np.clip((x * way[0] + y * way[1]) / square, 0.0, 1.0)
-        out = np.minimum(out, np.hypot(x - share * way[0], y - share * way[1]))
         inside &= x * way[1] - y * way[0] >= 0.0  # the inside is on the right, seen from the front back
-    return np.where(inside, -out, out)
+        x -= share * way[0]
+        y -= share * way[1]
+        np.minimum(least, x * x + y * y, out=least)
+    out = np.sqrt(least)
+    return np.asarray(np.where(inside, -out, out))
+
+
+def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid) -> bool:
+    """Whether a solid at places (M, 3) of a track may come within ``SIGHT`` of a face with ``vertices``
+    (V, 3), by the boxes around both."""
+    ends = np.concatenate([tip + solid.back[0] * axis, tip + solid.back[-1] * axis])
+    room = solid.widest + SIGHT
+    apart = (ends.min(axis=0) - room > vertices.max(axis=0)) | (
+        ends.max(axis=0) + room < vertices.min(axis=0)
+    )
+    return not bool(apart.any())
 
 
 def sweep(
@@ -102,23 +116,33 @@ def sweep(
     rows = np.flatnonzero(box)
     if not len(rows):
         return best, where
-    tree = cKDTree(centre)
-    rows = rows[tree.query(points[rows], distance_upper_bound=reach)[0] < reach]
+    # neighbours one after the other find their places in what is at hand
+    rows = rows[np.lexsort(np.floor(points[rows] / solid.widest).T)]
+    tree = cKDTree(centre, leafsize=16)
     for part in np.array_split(rows, max(1, len(rows) // _CHUNK)):
+        index = tree.query(points[part], k=min(near, len(centre)), distance_upper_bound=reach)[1]
+        index = index.reshape(len(part), -1)
+        found = index < len(centre)  # the index behind the last stands for nothing within reach
+        seen = found[:, 0]
+        part, index, found = part[seen], index[seen], found[seen]
         if not len(part):
             continue
-        apart, index = tree.query(points[part], k=min(near, len(centre)), distance_upper_bound=reach)
-        apart = np.asarray(apart).reshape(len(part), -1)
-        index = np.asarray(index).reshape(len(part), -1)
-        for column in range(index.shape[1]):
-            seen = np.flatnonzero(np.isfinite(apart[:, column]))
-            if not len(seen):
-                break
-            place, which = index[seen, column] // levels, part[seen]
-            rest = points[which] - tip[place]
-            back = (rest * axis[place]).sum(axis=1)
-            beside = np.linalg.norm(rest - back[:, None] * axis[place], axis=1)
-            here = signed(solid, back, beside)
-            better = here < best[which]
-            best[which[better]], where[which[better]] = here[better], place[better]
+        place = np.minimum(index, len(centre) - 1) // levels
+        back, square = np.zeros(place.shape), np.zeros(place.shape)
+        for d in range(3):
+            rest = points[part, d, None] - tip[:, d][place]
+            back += rest * axis[:, d][place]
+            square += rest * rest
+        beside = np.sqrt(np.maximum(square - back * back, 0.0))
+        beside[~found] = np.inf
+        # nothing is nearer to a solid than to a cylinder as wide as it without ends
+        here = beside - solid.widest
+        here[:, 0] = signed(solid, back[:, 0], beside[:, 0])
+        open_ = np.nonzero(here < np.minimum(here[:, :1], SIGHT))
+        here[open_] = signed(solid, back[open_], beside[open_])
+        column = here.argmin(axis=1)
+        row = np.arange(len(part))
+        least, place = here[row, column], place[row, column]
+        better = least < SIGHT
+        best[part[better]], where[part[better]] = least[better], place[better]
     return best, where

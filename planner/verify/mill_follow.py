@@ -4,6 +4,9 @@ itself, or turns the tool in place."""
 from __future__ import annotations
 
 import dataclasses
+import math
+from bisect import bisect_left
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +14,8 @@ from numpy.typing import NDArray
 from planner.claims import MillsAlong
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Row = list[float]
 
 LEVER = 0.05
 """What a turn of the axis by one radian counts as, against ways of the tip [m]."""
@@ -41,27 +46,48 @@ def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
     off, turn = np.empty(count), np.empty(count)
     stretch, share = 0, 0.0
     missed = way.skipped(tip[:1], axis[:1], -1, 0, _step(tip[:2], axis[:2]))
+    tips, axes = tip.tolist(), axis.tolist()
     for i in range(count):
-        shares, apart, angle = way.near(tip[i], axis[i], stretch, share)
-        cost = way.cost(apart, angle)
-        k = int((cost <= 1.0).argmax())
-        if cost[k] > 1.0:
-            k = int(cost.argmin())
-            off[i], turn[i] = apart[k], angle[k]
+        near = way.put(tips[i], axes[i], stretch, share)
+        off[i], turn[i] = near.apart, near.angle
+        if near.cost > 1.0:
             continue
-        k = way.onward(tip[i], axis[i], stretch, k, cost)
-        off[i], turn[i] = apart[k], angle[k]
-        pair = [max(i - 1, 0), i]
-        missed += way.skipped(tip[pair], axis[pair], stretch, stretch + k)
-        stretch, share = stretch + k, float(shares[k])
+        if near.stretch > stretch:
+            pair = [max(i - 1, 0), i]
+            missed += way.skipped(tip[pair], axis[pair], stretch, near.stretch)
+        stretch, share = near.stretch, near.share
     missed += way.skipped(tip[-1:], axis[-1:], stretch, len(way.step), _step(tip[-2:], axis[-2:]))
     return Followed(off, turn, missed)
+
+
+def looks(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
+    """Rows (K,) of samples (T, 3) at which a way is held against what is claimed: all that are two tolerances
+    [m] apart, and both ends. Between them a tool goes no farther off than by one more."""
+    if len(tip) < 2:
+        return np.arange(len(tip))
+    ways = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    ways = np.maximum(ways, LEVER * np.linalg.norm(np.diff(axis, axis=0), axis=1))
+    number = np.floor(np.append(0.0, np.cumsum(ways)) / (2.0 * tolerance))
+    # the first sample behind each mark; the last one before it, too, where the next is farther on than that
+    marks = np.diff(number)
+    return np.flatnonzero(np.append(True, marks > 0.0) | np.append(marks > 1.0, True))
 
 
 def _step(tip: FloatArray, axis: FloatArray) -> float:
     """Way [m] between two samples, by tip or by lever."""
     ways = np.linalg.norm(tip[-1] - tip[0]), LEVER * np.linalg.norm(axis[-1] - axis[0])
     return float(max(ways))
+
+
+class _Near(NamedTuple):
+    """A place on a way: ``share`` of a stretch, by its number; how far a sample is off there [m], [rad] and
+    of what is allowed."""
+
+    stretch: int
+    share: float
+    apart: float
+    angle: float
+    cost: float
 
 
 class _Way:
@@ -71,57 +97,68 @@ class _Way:
     def __init__(self, claim: MillsAlong) -> None:
         self.claim = claim
         self.tip, self.axis = claim.tip, claim.axis
-        self.step = np.diff(claim.tip, axis=0)
-        self.lean = np.diff(claim.axis, axis=0)
-        self.square = np.maximum((self.step * self.step).sum(axis=1), 1e-24)
-        self.leant = np.maximum((self.lean * self.lean).sum(axis=1), 1e-24)
-        self.angle = 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(self.leant), 0.0, 1.0))
-        length = np.sqrt(self.square + LEVER**2 * self.leant)
-        self.along = np.concatenate([[0.0], np.cumsum(length)])
+        self.step, lean = np.diff(claim.tip, axis=0), np.diff(claim.axis, axis=0)
+        square = np.maximum((self.step * self.step).sum(axis=1), 1e-24)
+        leant = np.maximum((lean * lean).sum(axis=1), 1e-24)
+        angle = 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(leant), 0.0, 1.0))
+        # samples come one after the other, and few stretches are looked at for each: plain numbers are faster
+        self.along: Row = np.append(0.0, np.cumsum(np.sqrt(square + LEVER**2 * leant))).tolist()
+        self.places: list[tuple[Row, Row]] = list(zip(claim.tip.tolist(), claim.axis.tolist(), strict=True))
+        self.steps: list[Row] = self.step.tolist()
+        self.leans: list[Row] = lean.tolist()
+        self.sizes: list[Row] = np.stack([square, leant, angle], axis=1).tolist()
 
-    def near(
-        self, tip: FloatArray, axis: FloatArray, stretch: int, share: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of stretches from ``stretch`` on: where a sample is nearest to each, as a share of it, not before
-        ``share`` of the first; how far tip [m] and axis [rad] are off there.
-
-        It is looked for by the tip and by the axis, of which one may stand still; the better one counts.
-        """
+    def put(self, tip: Row, axis: Row, stretch: int, share: float) -> _Near:
+        """Where a sample is on the stretches ahead, from ``share`` of ``stretch`` on: the first one that it
+        keeps the tolerances to, or the nearest of those that follow it as long as it keeps them, of equal
+        ones the first; where it keeps them to none, the nearest of all."""
         here = self.along[stretch] + share * (self.along[stretch + 1] - self.along[stretch])
-        end = int(np.searchsorted(self.along, here + AHEAD + 20.0 * self.claim.tolerance))
-        part = slice(stretch, min(max(end, stretch + 1), len(self.step)))
-        by_tip = ((tip - self.tip[:-1][part]) * self.step[part]).sum(axis=1) / self.square[part]
-        chord = ((axis - self.axis[:-1][part]) * self.lean[part]).sum(axis=1) / self.leant[part]
-        half = np.maximum(0.5 * self.angle[part], 1e-12)
-        by_axis = 0.5 + 0.5 * np.arcsin((2.0 * np.clip(chord, 0.0, 1.0) - 1.0) * np.sin(half)) / half
-        found = []
-        for guess in (by_tip, by_axis):
-            at = np.clip(guess, 0.0, 1.0)
-            at[0] = max(at[0], share)
-            found.append((at, *self._off(tip, axis, part, at)))
-        (at, apart, angle), (other, beside, turned) = found
-        better = self.cost(beside, turned) < self.cost(apart, angle)
-        return (
-            np.where(better, other, at),
-            np.where(better, beside, apart),
-            np.where(better, turned, angle),
-        )
+        end = bisect_left(self.along, here + AHEAD + 20.0 * self.claim.tolerance)
+        end = min(max(end, stretch + 1), len(self.step))
+        near = best = self._near(tip, axis, stretch, share)
+        for number in range(stretch + 1, end):
+            if near.cost <= 1.0:
+                break
+            near = self._near(tip, axis, number)
+            best = near if near.cost < best.cost else best
+        return self._onward(tip, axis, near, end) if near.cost <= 1.0 else best
 
-    def cost(self, apart: FloatArray, angle: FloatArray) -> FloatArray:
-        """How far off, of what is allowed."""
-        return np.asarray(np.maximum(apart / self.claim.tolerance, angle / self.claim.turn))
-
-    def onward(self, tip: FloatArray, axis: FloatArray, stretch: int, first: int, cost: FloatArray) -> int:
+    def _onward(self, tip: Row, axis: Row, first: _Near, end: int) -> _Near:
         """The nearest stretch among those from ``first`` on that keep the tolerances, as do all places
         between them; of equal ones the first."""
-        if first + 1 >= len(cost) or cost[first + 1] > 1.0:
-            return first
-        ends = slice(stretch + first + 1, stretch + len(cost))
-        between = self.cost(*_apart(tip, axis, self.tip[ends], self.axis[ends]))
-        kept = (cost[first + 1 :] <= 1.0) & (between <= 1.0)
-        last = first + (int(np.argmin(kept)) if not kept.all() else len(kept))
-        some = cost[first : last + 1]
-        return first + int((some <= some.min() + 1e-6).argmax())
+        kept = [first]
+        for number in range(first.stretch + 1, end):
+            near = self._near(tip, axis, number)
+            if near.cost > 1.0 or self._cost(*_off(tip, axis, *self.places[number])) > 1.0:
+                break
+            kept.append(near)
+        least = min(near.cost for near in kept)
+        return next(near for near in kept if near.cost <= least + 1e-6)
+
+    def _near(self, tip: Row, axis: Row, number: int, least: float = 0.0) -> _Near:
+        """Where a sample is nearest to a stretch, not before ``least`` of it. It is looked for by the tip and
+        by the axis, of which one may stand still; the better one counts."""
+        start, lean_from = self.places[number]
+        lean_to, step = self.places[number + 1][1], self.steps[number]
+        square, leant, angle = self.sizes[number]
+        by_tip = _dot(_less(tip, start), step) / square
+        chord = min(max(_dot(_less(axis, lean_from), self.leans[number]) / leant, 0.0), 1.0)
+        half = max(0.5 * angle, 1e-12)
+        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * math.sin(half)) / half
+        wide = max(angle, 1e-9)
+        found = []
+        for guess in (by_tip, by_axis):
+            at = max(min(max(guess, 0.0), 1.0), least)
+            one, two = math.sin((1.0 - at) * wide) / math.sin(wide), math.sin(at * wide) / math.sin(wide)
+            wanted = [one * a + two * b for a, b in zip(lean_from, lean_to, strict=True)]
+            place = [s + at * w for s, w in zip(start, step, strict=True)]
+            apart, turn = _off(tip, axis, place, wanted)
+            found.append(_Near(number, at, apart, turn, self._cost(apart, turn)))
+        return found[1] if found[1].cost < found[0].cost else found[0]
+
+    def _cost(self, apart: float, angle: float) -> float:
+        """How far off, of what is allowed."""
+        return max(apart / self.claim.tolerance, angle / self.claim.turn)
 
     def skipped(self, tip: FloatArray, axis: FloatArray, before: int, after: int, slack: float = 0.0) -> int:
         """How many of the places behind ``before`` up to ``after`` the move between samples (2, 3), or one
@@ -137,15 +174,6 @@ class _Way:
         allowed = 2.0 * self.claim.turn + own + slack / LEVER
         return int(((apart > 2.0 * self.claim.tolerance + slack) | (turned > allowed)).sum())
 
-    def _off(
-        self, tip: FloatArray, axis: FloatArray, part: slice, share: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """How far [m] and [rad] a sample is off the places at ``share`` of stretches."""
-        angle = np.maximum(self.angle[part], 1e-9)
-        first, last = np.sin((1.0 - share) * angle) / np.sin(angle), np.sin(share * angle) / np.sin(angle)
-        wanted = first[:, None] * self.axis[:-1][part] + last[:, None] * self.axis[1:][part]
-        return _apart(tip, axis, self.tip[:-1][part] + share[:, None] * self.step[part], wanted)
-
 
 def _apart(
     tip: FloatArray, axis: FloatArray, tips: FloatArray, axes: FloatArray
@@ -154,3 +182,16 @@ def _apart(
     exact for small ones too."""
     chord = np.linalg.norm(axes - axis, axis=1)
     return np.linalg.norm(tips - tip, axis=1), 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+
+
+def _off(tip: Row, axis: Row, place: Row, wanted: Row) -> tuple[float, float]:
+    """How far [m] and [rad] a sample is off one place and axis, as :func:`_apart` says it of many."""
+    return math.dist(tip, place), 2.0 * math.asin(min(0.5 * math.dist(axis, wanted), 1.0))
+
+
+def _less(a: Row, b: Row) -> Row:
+    return [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+
+
+def _dot(a: Row, b: Row) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

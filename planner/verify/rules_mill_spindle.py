@@ -12,6 +12,7 @@ from planner.problem import Stock
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_track import WAYS, Milling, Track
+from planner.verify.power_asked import confirmed
 from planner.verify.setups import MILL
 from planner.verify.steps import SignalStep
 
@@ -57,9 +58,9 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
 
 def spindle(context: Context, milling: Milling) -> Outcome:
     """The cutter is in the block only while its spindle has been on for long enough, and on segments that
-    mill."""
+    mill, and its operator has confirmed that it goes on."""
     motion = context.motion
-    issues: list[Issue] = []
+    issues: list[Issue] = confirmed(context)
     seen = False
     for index, setup in enumerate(context.setups):
         claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]

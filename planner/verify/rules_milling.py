@@ -11,8 +11,8 @@ from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
-from planner.verify.mill_body import SIGHT, Solid, solids, sweep
-from planner.verify.mill_follow import follow
+from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
+from planner.verify.mill_follow import follow, looks
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
@@ -104,8 +104,10 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             continue
         for solid in solids(claim.cutter):
             allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
-            points = milling.places(claim, solid.widest)
             tip, axis, rows = track.spaced(_GOUGE * _step(solid, claim.tolerance))
+            points = claim.vertices[:1]
+            if comes_near(claim.vertices, tip, axis, solid):
+                points = milling.places(claim, solid.widest)
             off, place = sweep(points, tip, axis, solid)
             k = int(off.argmin())
             if -off[k] - allowed > worst:
@@ -126,8 +128,8 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:
-    """Where a tool follows curves, its tip stays on them and its axis along theirs, within the tolerances,
-    and passes all of them in order."""
+    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
+    passed in order, ways in and out too."""
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
@@ -135,7 +137,8 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         if not len(track.rows):
             issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
             continue
-        found = follow(claim, track.tip, track.axis)
+        some = looks(track.tip, track.axis, claim.tolerance)
+        found = follow(claim, track.tip[some], track.axis[some])
         off, turn = found.off, found.turn
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
@@ -148,7 +151,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
                 f"{np.rad2deg(claim.turn):.2f} deg"
             )
             measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
-            row = int(track.rows[i])
+            row = int(track.rows[some[i]])
             issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"

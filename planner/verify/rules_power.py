@@ -13,7 +13,7 @@ from planner.verify.context import Context, Outcome, Phase
 from planner.verify.findings import at_step
 from planner.verify.job import TaskText
 from planner.verify.rules_wire import moving, wire_issue
-from planner.verify.steps import MessageStep, SignalStep, Step
+from planner.verify.steps import MessageStep, MoveStep, SignalStep, Step
 from planner.verify.wire import Wire
 
 IntArray = NDArray[np.int64]
@@ -21,11 +21,12 @@ IntArray = NDArray[np.int64]
 
 def signals(context: Context) -> Outcome:
     """Only the signals of wires, of spindles and of clamps that sink are switched, to 0 or 1, at once, by
-    one task between two synchronisation points."""
-    issues = []
+    one task between two synchronisation points, and are off before anybody is asked or an arm moves."""
+    issues: list[Issue] = []
     known = {claim.signal.lower() for claim in context.contacts}
     known |= {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
     known.add(context.problem.cell.controller.wire_signal.lower())
+    issues += _left_on(context, known)
     for stage in context.job.stages:
         first: TaskText | None = None
         for task in context.job.tasks:
@@ -56,6 +57,24 @@ def signals(context: Context) -> Outcome:
             if data.kind.startswith("signal")
         ]
     return Outcome(tuple(issues))
+
+
+def _left_on(context: Context, known: set[str]) -> list[Issue]:
+    """Power that a program before this one may have left on, when a task asks or moves at first."""
+    issues = []
+    for task in context.job.tasks:
+        off: set[str] = set()
+        first: Step | None = None
+        for step in task.steps:
+            if isinstance(step, MoveStep) or (isinstance(step, MessageStep) and step.confirm):
+                first = first or step
+            elif isinstance(step, SignalStep) and step.signal.lower() in known:
+                name = step.signal.lower()
+                if name not in off and (first is not None or step.value):
+                    what = f"{step.signal} is not switched off first; a run before this may have left it on"
+                    issues.append(at_step("verify.signals", what, task, step))
+                off.add(name)
+    return issues
 
 
 def wire_power(context: Context, wires: tuple[Wire, ...]) -> Outcome:

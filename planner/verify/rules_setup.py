@@ -21,8 +21,9 @@ HOME = 1e-4
 
 
 def setup(context: Context) -> Outcome:
-    """Each setup is told and confirmed once, in order, with all arms at home and nothing moving till then."""
-    issues: list[Issue] = []
+    """Each setup is told and confirmed once, in order, with all arms at home and nothing moving till then,
+    and no arm moves at all before the operator has confirmed something."""
+    issues: list[Issue] = _unasked(context)
     last = -1
     for index, here in enumerate(context.setups):
         if not here.steps:
@@ -51,6 +52,23 @@ def setup(context: Context) -> Outcome:
         issues += _standing(context, place, here.number, first=index == 0)
     issues += _lookalikes(context)
     return Outcome(tuple(issues), where="" if any(s.steps for s in context.setups) else "one setup")
+
+
+def _unasked(context: Context) -> list[Issue]:
+    """A first move that nobody has confirmed."""
+    for stage in context.job.stages:
+        asked = False
+        for task in context.job.tasks:
+            for step in stage.steps[task.name]:
+                if isinstance(step, MessageStep) and step.confirm and step.certain:
+                    asked = True
+                    break
+                if isinstance(step, MoveStep):
+                    what = "an arm moves, and nobody was asked before whether its way is clear"
+                    return [at_step("verify.setup", what, task, step, "ask the operator first")]
+        if asked:
+            return []
+    return []
 
 
 def _standing(context: Context, place: Asked, number: int, first: bool) -> list[Issue]:

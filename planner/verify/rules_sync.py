@@ -270,13 +270,13 @@ def _moves_with_power(context: Context) -> list[Issue]:
     for number, stage in enumerate(context.job.stages):
         setup = context.setup_claims[context.spans.of_stage[number]]
         for task in context.job.tasks:
+            edged = task.arm.name in setup.straight or bool(setup.mills(task.arm.name))
             for step in stage.steps[task.name]:
                 if isinstance(step, SignalStep) and step.signal.lower() in signals:
                     name = step.signal.lower()
                     on = on | {name} if step.value else on - {name}
                 if not isinstance(step, MoveStep) or not on:
                     continue
-                edged = task.arm.name in setup.straight or bool(setup.mills(task.arm.name))
                 alone = not stage.synchronised and (bool(setup.joined) or not edged)
                 if alone or (not setup.joined and step.by_joints):
                     how = "alone" if alone else "by joints"

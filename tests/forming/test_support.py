@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from planner.forming import opposite
 from planner.forming.passes import passes
 from planner.forming.support import support_issues, tool_path
 from planner.forming.values import ContactPath, Pass, ToolPath
@@ -102,6 +103,20 @@ def test_beside_the_flat_the_support_rolls_round_the_former(side: int) -> None:
     assert np.allclose(got, wanted, atol=np.radians(0.3))
     assert np.all(wanted < np.radians(50.0))
     assert support_issues(one, path, operation(), BALL, BALL, T0) == ()
+
+
+@SIDES
+def test_moves_that_do_not_keep_the_gap_are_told(side: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    one, contact = made(side, per_loop=24)
+    whole = tool_path(one, contact, operation(), BALL, BALL, T0)
+    assert whole.loose is not None and not whole.loose.any()
+    monkeypatch.setattr(opposite, "_ROUNDS", 1)
+    path = tool_path(one, contact, operation(), BALL, BALL, T0)
+    assert path.loose is not None and len(path.former) < len(whole.former)
+    (issue,) = support_issues(one, path, operation(), BALL, BALL, T0)
+    assert issue.code == "forming.gap" and issue.severity is Severity.WARNING
+    assert issue.value == path.loose.sum() > 0.0
+    assert f"on {path.loose.sum()} moves between targets, first at (" in issue.message
 
 
 @SIDES

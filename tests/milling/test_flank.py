@@ -132,3 +132,33 @@ def test_ridges_between_lines_on_a_sphere() -> None:
     beside = (sphere + radius) * np.sin(half)
     ridge = middle - np.sqrt(radius**2 - beside**2) - sphere
     assert ridge == pytest.approx(height, rel=0.05)
+
+
+def ring(turn: float, count: int = 720) -> Ruled:
+    """A closed cone about z whose upper guide is turned against the lower one by ``turn`` [rad]."""
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    low = np.stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), np.zeros(count)], axis=1)
+    high = np.stack([0.02 * np.cos(angle + turn), 0.02 * np.sin(angle + turn), np.full(count, 0.04)], axis=1)
+    return Ruled("ring", low, high, np.zeros(count, dtype=bool), closed=True)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_closed_surface_has_no_seam(turn: float) -> None:
+    """The cone is the same all around, and so is the cutter's way: all places are the first one turned about
+    z, the last one is the first one again, and without a twist they are those of the closed form."""
+    strip, radius = strip_of(ring(turn)), 0.006
+    low, high = flank.axes(strip, radius)
+    np.testing.assert_allclose(low[-1], low[0], atol=1e-12)
+    np.testing.assert_allclose(high[-1], high[0], atol=1e-12)
+    for side in (low, high):
+        beside = np.linalg.norm(side[:, :2], axis=1)
+        assert np.ptp(beside) < 2e-6
+        assert np.ptp(side[:, 2]) < 2e-6
+    off = np.abs(flank.deviation(strip, radius, low, high))
+    assert off[0].max() == pytest.approx(off[len(off) // 2].max(), abs=2e-6)
+    if turn == 0.0:
+        lean = np.arctan2(0.01, 0.04)
+        np.testing.assert_allclose(
+            np.linalg.norm(low[:, :2], axis=1), 0.03 + radius * np.cos(lean), atol=2e-6
+        )
+        np.testing.assert_allclose(low[:, 2], radius * np.sin(lean), atol=2e-6)

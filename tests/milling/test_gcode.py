@@ -276,3 +276,17 @@ def test_skipped_codes_and_lines_after_the_end_are_told(tmp_path: Path) -> None:
 def test_what_the_problem_states_is_checked(tmp_path: Path, stated: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         spec(tmp_path, "", **stated)
+
+
+def test_lines_may_end_by_a_carriage_return_alone(tmp_path: Path) -> None:
+    """As old controllers write them, in files longer than any line may be and than is read at once."""
+    text = "G90 G21 G94 F100 G0 X0 Y0 Z0\rG1\r" + "".join(f"X{k % 90}.{k:06d}\r" for k in range(120_000))
+    both = text.replace("\r", "\r\n")
+    tips = [read(tmp_path, one, spindle_rpm=6000).path.tip for one in (text, both)]
+    assert len(tips[0]) == 120_001
+    assert np.array_equal(*tips)
+
+
+def test_a_line_that_is_too_long_is_named(tmp_path: Path) -> None:
+    (issue,) = refused(tmp_path, "G1\nX1\n" + " " * 3_000_000 + "\n")
+    assert (issue.code, issue.line) == ("gcode.syntax", 3)

@@ -95,3 +95,19 @@ def test_what_a_robot_cannot_do_is_named(tmp_path: Path, text: str, code: str, l
     with pytest.raises(TandemError) as caught:
         cut(tmp_path, text)
     assert [(issue.code, issue.line) for issue in caught.value.issues] == [(code, line)]
+
+
+def test_long_moves_have_places_of_their_own_a_step_apart(tmp_path: Path) -> None:
+    """A straight move of 100 mm on which the axis turns by 30 degrees about y, as angles of a closed form;
+    the wait behind it is still at its end."""
+    end = f"I{np.sin(np.pi / 6):.9f} J0 K{np.cos(np.pi / 6):.9f}"
+    text = f"G0 X0 Y0 Z0 I0 J0 K1\nG1 X100 {end}\nG4 P0.5\nG1 X110\nG0 Z5\n"
+    (run,) = cut(tmp_path, text, step=0.008, tool_axis="ijk", dwell="s").runs
+    x = run.path.tip[:, 0]
+    assert len(x) == 1 + 13 + 2
+    np.testing.assert_allclose(np.diff(x[:14]), 0.1 / 13, atol=1e-9)
+    lean = np.arctan2(run.path.axis[:14, 0], run.path.axis[:14, 2])
+    np.testing.assert_allclose(lean, x[:14] / 0.1 * np.pi / 6, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(run.path.axis, axis=1), 1.0, atol=1e-8)
+    assert run.waits == ((13, 0.5),)
+    assert run.follow is not None and len(run.follow) == 3

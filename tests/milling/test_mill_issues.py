@@ -173,3 +173,34 @@ def test_a_spindle_that_hits_its_own_arm_is_named(tmp_path: Path) -> None:
         solve.solve(read, [processes.make_targets(read, 0)])
     found = only(list(caught.value.issues), "motion.home")
     assert "robot/tool" in found.message
+
+
+def closed(low: float, high: float, sides: int, **more: Any) -> dict[str, Any]:
+    """A closed wall about z, of two regular polygons."""
+    turn = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
+    rings = [
+        [[float(r * np.cos(t)), float(r * np.sin(t)), z] for t in turn]
+        for r, z in ((low, 12.0), (high, 50.0))
+    ]
+    return ruled(*rings, closed=True, **more)
+
+
+def test_closed_outlines_are_gone_around_outside_with_corners_and_inside(tmp_path: Path) -> None:
+    assert not issues(tmp_path, WALL, part=closed(20, 16, 240))
+    assert not issues(tmp_path, WALL, part=closed(22, 18, 4))
+    down = [{"flank": "wall", "lead_mm": 0}]
+    assert not issues(tmp_path, WALL, part=closed(20, 24, 240, hole=True), cuts=down)
+
+
+def test_a_way_out_through_the_wall_of_a_hole_is_told_as_such(tmp_path: Path) -> None:
+    found = only(issues(tmp_path, WALL, part=closed(20, 24, 240, hole=True)), "milling.gouge")
+    assert "give a lead_mm" in found.message
+    assert found.target is not None
+    assert found.target.startswith(("mill/wall_in/", "mill/wall_out/"))
+
+
+def test_every_inner_corner_of_a_closed_hole_is_named(tmp_path: Path) -> None:
+    part = closed(20, 24, 4, hole=True)
+    found = issues(tmp_path, WALL, part=part, cuts=[{"flank": "wall", "lead_mm": 0}])
+    named = {i.message.split(" degrees at ")[1].split(" mm")[0] for i in found if i.code == "milling.corner"}
+    assert len(named) == 4

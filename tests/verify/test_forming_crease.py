@@ -32,7 +32,8 @@ def turned(centre: np.ndarray, line: np.ndarray) -> float:
     face = Face(vertices, faces, RADIUS)
     both = np.stack([centre, centre - 2.1 * RADIUS * line / np.linalg.norm(line)])[None]
     rows = np.zeros(1, dtype=np.int64)
-    way = Track(("left", "right"), rows, both, both, np.ones(1, dtype=np.bool_), np.zeros(0, dtype=np.bool_))
+    joined = np.zeros(0, dtype=np.bool_)
+    way = Track(("left", "right"), rows, both, np.ones(1, dtype=np.bool_), joined, (), np.eye(4)[None])
     found = face.nearest(both[:, 0], TIED)
     return float(np.rad2deg(_turned(way, rows, face, found, 1, upright=True)[0]))
 

@@ -20,7 +20,13 @@ from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
 RULES = ("verify.milled", "verify.mill_gouge", "verify.mill_path", "verify.mill_feed", "verify.spindle")
 ENGRAVE = {"engrave": [{"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}], "depth_mm": 0.5}
-LINES = {"lines": "front", "stepover_mm": 2.0, "margin_mm": 6}
+LINES = {"lines": "front", "stepover_mm": 1.5}
+TURN = np.linspace(0.0, 2 * np.pi, 240, endpoint=False)
+OUTLINE = [
+    {"polyline_mm": [[float(r * np.cos(t)), float(r * np.sin(t)), z] for t in TURN]}
+    for r, z in ((20.0, 12.0), (16.0, 50.0))
+]
+ROUND = {"ruled": [{"name": "wall", "start": OUTLINE[0], "end": OUTLINE[1], "closed": True}], "in_stock": {}}
 MOVE = re.compile(r"(MoveL \[\[)([-\d.]+),([-\d.]+),([-\d.]+)(\],\[)")
 
 Programs = dict[str, str]
@@ -50,6 +56,11 @@ def wall(tmp_path_factory: pytest.TempPathFactory) -> Job:
 @pytest.fixture(scope="module")
 def pattern(tmp_path_factory: pytest.TempPathFactory) -> Job:
     return Job(tmp_path_factory.mktemp("pattern"), PANEL, BALL, cuts=[ENGRAVE])
+
+
+@pytest.fixture(scope="module")
+def face(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    return Job(tmp_path_factory.mktemp("face"), PANEL, BALL, cuts=[LINES])
 
 
 def in_procedure(programs: Programs, name: str, change: Callable[[str], str]) -> Programs:
@@ -118,6 +129,40 @@ def test_a_tip_that_is_too_high_leaves_the_wall(wall: Job) -> None:
     assert "verify.milled" in wall.broken(bad)
 
 
+@pytest.mark.parametrize("way", ["", "_in", "_out"])
+def test_a_tip_that_is_too_deep_where_no_face_says_so(wall: Job, way: str) -> None:
+    """Below the wall and beside it there is no face of the part; what is there is not to be milled."""
+    bad = in_procedure(
+        wall.programs, f"mill_wall{way}", lambda text: moved(text, slice(3, None), (0, 0, -2.0))
+    )
+    assert "verify.mill_path" in wall.broken(bad)
+
+
+def test_a_way_through_the_block_is_caught(wall: Job) -> None:
+    """The cutter goes off into the block, away from the wall, and comes back."""
+
+    def aside(text: str) -> str:
+        move = list(MOVE.finditer(text))[12]
+        line = next(line for line in text.split("\n") if move[0] in line)
+        slow = re.sub(r"\\T:=[\d.]+", r"\\T:=1.0", line)
+        over = slow.replace(move[0], f"{move[1]}{move[2]},{float(move[3]) - 15:.4f},{move[4]}{move[5]}")
+        return text.replace(line, "\n".join([line, over, slow]))
+
+    assert "verify.mill_path" in wall.broken(in_procedure(wall.programs, "mill_wall", aside))
+
+
+def test_a_roughing_pass_that_is_left_out_is_caught(tmp_path: Path) -> None:
+    """The finishing pass would take all of the wall's height at once."""
+    rough = Job(tmp_path, WALL, cuts=[{"flank": "wall", "stepdown_mm": 25}])
+    assert rough.prove(rough.programs, last=None).ok
+    bad = {file: re.sub(r"\n +mill_wall_r1(_in|_out)?;", "", text) for file, text in rough.programs.items()}
+    bad = {
+        file: re.sub(r" *PROC mill_wall_r1(?:_in|_out)?\(\).*?ENDPROC\r?\n", "", text, flags=re.S)
+        for file, text in bad.items()
+    }
+    assert "verify.mill_path" in rough.broken(bad)
+
+
 def test_a_pass_that_is_left_out_is_caught(wall: Job) -> None:
     bad = {file: re.sub(r"\n +mill_wall;", "", text) for file, text in wall.programs.items()}
     assert bad != wall.programs
@@ -142,10 +187,25 @@ def test_a_spindle_that_is_not_up_to_speed_is_caught(wall: Job) -> None:
     assert "verify.spindle" in wall.broken(in_procedure(wall.programs, "operation_1", later))
 
 
-def test_a_faster_feed_is_caught(wall: Job) -> None:
-    def twice(text: str) -> str:
-        return re.sub(r"\\T:=([\d.]+)", lambda m: f"\\T:={0.5 * float(m[1]):.5f}", text)
+def twice(text: str) -> str:
+    """A procedure whose moves take half their time."""
+    return re.sub(r"\\T:=([\d.]+)", lambda m: f"\\T:={0.5 * float(m[1]):.5f}", text)
 
+
+def without(rows: slice) -> Callable[[str], str]:
+    """Leaves out some of a procedure's straight moves."""
+
+    def change(text: str) -> str:
+        lines = text.split("\n")
+        moves = [k for k, line in enumerate(lines) if "MoveL" in line]
+        drop = set(moves[rows])
+        assert drop
+        return "\n".join(line for k, line in enumerate(lines) if k not in drop)
+
+    return change
+
+
+def test_a_faster_feed_is_caught(wall: Job) -> None:
     assert "verify.mill_feed" in wall.broken(in_procedure(wall.programs, "mill_wall", twice))
 
 
@@ -176,6 +236,49 @@ def test_a_pattern_that_is_half_left_out_is_caught(pattern: Job) -> None:
         return "\n".join(line for k, line in enumerate(lines) if k not in drop)
 
     assert "verify.mill_path" in pattern.broken(in_procedure(pattern.programs, "mill_pattern_c1", half))
+
+
+def test_a_closed_outline_is_proven_all_around(tmp_path: Path) -> None:
+    job = Job(tmp_path, WALL, {"overhang_mm": 90}, part=ROUND)
+    proof = job.prove(job.programs, last=None)
+    assert proof.ok, proof.issues
+    (found,) = proof.surfaces
+    assert found.share > 0.999
+    short = in_procedure(job.programs, "mill_wall", without(slice(-12, None)))
+    assert "verify.milled" in job.broken(short)
+
+
+def test_a_face_in_lines_is_proven_with_ridges_of_the_closed_form(face: Job) -> None:
+    """Balls of radius r on lines s apart along a face that bends by k across them leave s^2 / 8 (1 / r + k).
+    Across the lines are the profiles: in their middle the Bezier curve has y' = 60 and z'' = -36 mm, so that
+    k is 36 / 60^2 per mm."""
+    proof = face.prove(face.programs, last=None)
+    assert proof.ok, proof.issues
+    (found,) = proof.surfaces
+    assert found.share > 0.995
+    inner = (np.abs(found.points[:, 0]) < 0.035) & (np.abs(found.points[:, 1]) < 0.006)
+    ridge = float(np.nanquantile(found.deviation[inner], 0.999))
+    assert ridge == pytest.approx(1.5e-3**2 / 8.0 * (1.0 / 3e-3 + 10.0), rel=0.08)
+
+
+def test_a_line_that_is_left_out_is_caught(face: Job) -> None:
+    """Two moves of the middle line of a zigzag, and all of the lines but the first ones."""
+    for rows in (slice(200, 230), slice(100, None)):
+        bad = in_procedure(face.programs, "mill_front_lines", without(rows))
+        assert "verify.milled" in face.broken(bad)
+
+
+@pytest.mark.parametrize("by", [(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)])
+def test_lines_too_deep_or_too_high_are_caught(face: Job, by: tuple[float, float, float]) -> None:
+    bad = in_procedure(face.programs, "mill_front_lines", lambda text: moved(text, slice(150, 220), by))
+    found = face.broken(bad)
+    assert "verify.milled" in found
+    assert ("verify.mill_gouge" in found) == (by[2] < 0.0)
+
+
+def test_a_faster_feed_on_lines_is_caught(face: Job) -> None:
+    bad = in_procedure(face.programs, "mill_front_lines", twice)
+    assert "verify.mill_feed" in face.broken(bad)
 
 
 def cutters() -> list[Cutter]:

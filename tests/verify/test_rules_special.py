@@ -166,6 +166,7 @@ ROD_ARM = """MODULE Rod
   CONST pose base_frame:=[[0.0000,0.0000,0.0000],[1,0,0,0]];
   TASK PERS tooldata tip:=[TRUE,[[0.0000,0.0000,100.0000],[1,0,0,0]],[1,[0,0,50],[1,0,0,0],0,0,0]];
   PROC main()
+    UIMsgBox\\Header:="Tandem","Clear?"\\Buttons:=btnOK\\Icon:=iconInfo;
     MoveAbsJ [[0,#2,#3,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs,v100,fine,tip;
   ERROR
     StopMove\\Quick;

@@ -1,0 +1,99 @@
+"""The 60 degree cone, with one controller and with two: processor time and peak memory of each stage from
+mesh to verified programs on one core, and the proof's clearance beside one that measures every look."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from planner import pipeline, processes
+from planner.cell import clearance
+from planner.motion import solve
+from planner.post import write
+from planner.verify.context import Context
+from planner.verify.looks import looks
+from planner.verify.prove import Prover
+from planner.verify.rules_cell import REACH
+
+JOBS = ("cone_dpif_l", "cone_dpif_p")
+GOAL_S, GOAL_MB = 120.0, 2000.0
+LOOKS = 4000
+"""Looks, spread over the job, at which bounds and measured distances are compared."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_Made = TypeVar("_Made")
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of processor time [s] by stage, of fresh processes, with their peak memory as a note."""
+    rows: list[dict[str, Any]] = []
+    for name in JOBS:
+        command = [sys.executable, "-m", "bench.cone_bench", name]
+        one = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=one)
+        rows += json.loads(done.stdout.splitlines()[-1])
+    return rows
+
+
+def stages(name: str) -> list[dict[str, Any]]:
+    """Rows of one job, run in this process."""
+    rows: list[dict[str, Any]] = []
+
+    def timed(what: str, work: Callable[[], _Made]) -> _Made:
+        _forget_peak()
+        start = time.process_time()
+        made = work()
+        took = time.process_time() - start
+        note = f"processor time; peak memory {_peak():.0f} MB"
+        rows.append({"name": f"{name}: {what}", "median_s": took, "peak_mb": _peak(), "note": note})
+        return made
+
+    problem = pipeline.load(name)
+    targets = timed("targets", lambda: [processes.make_targets(problem, 0)])
+    plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
+    programs = timed("programs", lambda: write.programs(plan, problem))
+    claims = processes.claims(problem)
+    prover = Prover(problem, claims)
+    proof = timed("proof", lambda: prover.prove(programs))
+    whole, most = sum(row["median_s"] for row in rows), max(row["peak_mb"] for row in rows)
+    told = f"{targets[0].count} targets, {'proven' if proof.ok else 'NOT proven'}, {most:.0f} MB"
+    told += f"; ratio is to the goal of {GOAL_S:g} s and {GOAL_MB:g} MB"
+    total = {"name": f"{name}: mesh to programs", "median_s": whole, "ratio": whole / GOAL_S, "note": told}
+    return [*rows, total, _against_all(name, prover, Context(problem, claims, programs))]
+
+
+def _against_all(name: str, prover: Prover, context: Context) -> dict[str, Any]:
+    """Bounds of some looks, with the time of measuring all of them as the peer."""
+    rows = looks(context, 0)
+    rows = rows[np.linspace(0, len(rows) - 1, LOOKS).astype(np.int64)]
+    model, q = prover.model(context), {arm: q[rows] for arm, q in context.motion.q.items()}
+    start = time.process_time()
+    clearance.at_least(model, q, REACH)
+    middle = time.process_time()
+    for begin in range(0, LOOKS, clearance.FEW - 1):  # so few that no bound is asked
+        clearance.least(model, {arm: v[begin : begin + clearance.FEW - 1] for arm, v in q.items()}, REACH)
+    end = time.process_time()
+    took, peer = middle - start, end - middle
+    note = f"{LOOKS} looks; all of them measured: {peer:.2f} s"
+    return {"name": f"{name}: clearance by bounds", "median_s": took, "ratio": took / peer, "note": note}
+
+
+def _forget_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def _peak() -> float:
+    """Peak memory [MB] since it was last forgotten."""
+    rows = Path("/proc/self/status").read_text().splitlines()
+    return float(next(row for row in rows if row.startswith("VmHWM")).split()[1]) / 1e3
+
+
+if __name__ == "__main__":
+    print(json.dumps(stages(sys.argv[1])))

@@ -1,0 +1,136 @@
+"""The flank job of about 1,000 targets: from file to verified programs in a fresh process on one core, by
+stages, and its gouge check beside one that holds all places of a face against all places of the path."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+
+GOAL_S = 10.0
+STEP_MM = 5.1
+"""Distance of targets at which the four walls of the bundled job take about 1,000."""
+PROBLEM = Path(__file__).parent.parent / "problems" / "flank_wall" / "problem.yaml"
+LIBRARIES = "pydrake.planning, pydrake.multibody.parsing, scipy.optimize, scipy.ndimage, trimesh, shapely"
+"""What every part of the start that is not our own loads."""
+SAMPLE = 60
+"""One in so many places of a face is held against all of the path."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_Made = TypeVar("_Made")
+
+
+def run() -> list[dict[str, Any]]:
+    """Rows of processor time [s]: the whole command, and each stage with what it is beside."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = job(folder)
+        peer = _spent([sys.executable, "-c", f"import {LIBRARIES}"])[0]
+        command = [sys.executable, "-m", "planner", "plan", str(path), "-o", str(folder / "out")]
+        took, wall, done = _spent(command)
+        told = [line for line in done.stdout.splitlines() if "targets" in line]
+        note = f"{'proven' if done.returncode == 0 else 'NOT proven'}, {told[-1] if told else 'no plan'}; "
+        note += f"processor time, {wall:.1f} s by the wall; ratio is to the goal of {GOAL_S:g} s"
+        whole = {
+            "name": "flank job: tandem plan, cold",
+            "median_s": took,
+            "ratio": took / GOAL_S,
+            "note": note,
+        }
+        stage = [sys.executable, "-m", "bench.flank_bench", str(path), str(folder / "saved")]
+        rows: list[dict[str, Any]] = json.loads(_spent(stage)[2].stdout.splitlines()[-1])
+        rows[0] |= {"ratio": rows[0]["median_s"] / peer, "note": f"its libraries alone: {peer:.2f} s"}
+        return [whole, *rows]
+
+
+def job(folder: Path) -> Path:
+    """The bundled job with another distance of targets, written to ``folder``."""
+    data = yaml.safe_load(PROBLEM.read_text())
+    data["cell"] = str((PROBLEM.parent / data["cell"]).resolve())
+    data["operations"][0]["step_mm"] = STEP_MM
+    path = folder / "problem.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+def stages(path: str, folder: str) -> list[dict[str, Any]]:
+    """Rows of processor time of each stage, run in this process, which has imported nothing of it before."""
+    rows: list[dict[str, Any]] = []
+
+    def timed(what: str, work: Callable[[], _Made]) -> _Made:
+        start = time.process_time()
+        made = work()
+        rows.append({"name": f"flank job: {what}", "median_s": time.process_time() - start})
+        return made
+
+    def load() -> None:
+        from planner import pipeline  # noqa: F401
+
+    timed("start-up", load)
+    from planner import pipeline, processes
+    from planner.milling.once import job_once
+    from planner.motion import solve
+    from planner.post import write
+
+    problem = timed("problem file", lambda: pipeline.load(path))
+    targets = timed("targets", lambda: [processes.make_targets(problem, 0)])
+    plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
+    programs = timed("programs", lambda: write.programs(plan, problem))
+    proof = timed("proof", lambda: pipeline.verify(problem, programs))
+    outcome = pipeline.Outcome(problem, plan, proof, programs)
+    timed("report, replay and files", lambda: outcome.save(folder))
+    made = job_once(problem.operations[0], problem.setup_of(0), problem.part)
+    return [*rows, _against_all(made)]
+
+
+def _against_all(made: Any) -> dict[str, Any]:
+    """The cutter along the last pass of the first wall, against places of the wall."""
+    from planner.geometry.closest import small_pieces
+    from planner.milling import body
+
+    face, path = made.faces[0].mesh, made.cuts[0].runs[-1].path
+    points = small_pieces(face.vertices[face.faces], 2e-3, 200_000)[0].mean(axis=1)
+    section = body.sections(made.cutter)[0]
+    start = time.process_time()
+    found, _ = body.off(points, path.tip, path.axis, section)
+    took = time.process_time() - start
+    start = time.process_time()
+    tips, axes, _ = body.between(path.tip, path.axis, section.end, body.DENSE * section.radius)
+    worst = 0.0
+    for i in range(0, len(points), SAMPLE):
+        rest = points[i] - tips
+        back = np.einsum("nd,nd->n", rest, axes)
+        beside = np.linalg.norm(rest - back[:, None] * axes, axis=1)
+        all_of_them = min(float(section.off(back, beside).min()), body.SIGHT)
+        worst = max(worst, abs(all_of_them - float(found[i])))
+    peer = (time.process_time() - start) * SAMPLE
+    note = f"{len(points)} places; against all {len(tips)} places of the path: {peer:.1f} s (one in {SAMPLE} "
+    note += f"held), {1e6 * worst:.3f} um apart"
+    return {
+        "name": "flank job: one pass against its wall",
+        "median_s": took,
+        "ratio": took / peer,
+        "note": note,
+    }
+
+
+def _spent(command: list[str]) -> tuple[float, float, subprocess.CompletedProcess[str]]:
+    """Processor time and wall time [s] of a process on one core."""
+    one = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, env=one, check=False)
+    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall, done
+
+
+if __name__ == "__main__":
+    print(json.dumps(stages(sys.argv[1], sys.argv[2])))
