@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from planner.issues import Issue
 
-GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align"} | {
+GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align", "gcode"} | {
     "wire.unknown_material",
     "wire.size",
     "wire.temperature",
@@ -14,6 +14,27 @@ GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "
     "post.controller",
     "post.signal",
     "post.name",
+    "forming.no_sheet",
+    "forming.tool",
+    "forming.side",
+    "forming.closed_mesh",
+    "forming.inside_out",
+    "forming.support_tool",
+    "forming.holder",
+    "forming.unknown_metal",
+    "forming.force_input",
+    "forming.adsif_table",
+    "forming.path_options",
+    "forming.hole",
+    "forming.border",
+    "forming.touching",
+    "forming.flat",
+    "forming.step",
+    "forming.order",
+    "milling.tool",
+    "milling.no_surface",
+    "milling.guides",
+    "milling.guide_lengths",
     "batch.field",
     "batch.csv",
     "batch.in_use",

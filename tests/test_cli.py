@@ -72,7 +72,12 @@ def test_the_lists(tmp_path: Path) -> None:
     [
         (["part.stock_too_small"], cli.BAD_INPUT),
         (["targets.file", "problem.missing_file"], cli.BAD_INPUT),
+        (["gcode.feed", "gcode.unit"], cli.BAD_INPUT),
+        (["forming.closed_mesh"], cli.BAD_INPUT),
+        (["milling.guide_lengths"], cli.BAD_INPUT),
         (["motion.no_path"], cli.NO_PLAN),
+        (["forming.wall_angle"], cli.NO_PLAN),
+        (["milling.tool_radius"], cli.NO_PLAN),
         (["wire.too_short", "problem.field"], cli.NO_PLAN),
     ],
 )
