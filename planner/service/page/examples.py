@@ -17,6 +17,7 @@ from planner.service.refusals import RefusedError
 
 _SKIPPED: Final = ("cells",)
 _OTHER: Final = ("faces.yaml", "expect.yaml")
+_SCRIPT: Final = re.compile(r"\bmake_\w+\.py")
 INFEASIBLE: Final = "infeasible"
 """The folder of problems that have no plan."""
 
@@ -83,7 +84,8 @@ def _about(text: str) -> str:
         if not line.startswith("#"):
             break
         lines.append(line.lstrip("# ").rstrip())
-    return re.sub(r"\s*(Written|Made) by make_\w+\.py[^.]*\.?\s*", " ", " ".join(lines)).strip()
+    sentences = re.split(r"(?<=\.) (?=[A-Z0-9])", " ".join(lines))
+    return " ".join(one for one in sentences if not _SCRIPT.search(one)).strip()
 
 
 def _path(name: str) -> Path:
