@@ -28,7 +28,7 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
     out: dict[str, str] = {}
     issues: tuple[Issue, ...] = ()
     try:
-        out["replay.html"] = replay3d.document(model, problem, plan)
+        out["replay.html"] = replay3d.document(model, problem, plan, proof)
     except TandemError as error:
         issues = error.issues
     extra = Extra(moments.pictures(model, problem, plan), model.pairs_filtered, issues=issues)

@@ -22,8 +22,9 @@ from planner.plans import Plan
 from planner.problem import Mesh, Problem, Setup
 from planner.report import scene as scenes
 from planner.report import sweep
-from planner.report.replay_bar import bar
+from planner.report.replay_bar import Clock, bar, clock
 from planner.report.track import Track, track
+from planner.verify.result import Proof
 
 FloatArray = NDArray[np.float64]
 FPS: Final = 100.0
@@ -46,8 +47,9 @@ def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
     write_whole(path, document(model, problem, plan))
 
 
-def document(model: CellModel, problem: Problem, plan: Plan) -> str:
-    """The replay as text. ``model``: the cell, for its robots and fixed bodies.
+def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
+    """The replay as text. ``model``: the cell, for its robots and fixed bodies; a ``proof`` has the clock
+    that its issues are told by.
 
     Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start.
     """
@@ -71,7 +73,14 @@ def document(model: CellModel, problem: Problem, plan: Plan) -> str:
     page = str(meshcat.StaticHtml())
     title = f"{problem.name} – Tandem replay"
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", bar(problem.name, run) + "</body>", 1)
+    return page.replace("</body>", bar(problem.name, run, _clock(run, proof)) + "</body>", 1)
+
+
+def _clock(run: Track, proof: Proof | None) -> Clock:
+    series = proof.series if proof is not None else {}
+    if "time" not in series or "label" not in series:
+        return ()
+    return clock(run, np.asarray(series["time"]), [str(label) for label in series["label"]])
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import html
 import json
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.report.track import Track
 from planner.targets import segment_kind
 
+FloatArray = NDArray[np.float64]
 _COLOURS: Final = {
     "cut": "#f08a3c",
     "mill": "#f08a3c",
@@ -24,6 +27,8 @@ _COLOURS: Final = {
     "setup": "#c9a2c4",
 }
 _OTHER: Final = "#8d99a8"
+Clock = tuple[tuple[float, float], ...]
+"""Times of the programs and of the replay [s] that belong together, ascending; straight between them."""
 
 _STYLE: Final = """
 #status-message{display:none!important}.dg.ac{z-index:3}
@@ -76,24 +81,40 @@ if(window.viewer){for(const a of viewer.animator.actions){a.paused=false;a.enabl
  line.onpointermove=e=>{if(drag)at(e)};line.onpointerup=()=>{drag=false};
  addEventListener('keydown',e=>{if(e.code==='Space'){e.preventDefault();play.onclick()}
   if(e.code==='ArrowRight')go(t+T/200);if(e.code==='ArrowLeft')go(t-T/200)});
- const start=new URLSearchParams(location.hash.slice(1)).get('t');
+ const onReplay=v=>{const c=D.clock,k=c.findIndex(p=>p[0]>=v);if(!c.length)return v;
+  if(k<1)return c[k?c.length-1:0][1];const [a,b]=[c[k-1],c[k]];
+return a[1]+(b[1]-a[1])*(v-a[0])/Math.max(b[0]-a[0],1e-9)};
+ const inWork=(v,name)=>{const n=Math.max(D.segments.findIndex(s=>s[2]===name),0),
+  before=D.segments.slice(0,n+1).filter(s=>s[2]==='entry'||s[2]==='setup').pop();
+return (before?before[1]:0)+v};
+ const asked=()=>{const h=new URLSearchParams(location.hash.slice(1)),
+  n=k=>h.has(k)&&isFinite(h.get(k))?+h.get(k):null;
+  const [t,at,work]=['t','at','work'].map(n);
+return t!==null?t:at!==null?onReplay(at):work!==null?inWork(work,h.get('in')):null},start=asked();
+ addEventListener('hashchange',()=>{const v=asked();if(v!==null){set(false);go(v)}});
  const step=now=>{if(going&&!drag){go(t+(now-last)/1000*speed.value);if(t>=T)set(false)}last=now;
 requestAnimationFrame(step)};
  const ready=()=>{if(window.viewer&&viewer.animator&&viewer.animator.duration>0){
    if(viewer.gui)viewer.gui.close();viewer.animator.play();viewer.animator.pause();
-go(start===null?0:+start);if(start===null)set(true);
+go(start??0);if(start===null)set(true);
    requestAnimationFrame(step)}else setTimeout(ready,60)};
  draw();ready()})();
 """
 
 
-def bar(name: str, run: Track) -> str:
-    """HTML of the bar for an animation that starts at time 0; ``#t=seconds`` in the address stops there."""
+def bar(name: str, run: Track, clock: Clock = ()) -> str:
+    """HTML of the bar for an animation that starts at time 0.
+
+    ``#t=seconds`` in the address stops there, also when it changes; ``#at=`` is a time on the programs'
+    clock, which ``clock`` leads over; ``#work=`` one from the start of the work of the operation that has the
+    segment ``in=``.
+    """
     time = run.time - run.time[0]
     end = float(max(time[-1], 1e-3))
     data = {
         "end": round(end, 3),
         "segments": _segments(time, run.segment),
+        "clock": [(round(a, 3), round(b, 3)) for a, b in clock],
         "stops": [(round(at - float(run.time[0]), 3), text) for at, text in run.stops],
     }
     packed = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
@@ -111,6 +132,34 @@ def bar(name: str, run: Track) -> str:
         "<span class='stopped' style='color:#c0352b'></span></div></div>"
         f"<script type='application/json' id='track'>{packed}</script><script>{_SCRIPT}</script>"
     )
+
+
+def clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
+    """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done, leads to the
+    replay's: what has the same label in both begins and ends together.
+
+    The replay shows the ways from and to home at a pace of its own, so the clocks differ by more than a
+    shift.
+    """
+    shown = [(label, a, b) for a, b, label, _ in _segments(run.time - run.time[0], run.segment)]
+    out: list[tuple[float, float]] = []
+    for label, first, last in _runs(labels):
+        found = next((i for i, one in enumerate(shown) if one[0] == label), None)
+        if found is not None:
+            _, start, end = shown[found]
+            shown = shown[found + 1 :]
+            out += [(float(time[max(first - 1, 0)]), start), (float(time[last]), end)]
+    return tuple(out)
+
+
+def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
+    """Runs of equal labels: label, first and last index."""
+    edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
+    return [
+        (str(labels[a]), a, b - 1)
+        for a, b in zip([0, *edges], [*edges, len(labels)], strict=True)
+        if len(labels)
+    ]
 
 
 def _segments(time: np.ndarray, labels: tuple[str, ...]) -> list[tuple[float, float, str, str]]:

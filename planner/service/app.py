@@ -20,6 +20,7 @@ from planner.issues import Issue
 from planner.service import routes_about, routes_jobs
 from planner.service.guard import LOOPBACK, Guard
 from planner.service.metrics import REQUESTS
+from planner.service.page import routes as routes_page
 from planner.service.refusals import RefusedError
 from planner.service.schemas import IN_OPENAPI, problem_schema
 from planner.service.service import Service
@@ -54,6 +55,7 @@ def create_app(service: Service) -> FastAPI:
     app.state.service = service
     app.include_router(routes_jobs.router)
     app.include_router(routes_about.router)
+    app.include_router(routes_page.router)
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)

@@ -19,6 +19,7 @@ import numpy as np
 from planner import problem_file, processes, yaml_lines
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
+from planner.service.page.shapes import shapes
 from planner.service.uploaded import NOWHERE, Uploaded
 from planner.units import MM
 from planner.yaml_lines import Document
@@ -53,6 +54,7 @@ class Examined:
     text: str = ""
     files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    shapes: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def readable(self) -> bool:
@@ -60,10 +62,13 @@ class Examined:
         return bool(self.text)
 
 
-def examine(folder: Path, problem: Path, uploads: Mapping[str, Path], reach: bool = False) -> Examined:
+def examine(
+    folder: Path, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
+) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
-    ``folder`` is an empty one for this call alone. With ``reach`` the targets are made and reach is tested.
+    ``folder`` is an empty one for this call alone. With ``reach`` the targets are made and reach is tested,
+    with ``draw`` there are ``shapes`` for the page.
     """
     faults = list(_archives(uploads))
     if faults:
@@ -92,6 +97,7 @@ def examine(folder: Path, problem: Path, uploads: Mapping[str, Path], reach: boo
         text=text,
         files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         summary=_summary(read),
+        shapes=tuple(shapes(read)) if draw else (),
     )
 
 

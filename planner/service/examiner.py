@@ -36,7 +36,9 @@ class Examiners:
         self._all: set[subprocess.Popen[str]] = set()
         self._closed = False
 
-    def examine(self, problem: Path, uploads: Mapping[str, Path], reach: bool = False) -> Examined:
+    def examine(
+        self, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
+    ) -> Examined:
         """As :func:`planner.service.examine.examine`, in a process of its own."""
         process = self._idle.get()
         try:
@@ -48,6 +50,7 @@ class Examiners:
                     "problem": str(problem),
                     "uploads": {name: str(path) for name, path in uploads.items()},
                     "reach": reach,
+                    "draw": draw,
                 }
                 return self._ask(process, asked)
         finally:
@@ -121,7 +124,8 @@ def _to_json(examined: Examined) -> dict[str, Any]:
 
 def _from_json(data: dict[str, Any]) -> Examined:
     issues = tuple(Issue.from_dict(issue) for issue in data["issues"])
-    return Examined(**{**data, "issues": issues, "processes": tuple(data["processes"])})
+    tuples = {key: tuple(data[key]) for key in ("processes", "shapes")}
+    return Examined(**{**data, **tuples, "issues": issues})
 
 
 def serve() -> None:
@@ -137,7 +141,8 @@ def serve() -> None:
         asked = json.loads(line)
         uploads = {name: Path(path) for name, path in asked["uploads"].items()}
         try:
-            found = examine(Path(asked["folder"]), Path(asked["problem"]), uploads, asked["reach"])
+            folder, problem = Path(asked["folder"]), Path(asked["problem"])
+            found = examine(folder, problem, uploads, asked["reach"], asked["draw"])
             answer = json.dumps(_to_json(found))
         except MemoryError:
             os._exit(1)  # who asked says what it means

@@ -114,17 +114,24 @@ class Service:
         shutil.rmtree(self.scratch, ignore_errors=True)
         self._lock.close()
 
-    def examine(self, upload: Upload, reach: bool = False) -> Examined:
+    def examine(self, upload: Upload, reach: bool = False, draw: bool = False) -> Examined:
         """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 422."""
-        rows = [upload.problem.sha, reach, sorted((name, blob.sha) for name, blob in upload.files.items())]
+        rows = [
+            upload.problem.sha,
+            reach,
+            draw,
+            sorted((name, blob.sha) for name, blob in upload.files.items()),
+        ]
         key = hashlib.sha256(json.dumps(rows).encode()).hexdigest()
         with self._read_lock:
             known = self._read.get(key)
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
-            known = self._examiners.examine(self.files.path(upload.problem.sha), uploads, reach)
+            known = self._examiners.examine(self.files.path(upload.problem.sha), uploads, reach, draw)
             if not known.readable:
                 raise RefusedError(422, known.issues)
+            if draw:  # pictures are large, and asked for once
+                return known
             with self._read_lock:
                 self._read[key] = known
                 while len(self._read) > REMEMBERED:

@@ -65,7 +65,7 @@ class Uploaded:
         if text is None:
             return None
         for path, name in self._names.items():
-            text = text.replace(path, name)
+            text = text.replace(path, name).replace(last(path), last(name))
         return text.replace(f"{self._folder}{os.sep}", "")
 
     def _changed(self, data: Any, document: Document, place: tuple[str | int, ...]) -> Any:

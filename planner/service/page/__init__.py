@@ -1,0 +1,1 @@
+"""The page that the service serves: templates, style and scripts of its own, no build step, no internet."""

@@ -1,0 +1,52 @@
+// The service's HTTP API. A refusal becomes a Refused error with its issues.
+
+export class Refused extends Error {
+  constructor(status, issues) {
+    super(issues.map((issue) => issue.message).join("; "));
+    this.status = status;
+    this.issues = issues;
+  }
+}
+
+export class Unreachable extends Error {}
+
+async function ask(path, options = {}) {
+  let answer;
+  try {
+    answer = await fetch(path, { credentials: "same-origin", ...options });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Unreachable("the service cannot be reached");
+  }
+  if (answer.ok) return answer;
+  let issues = [];
+  try {
+    issues = (await answer.json()).issues ?? [];
+  } catch {
+    issues = [];
+  }
+  if (!issues.length) issues = [{ code: "service.request", severity: "error", message: `the service answered ${answer.status}` }];
+  if (answer.status === 401 && document.body.dataset.page !== "login") {
+    const back = encodeURIComponent(location.pathname + location.search + location.hash);
+    location.assign(`/ui/login?next=${back}`);
+  }
+  throw new Refused(answer.status, issues);
+}
+
+export const json = async (path, options) => (await ask(path, options)).json();
+export const text = async (path, options) => (await ask(path, options)).text();
+export const blob = async (path, options) => (await ask(path, options)).blob();
+export const post = (path, options = {}) => ask(path, { method: "POST", ...options });
+export const remove = (path) => ask(path, { method: "DELETE" });
+
+// The body of a job: the problem as JSON, or as the file that the user gave, and the files that it names.
+export function upload(problem, files) {
+  const form = new FormData();
+  const body = problem instanceof Blob ? problem : new Blob([JSON.stringify(problem)], { type: "application/json" });
+  form.append("problem", body, problem.name ?? "problem.json");
+  for (const [name, content] of files) form.append("files", content, name);
+  return form;
+}
+
+export const job = (id) => `/v1/jobs/${encodeURIComponent(id)}`;
+export const fileOf = (id, name) => `${job(id)}/files/${name.split("/").map(encodeURIComponent).join("/")}`;

@@ -1,0 +1,35 @@
+// What all pages share: the banner, logging out, badges.
+import { remove, Refused, Unreachable } from "./api.js";
+import { $, announce, h, show } from "./dom.js";
+import { STATES } from "./words.js";
+
+export function banner(text, kind = "bad") {
+  const place = $("banner");
+  if (!place) return;
+  show(place, Boolean(text));
+  place.className = `banner ${kind}`;
+  if (place.textContent !== text) place.textContent = text ?? "";
+}
+
+// Says what went wrong with a request.
+export function tell(error) {
+  if (error instanceof Unreachable) banner("The service cannot be reached. Trying again …", "warn");
+  else if (error instanceof Refused) banner(error.issues.map((issue) => (issue.hint ? `${issue.message}; ${issue.hint}` : issue.message)).join(" · "));
+  else {
+    banner(`The page failed: ${error.message}`);
+    throw error;
+  }
+}
+
+export function badge(state, element = h("span", {})) {
+  const [word, kind] = STATES[state] ?? [state, "off"];
+  element.className = `badge ${kind}`;
+  element.replaceChildren(h("i", { "aria-hidden": "true" }), word);
+  return element;
+}
+
+$("logout")?.addEventListener("click", async () => {
+  await remove("/v1/session");
+  announce("Logged out");
+  location.assign("/ui/login");
+});

@@ -1,0 +1,273 @@
+// One job: stages and issues as they happen, then report, replay, programs.
+import { fileOf, job as path, json, post, remove } from "./api.js";
+import { badge, banner, tell } from "./common.js";
+import { $, announce, h, icon, show } from "./dom.js";
+import { errors, issueItem, issueList, sorted } from "./issues.js";
+import { outcomeOf } from "./outcome.js";
+import { ago, bytes, duration, figureName, figureOrder, isOpen, number, processName, STATES, unitOf } from "./words.js";
+
+const id = $("job").dataset.id;
+const MOST = 3;
+const STAGES = ["waiting", "targets", "cell", "placement", "motion", "programs", "proof", "report"];
+let job = null;
+let issues = [];
+let stage = "";
+let seen = 0;
+let ended = false;
+let files = [];
+
+function drawHead() {
+  document.title = `${job.name} · Tandem`;
+  $("name").textContent = job.name;
+  badge(job.state, $("state"));
+  const facts = [
+    job.processes.map(processName).join(", "),
+    `made ${ago(job.created)}`,
+    job.seconds ? `planned in ${duration(job.seconds)}` : null,
+    job.from_store ? "answered from the store: the same problem had been planned before" : null,
+    job.attempts > 1 ? `attempt ${job.attempts}, the service was restarted` : null,
+  ];
+  $("facts").textContent = facts.filter(Boolean).join(" · ");
+  show($("cancel"), isOpen(job.state));
+  $("again").href = `/ui/new?job=${id}`;
+  $("compare").href = `/ui/compare?a=${id}`;
+}
+
+function drawProgress() {
+  const open = isOpen(job.state);
+  show($("progress"), open);
+  if (!open) return;
+  const now = job.state === "queued" ? 0 : Math.max(STAGES.indexOf(stage), 0);
+  const skipped = (name, i) => name === "placement" && i < now && !passed.has("placement");
+  $("stages").replaceChildren(
+    ...STAGES.map((name, i) =>
+      h("li", { class: skipped(name, i) ? "skipped" : i < now ? "done" : i === now ? "now" : "", "aria-current": i === now ? "step" : null }, h("i", { "aria-hidden": "true" }, i < now && !skipped(name, i) ? icon("check") : null), name),
+    ),
+  );
+  const percent = Math.round(100 * ((now + (now ? job.fraction : 0)) / STAGES.length));
+  $("meter").setAttribute("aria-valuenow", String(percent));
+  $("meter-fill").style.width = `${percent}%`;
+  $("progress-text").textContent =
+    job.state === "queued"
+      ? job.ahead ? `Waiting; ${job.ahead} job${job.ahead > 1 ? "s are" : " is"} before it` : "Waiting for a free worker"
+      : `${stage || "starting"}${job.fraction ? `, ${Math.round(100 * job.fraction)} %` : ""}`;
+}
+const passed = new Set();
+
+function drawOutcome() {
+  show($("outcome"), !isOpen(job.state));
+  if (isOpen(job.state)) return;
+  const { kind, title, text } = outcomeOf(job, issues);
+  $("outcome").className = `card outcome ${kind}`;
+  $("outcome-title").replaceChildren(icon(kind === "ok" ? "check" : kind === "off" ? "stop" : "cross"), title);
+  $("outcome-text").textContent = text;
+  $("outcome").querySelector(".issues")?.remove();
+  const wrong = errors(issues);
+  if (wrong.length && job.state !== "verified") $("outcome").append(issueList(wrong.slice(0, MOST), jumps()));
+  if (wrong.length > MOST) $("outcome-text").textContent += ` ${wrong.length - MOST} more are listed below.`;
+}
+
+const jumps = () => ({
+  seek: files.some((file) => file.name === "replay.html") ? seek : null,
+  edit: (field) => location.assign(`/ui/new?job=${id}#${encodeURIComponent(field)}`),
+  editText: "Change this field",
+});
+
+// What ended the job stands at its head; the rest is listed below.
+const shownAbove = () => !isOpen(job.state) && job.state !== "verified";
+const further = () => (shownAbove() ? issues.filter((issue) => !errors(issues).slice(0, MOST).includes(issue)) : issues);
+
+function drawIssues() {
+  const some = further();
+  $("issues-title").textContent = shownAbove() ? "Further issues" : "Issues";
+  show($("no-issues"), !some.length);
+  $("issues").replaceChildren(...sorted(some).map((issue) => issueItem(issue, jumps())));
+}
+
+function drawFigures() {
+  const names = figureOrder(Object.keys(job.metrics ?? {}));
+  show($("figures"), names.length > 0);
+  $("figures").replaceChildren(
+    ...names.map((name) => {
+      const unit = unitOf(name);
+      const value = name === "cycle_s" ? duration(job.metrics[name]) : number(job.metrics[name]);
+      return h("div", { class: "tile" }, h("dt", {}, figureName(name)), h("dd", {}, value, unit && name !== "cycle_s" ? h("small", {}, ` ${unit}`) : null));
+    }),
+  );
+}
+
+async function drawFiles() {
+  files = (await json(`${path(id)}/files`)).files;
+  const has = (name) => files.some((file) => file.name === name);
+  const programs = files.filter((file) => file.name.startsWith("programs/"));
+  show($("download"), programs.length > 0);
+  $("download").href = `${path(id)}/programs.zip`;
+  tabs([further().length > 0 && ["issues", `${shownAbove() ? "Further issues" : "Issues"} (${further().length})`], has("report.html") && ["report", "Report"], has("replay.html") && ["replay", "Replay"], ["files", "Files"]].filter(Boolean));
+  const groups = [
+    ["Programs", programs, "What the robots run. They are there because the proof of their text holds."],
+    ["Results", files.filter((file) => !/^(programs|problem)\//.test(file.name)), ""],
+    ["Problem", files.filter((file) => file.name.startsWith("problem/")), "The problem as it was planned, with all of its files."],
+  ];
+  $("panel-files").replaceChildren(
+    ...groups.filter(([, some]) => some.length).flatMap(([name, some, about]) => [
+      h("h2", {}, name),
+      about ? h("p", { class: "soft" }, about) : null,
+      h("ul", { class: "files" }, some.map((file) => h("li", {}, icon("file"), h("a", { href: `${fileOf(id, file.name)}?download=true`, download: "" }, file.name.replace(/^(programs|problem)\//, "")), h("span", { class: "soft" }, bytes(file.size))))),
+    ]).filter(Boolean),
+  );
+}
+
+// Tabs by WAI-ARIA's pattern: arrows move, the panel follows.
+function tabs(names) {
+  const asked = location.hash.slice(1);
+  const chosen = names.some(([name]) => name === asked) ? asked : names[0][0];
+  if (!names.some(([name]) => name === "issues")) show($("panel-issues"), false);
+  $("tabs").replaceChildren(
+    ...names.map(([name, title]) =>
+      h("button", { type: "button", role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onclick: () => open(name, true, true), onkeydown: (event) => move(event, names) }, title),
+    ),
+  );
+  show($("tabs"), true);
+  if ($("tabs").dataset.open !== chosen) open(chosen, false);
+  else select(chosen);
+}
+
+function move(event, names) {
+  const all = names.map(([name]) => name);
+  const here = all.indexOf(event.target.id.slice(4));
+  const to = { ArrowRight: here + 1, ArrowLeft: here - 1, Home: 0, End: all.length - 1 }[event.key];
+  if (to === undefined) return;
+  event.preventDefault();
+  const name = all[(to + all.length) % all.length];
+  open(name);
+  $(`tab-${name}`).focus();
+}
+
+function select(name) {
+  for (const tab of $("tabs").children) {
+    const on = tab.id === `tab-${name}`;
+    tab.setAttribute("aria-selected", String(on));
+    tab.tabIndex = on ? 0 : -1;
+    show($(tab.getAttribute("aria-controls")), on);
+  }
+}
+
+function open(name, remember = true, closer = false) {
+  $("tabs").dataset.open = name;
+  select(name);
+  if (name === "report" || name === "replay") frame(name);
+  if (closer && (name === "report" || name === "replay")) $("tabs").scrollIntoView({ block: "start" });
+  if (remember) history.replaceState(null, "", `#${name}`);
+}
+
+// Report and replay hold what users wrote, and scripts of their own: they run apart from this page.
+function frame(name, moment = "") {
+  const place = $(`panel-${name}`);
+  const address = `${fileOf(id, `${name}.html`)}${moment && `#${moment}`}`;
+  let inside = place.querySelector("iframe");
+  if (!inside) {
+    const title = name === "replay" ? `Replay of ${job.name} with a time bar` : `Report on ${job.name}`;
+    inside = h("iframe", { title, class: name, sandbox: "allow-scripts allow-popups allow-downloads" });
+    inside.src = address;
+    place.append(h("p", { class: "frame-head" }, h("a", { href: fileOf(id, `${name}.html`), target: "_blank", rel: "noopener" }, `Open the ${name} on its own`)), inside);
+  } else if (moment) inside.src = address;
+}
+
+// The proof tells times of the programs' clock, planning those of the operation's work; the replay knows both.
+function seek(issue) {
+  const segment = (issue.target ?? "").split("/").slice(0, -1).join("/");
+  const moment = issue.code.startsWith("verify.") ? { at: issue.time } : { work: issue.time, in: segment };
+  open("replay");
+  frame("replay", new URLSearchParams(moment).toString());
+  $("tabs").scrollIntoView({ block: "start" });
+  $("panel-replay").querySelector("iframe").focus({ preventScroll: true });
+  announce(`The replay stands at the moment of the issue, ${issue.time.toFixed(1)} seconds`);
+}
+
+function draw() {
+  show($("job"), true);
+  drawHead();
+  drawProgress();
+  drawFigures();
+  drawOutcome();
+  drawIssues();
+}
+
+async function refresh() {
+  job = await json(path(id));
+  stage = job.stage || stage;
+  if (job.issues?.length || !isOpen(job.state)) issues = job.issues ?? [];
+  if (!isOpen(job.state)) await drawFiles();
+  draw();
+  banner("");
+}
+
+const key = (issue) => JSON.stringify([issue.code, issue.message, issue.field, issue.arm, issue.index]);
+
+function listen() {
+  const source = new EventSource(`${path(id)}/events?after=${seen}`);
+  const hear = (kind, action) =>
+    source.addEventListener(kind, (event) => {
+      seen = Math.max(seen, Number(event.lastEventId) || 0);
+      banner("");
+      action(JSON.parse(event.data));
+    });
+  hear("state", ({ state, attempt }) => {
+    if (state !== job.state) announce(`The job is ${STATES[state]?.[0].toLowerCase() ?? state}`);
+    Object.assign(job, { state, fraction: 0 });
+    if (attempt) job.attempts = attempt;
+    if (state === "queued" || state === "running") {
+      stage = "";
+      passed.clear();
+      draw();
+    }
+  });
+  hear("progress", (data) => {
+    if (data.stage !== stage) announce(`Stage: ${data.stage}`);
+    stage = data.stage;
+    passed.add(stage);
+    job.fraction = data.fraction;
+    drawProgress();
+  });
+  hear("issues", (data) => {
+    const known = data.all ? [] : issues;
+    const have = new Set(known.map(key));
+    issues = [...known, ...data.issues.filter((issue) => !have.has(key(issue)))];
+    drawIssues();
+  });
+  hear("end", () => {
+    ended = true;
+    source.close();
+    refresh().catch(tell);
+  });
+  source.onerror = () => {
+    if (ended) return;
+    banner("The connection to the service is lost. Trying again …", "warn");
+    source.close();
+    setTimeout(reconnect, 1000);
+  };
+}
+
+async function reconnect() {
+  try {
+    await refresh();
+    if (isOpen(job.state)) listen();
+  } catch (error) {
+    if (error.status === 404) return tell(error);
+    setTimeout(reconnect, 1000);
+  }
+}
+
+$("cancel").prepend(icon("stop"));
+$("delete").prepend(icon("bin"));
+$("again").prepend(icon("again"));
+$("compare").prepend(icon("swap"));
+$("download").prepend(icon("down"));
+$("cancel").addEventListener("click", () => post(`${path(id)}/cancel`).then(refresh).catch(tell));
+$("delete").addEventListener("click", () => $("sure").showModal());
+$("sure").addEventListener("close", async () => {
+  if ($("sure").returnValue !== "yes") return;
+  await remove(path(id)).then(() => location.assign("/"), tell);
+});
+await refresh().catch(tell);
+if (job && isOpen(job.state)) listen();

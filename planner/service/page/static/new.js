@@ -1,0 +1,281 @@
+// Makes a job: where to begin, cell, part, operations; the part and what is wrong with it show at once.
+import { json, post, Refused, upload } from "./api.js";
+import { drawCells, takeCell } from "./cell.js";
+import { banner, tell } from "./common.js";
+import { $, announce, h, icon, later, show } from "./dom.js";
+import { assign, drawFiles, drawUnits, fieldOfFile, inUnit, partMesh, sizeText, wanted } from "./files.js";
+import { Form } from "./form.js";
+import { atFields, errors, fieldName, goTo, issueItem, sorted } from "./issues.js";
+import { boxOf } from "./mesh.js";
+import { differences, put, Schema } from "./schema.js";
+import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
+import { Viewer } from "./viewer.js";
+
+const asked = new URLSearchParams(location.search);
+const state = { problem: {}, origin: {}, files: new Map(), process: "", example: "", shown: "" };
+const viewer = new Viewer($("canvas"), $("labels"));
+let form = null;
+let examples = {};
+let cells = {};
+let checking = null;
+
+async function begin() {
+  const [schema, robots, materials, found, bundled] = await Promise.all([
+    json("/v1/schema"),
+    json("/v1/catalogue/robots"),
+    json("/v1/catalogue/materials"),
+    json("/v1/catalogue/cells"),
+    json("/ui/examples"),
+  ]);
+  cells = found.entries;
+  examples = bundled;
+  const titled = (kind) => Object.entries(materials.entries).filter(([, one]) => one.kind === kind).map(([name, one]) => [name, one.title, name]);
+  const lists = {
+    robot: { strict: true, entries: Object.entries(robots.entries).map(([name, one]) => [name, one.title, name]) },
+    metal: { strict: true, entries: titled("sheet") },
+    foam: { entries: titled("foam") },
+    material: { strict: true, entries: titled("wire") },
+    wire_material: { strict: true, entries: titled("wire") },
+  };
+  const arms = () => ({ entries: (state.problem.cell?.arms ?? []).map((arm) => [arm.name]) });
+  form = new Form(new Schema(schema), state, changed, (name) => (name === "arms" || name === "arm" || name === "held_by" ? arms() : lists[name]));
+  form.drawn = () => afterwards();
+  if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
+  drawProcesses("", chooseProcess);
+  if (asked.has("job")) take(await fromJob(asked.get("job")));
+  else if (asked.has("example")) await chooseExample(asked.get("example"));
+  else if (asked.has("process")) await chooseProcess(asked.get("process"));
+}
+
+async function chooseProcess(name) {
+  state.process = name;
+  drawProcesses(name, chooseProcess);
+  const some = drawExamples(examples, name, "", chooseExample);
+  const first = some.find(([, one]) => one.feasible && one.processes[0] === name) ?? some[0];
+  if (first) await chooseExample(first[0]).catch(tell);
+  else if (name === "targets") take({ problem: poses(), files: new Map(), cell: "", source: "from nothing" });
+}
+
+// Given poses have no bundled problem: a cell and an operation that waits for its table.
+function poses() {
+  const [, cell] = Object.entries(cells)[0];
+  return { tandem: 1, name: "poses", cell, stock: { size_mm: [100, 100, 100] }, operations: [{ name: "poses", process: "targets", arms: [cell.arms[0].name], file: null }] };
+}
+
+async function chooseExample(name) {
+  if (!name) return;
+  try {
+    const found = await fromExample(name);
+    state.example = name;
+    take(found);
+  } catch (error) {
+    tell(error);
+  }
+}
+
+function take({ problem, files, source }) {
+  Object.assign(state, { problem, origin: structuredClone(problem), files, shown: "" });
+  const process = problem.operations?.[0]?.process ?? state.process;
+  if (process !== state.process && !examples[state.example]?.processes.includes(state.process)) state.process = process;
+  drawProcesses(state.process, chooseProcess);
+  drawExamples(examples, state.process, source.includes("bundled") ? state.example : "", chooseExample);
+  $("source").textContent = source;
+  show($("rest"), true);
+  show($("check-card"), true);
+  draw();
+  banner("");
+  check();
+}
+
+function draw() {
+  form.forget();
+  const root = form.schema.root;
+  if (state.problem.cell && typeof state.problem.cell === "object") form.into($("cell-form"), form.schema.defs.CellFile, ["cell"]);
+  else $("cell-form").replaceChildren();
+  form.into($("part-form"), root, [], ["part", "sheet", "stock"]);
+  form.into($("operations-form"), root, [], ["operations"]);
+  form.into($("settings-form"), root, [], ["name", "settings"]);
+  afterwards();
+}
+
+function afterwards() {
+  drawCells(state, cells, chooseCell);
+  drawFiles(state, (name) => {
+    state.files.delete(name);
+    draw();
+    changed([]);
+  });
+  drawChanges();
+  atFields(state.issues ?? []);
+}
+
+const fieldOf = (issue) => fieldOfFile(state.problem, issue);
+
+function chooseCell(name) {
+  takeCell(state.problem, cells[name]);
+  draw();
+  changed(["cell"]);
+  announce(`Cell ${name}`);
+}
+
+function changed() {
+  drawChanges();
+  $("go").disabled = true;
+  soon();
+}
+const soon = later(450, () => check());
+
+function drawChanges() {
+  const found = differences(state.origin, state.problem);
+  $("changes").replaceChildren(
+    ...(found.length
+      ? [h("b", {}, `${found.length} field${found.length > 1 ? "s" : ""} changed: `), ...found.slice(0, 4).flatMap(([path], i) => [i ? ", " : "", h("button", { type: "button", class: "link", onclick: () => goTo(path.join(".")) }, fieldName(path.slice(-2).join(".")))]), found.length > 4 ? " …" : ""]
+      : []),
+  );
+}
+
+// The part as its file has it, before anything else is known of the problem.
+async function drawMesh() {
+  const found = await partMesh(state);
+  drawUnits(state, found, (path, unit) => {
+    put(state.problem, path, unit);
+    draw();
+    changed(path);
+    drawMesh();
+  });
+  if (!found || found.mesh.error) return false;
+  const body = inUnit(found);
+  present([body], boxOf(body.vertices), found.unit ? "" : "unit not chosen");
+  return true;
+}
+
+function present(bodies, box, note, stock = null) {
+  const key = JSON.stringify([state.example, box?.map((c) => c.map((v) => Math.round(v)))]);
+  viewer.show(bodies, key === state.shown);
+  state.shown = key;
+  show($("view-empty"), !bodies.length || !viewer.works);
+  const part = bodies.filter((body) => body.kind === "part");
+  const size = box ? (note === "unit not chosen" ? `${sizeText(box).replace(" mm", "")}, unit?` : sizeText(box)) : "";
+  $("size").textContent = size;
+  $("view-title").textContent = part.length ? "Part" : "Stock";
+  $("canvas").setAttribute("aria-label", `3D view of the ${part.length ? "part" : "stock"}, ${size}${stock ? `; stock ${sizeText(stock)}` : ""}`);
+  $("legend").replaceChildren(...(stock ? [h("i", { class: "swatch stock" }), `stock ${sizeText(stock)}`] : []));
+}
+
+async function check() {
+  checking?.abort();
+  const own = (checking = new AbortController());
+  say("busy", "Checking …");
+  const drawn = await drawMesh();
+  if (own.signal.aborted) return;
+  try {
+    const found = await (await post("/ui/preview", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
+    const box = found.summary.part_mm ?? null;
+    present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
+    tellIssues(found.issues, true);
+    banner("");
+  } catch (error) {
+    if (error.name === "AbortError") return;
+    if (!(error instanceof Refused)) {
+      say("bad", "The service cannot be reached. It is asked again in a moment.");
+      setTimeout(() => own === checking && check(), 2000);
+      return;
+    }
+    if (!drawn) present([], null, "");
+    tellIssues(error.issues, false);
+  }
+}
+
+function say(kind, text) {
+  $("verdict").className = `verdict-line ${kind}`;
+  $("verdict").replaceChildren(...(kind === "busy" ? [] : [icon(kind === "ok" ? "check" : kind === "warn" ? "warning" : "cross")]), text);
+}
+
+function tellIssues(issues, readable, reach = false) {
+  state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue) }));
+  atFields(state.issues);
+  const wrong = errors(issues).length;
+  if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}`);
+  else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
+  else say("ok", reach ? "Ready: the arms reach every target" : "Ready: nothing in the way was found");
+  $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo })));
+  $("go").disabled = wrong > 0;
+  $("reach").disabled = !readable;
+}
+
+async function addFiles(list) {
+  for (const file of list) {
+    state.files.set(file.name, file);
+    const path = assign(state.problem, file.name, state.process);
+    if (path) announce(`${file.name} is used as ${fieldName(path.join("."))}`);
+  }
+  draw();
+  changed([]);
+}
+
+async function openProblem(list) {
+  state.example = "";
+  try {
+    take(await fromFiles(list));
+  } catch (error) {
+    banner(`That problem file cannot be opened here: ${error.message}`);
+    await sendAsItIs(list);
+  }
+}
+
+// A file that is no problem for this page: the service says what is wrong with it.
+async function sendAsItIs(list) {
+  const body = list.find((file) => /\.(ya?ml|json)$/i.test(file.name)) ?? list[0];
+  if (!body) return;
+  show($("check-card"), true);
+  try {
+    await post("/ui/preview", { body: upload(body, []) });
+  } catch (error) {
+    if (!(error instanceof Refused)) return tell(error);
+    tellIssues(error.issues, false);
+  }
+}
+
+async function start() {
+  $("go").disabled = true;
+  say("busy", "Sending …");
+  try {
+    const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
+    location.assign(`/ui/jobs/${made.id}`);
+  } catch (error) {
+    if (error instanceof Refused) tellIssues(error.issues, false);
+    else tell(error);
+    if (errors(state.issues ?? [])[0]?.field) goTo(errors(state.issues)[0].field);
+  }
+}
+
+async function reach() {
+  $("reach").disabled = true;
+  say("busy", "Testing the reach of every target …");
+  try {
+    const found = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)) })).json();
+    tellIssues(found.issues, true, true);
+  } catch (error) {
+    if (error instanceof Refused) tellIssues(error.issues, false);
+    else tell(error);
+  }
+}
+
+$("go").addEventListener("click", start);
+$("reach").addEventListener("click", reach);
+$("form").addEventListener("submit", (event) => event.preventDefault());
+$("choose").addEventListener("click", () => $("files").click());
+$("files").addEventListener("change", () => addFiles([...$("files").files]).then(() => ($("files").value = "")));
+$("open-problem").addEventListener("click", () => $("problem-file").click());
+$("problem-file").addEventListener("change", () => openProblem([...$("problem-file").files]).then(() => ($("problem-file").value = "")));
+for (const name of ["dragover", "drop"])
+  addEventListener(name, (event) => {
+    event.preventDefault();
+    $("drop").classList.toggle("over", name === "dragover");
+    if (name === "drop" && form && !$("rest").hidden) addFiles([...event.dataTransfer.files]);
+    else if (name === "drop" && form) openProblem([...event.dataTransfer.files]);
+  });
+addEventListener("dragleave", () => $("drop").classList.remove("over"));
+
+await begin().catch(tell);
+if (location.hash) goTo(decodeURIComponent(location.hash.slice(1)));

@@ -1,0 +1,250 @@
+"""The page in a real browser: whole jobs, refusals at their fields, a service that goes down in between."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+import urllib.request
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from playwright.sync_api import Page, Route, expect
+
+from tests.service.support import ROOT, free_port
+
+
+def open_problem(page: Page, server: str, files: list[Path]) -> None:
+    """Upload a problem of one's own on the page for new jobs."""
+    page.goto(f"{server}/ui/new")
+    page.get_by_text("Sheet forming").wait_for()
+    page.locator("#problem-file").set_input_files(files)
+
+
+def with_issue_at(page: Page, time_s: float) -> None:
+    """Show the job as if a remark with that moment had been made on it."""
+    remark = {
+        "code": "verify.clearance",
+        "severity": "note",
+        "message": "a remark",
+        "time": time_s,
+        "field": "cut",
+    }
+
+    def answer(route: Route) -> None:
+        job = route.fetch().json()
+        route.fulfill(json={**job, "issues": [remark]})
+
+    page.unroute_all()
+    page.route(re.compile("/v1/jobs/[0-9a-f]{32}$"), answer)
+    page.goto(page.url.split("#")[0])
+    page.reload()
+
+
+def answers(address: str, timeout_s: float = 60.0) -> None:
+    """Wait until a service answers."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        try:
+            with urllib.request.urlopen(f"{address}/v1/health", timeout=5):
+                return
+        except OSError:
+            time.sleep(0.1)
+    raise TimeoutError(address)
+
+
+def bundled(page: Page, server: str, name: str) -> None:
+    """Begin with a bundled problem, and wait until it is read."""
+    page.goto(f"{server}/ui/new?example={name}")
+    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn|bad"))
+
+
+def test_a_whole_job_from_upload_to_download(
+    page: Page, server: str, small: list[Path], tmp_path: Path
+) -> None:
+    open_problem(page, server, small)
+    expect(page.locator("#size")).to_have_text("100 × 100 × 100 mm")
+    page.get_by_role("button", name="Start planning").click()
+    page.wait_for_url("**/ui/jobs/*")
+    expect(page.locator("#state")).to_have_text("Verified", timeout=90_000)
+    expect(page.locator("#figures")).to_contain_text("Least clearance")
+    report = page.frame_locator("iframe.report")
+    expect(report.get_by_role("heading", name="small")).to_be_visible()
+    with page.expect_download() as caught:
+        page.get_by_role("link", name="Download programs").click()
+    with zipfile.ZipFile(caught.value.path()) as archive:
+        assert any("MODULE" in archive.read(name).decode() for name in archive.namelist())
+    page.get_by_role("tab", name="Replay").click()
+    frame = page.frame_locator("iframe.replay")
+    expect(frame.locator("#bar .time")).to_contain_text("/ 0:08.5", timeout=60_000)
+    with_issue_at(page, 2.5)
+    page.get_by_role("button", name="Show at 0:02.5").click()
+    expect(frame.locator("#bar .time")).to_have_text("0:02.5 / 0:08.5", timeout=60_000)
+    with_issue_at(page, 4.0)
+    page.get_by_role("tab", name="Replay").click()
+    expect(frame.locator("#bar .time")).to_contain_text("/ 0:08.5", timeout=60_000)
+    page.get_by_role("tab", name="Issues (1)").click()
+    page.get_by_role("button", name="Show at 0:04.0").click()
+    expect(frame.locator("#bar .time")).to_have_text("0:04.0 / 0:08.5")
+    page.unroute_all()
+    page.get_by_role("link", name="Re-run with changes").click()
+    page.locator("#f-settings button, #f-settings").first.wait_for(state="attached")
+    page.locator("#f-name").fill("renamed")
+    expect(page.locator("#changes")).to_contain_text("1 field changed")
+    expect(page.locator('.field[data-path="name"] .was')).to_contain_text("was small")
+    page.get_by_role("button", name="Start planning").click()
+    page.wait_for_url("**/ui/jobs/*")
+    page.goto(server)
+    boxes = page.locator("#rows input[type=checkbox]")
+    boxes.nth(0).check()
+    boxes.nth(1).check()
+    page.get_by_role("link", name="Compare the two").click()
+    row = page.locator("#result tr", has_text=re.compile("^name"))
+    expect(row).to_contain_text("renamed")
+    expect(row).to_contain_text("small")
+
+
+def test_what_has_no_plan_says_what_and_what_to_do(page: Page, server: str) -> None:
+    bundled(page, server, "infeasible/mill_unreachable")
+    page.get_by_role("button", name="Start planning").click()
+    expect(page.locator("#outcome-title")).to_have_text(
+        "There is no feasible plan for this problem", timeout=90_000
+    )
+    outcome = page.locator("#outcome")
+    expect(outcome).to_contain_text("motion.no_reach")
+    expect(outcome).to_contain_text("What to do: ")
+    expect(outcome).to_contain_text("approach/1")
+    expect(page.get_by_role("link", name="Download programs")).to_be_hidden()
+
+
+def test_a_refusal_shows_at_its_field(page: Page, server: str, small: list[Path]) -> None:
+    text = small[0].read_text().replace("irb140", "irb141").replace("tandem: 1", "tandem: 1\ncolour: red")
+    small[0].write_text(text + "settings: {speed_fraction: 3}\n")
+    open_problem(page, server, small)
+    expect(page.locator("#verdict")).to_contain_text("to correct")
+    speed = page.locator('.field[data-path="settings.speed_fraction"]')
+    expect(speed.locator(".fault.error")).to_contain_text("less than or equal to 1")
+    expect(speed.locator("input")).to_have_attribute("aria-invalid", "true")
+    expect(page.get_by_role("button", name="Start planning")).to_be_disabled()
+    expect(page.locator("#check-issues")).to_contain_text("unknown key")
+    speed.locator("input").fill("0.5")
+    expect(speed.locator(".fault")).to_have_count(0)
+
+
+def test_a_part_in_the_wrong_unit_is_seen_and_told(page: Page, server: str, tmp_path: Path) -> None:
+    bundled(page, server, "cone_spif")
+    cone = trimesh.load(ROOT / "problems" / "cone_spif" / "cone.ply", force="mesh")
+    cone.apply_scale(1e-3)
+    page.locator("#files").set_input_files(
+        {"name": "metres.stl", "mimeType": "", "buffer": cone.export(file_type="stl")}
+    )
+    size = np.ptp(cone.vertices, axis=0)
+    rows = page.locator(".unit-row")
+    expect(rows.filter(has=page.locator("b", has_text=re.compile("^m$")))).to_contain_text(
+        f"{1000 * size[0]:.4g} ×"
+    )
+    expect(rows.first).to_contain_text("far too small")
+    unit = page.locator('[data-path="part.sheet_mesh.unit"]')
+    expect(unit.locator(".fault.error")).to_contain_text(re.compile("required", re.I))
+    rows.first.locator("input").check()
+    expect(unit.locator(".fault.error")).to_contain_text("in the stated unit")
+    page.locator('.unit-row input[value="m"]').check()
+    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"))
+    expect(page.locator("#size")).to_contain_text("× 25 mm")
+
+
+def test_another_cell_is_taken_with_its_arms(page: Page, server: str) -> None:
+    bundled(page, server, "wing")
+    page.locator("#cell").select_option("irb140_bow")
+    expect(page.locator("#arms")).to_contain_text("IRB140")
+    expect(page.locator("#changes")).to_contain_text("changed")
+    expect(page.locator("#f-operations-0-arms")).to_have_value("robot")
+
+
+@pytest.mark.parametrize("name", ["problem.txt", "broken.yaml"])
+def test_what_is_no_problem_file_is_refused_in_words(
+    page: Page, server: str, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).write_text("tandem: [1\nname: <img src=x onerror=alert(1)>")
+    open_problem(page, server, [tmp_path / name])
+    expect(page.get_by_role("alert")).to_contain_text("cannot be opened")
+    expect(page.locator("#verdict")).to_contain_text("to correct")
+
+
+def test_the_page_is_used_by_keyboard_alone(page: Page, server: str) -> None:
+    page.goto(f"{server}/ui/new")
+    first = page.locator("input[name=process]").first
+    first.wait_for()
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.name") == "process":
+            break
+    page.keyboard.press("Space")
+    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"), timeout=60_000)
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#source")).to_have_text(re.compile("bundled problem"))
+    expect(page.locator("input[name=process]:checked")).to_have_value("straight_wire")
+    page.locator("#canvas").focus()
+    before = str(page.locator(".measure").first.get_attribute("style"))
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator(".measure").first).not_to_have_attribute("style", before)
+    for field in page.locator("input:visible, select:visible, textarea:visible").all():
+        if field.get_attribute("aria-hidden") == "true":
+            continue  # behind a button
+        assert field.evaluate("e => Boolean(e.labels?.length || e.getAttribute('aria-label'))"), (
+            field.get_attribute("id")
+        )
+
+
+def test_colours_are_switched_and_remembered(page: Page, server: str) -> None:
+    page.goto(server)
+    colour = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(colour)
+    page.get_by_role("button", name="Use dark colours").click()
+    dark = page.evaluate(colour)
+    assert dark != light
+    page.reload()
+    assert page.evaluate(colour) == dark
+
+
+def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
+    page: Page, tmp_path: Path, small: list[Path]
+) -> None:
+    data, port = tmp_path / "data", free_port()
+    data.mkdir()
+    command = [sys.executable, "-m", "tests.service.page.held", str(port), str(data)]
+
+    def start() -> subprocess.Popen[bytes]:
+        with (tmp_path / "log").open("ab") as log:
+            return subprocess.Popen(
+                command, cwd=ROOT, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": str(ROOT)}
+            )
+
+    address = f"http://127.0.0.1:{port}"
+    process = start()
+    try:
+        answers(address)
+        open_problem(page, address, small)
+        page.get_by_role("button", name="Start planning").click()
+        expect(page.locator("#state")).to_have_text("Planning")
+        expect(page.locator("#progress-text")).to_contain_text("motion")
+        process.kill()
+        process.wait()
+        expect(page.get_by_role("alert")).to_contain_text("connection to the service is lost")
+        process = start()
+        expect(page.get_by_role("alert")).to_be_hidden(timeout=60_000)
+        expect(page.locator("#facts")).to_contain_text("attempt 2", timeout=60_000)
+        (data / "go").touch()
+        expect(page.locator("#state")).to_have_text("Verified", timeout=60_000)
+    finally:
+        process.kill()
+        process.wait()
+        shutil.rmtree(data, ignore_errors=True)

@@ -1,0 +1,190 @@
+"""What the page is made of, without a browser: policy, bundled problems, pictures, the package."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from planner import pipeline
+from planner.problem import Mesh
+from planner.service.page import examples
+from planner.service.page.routes import ROOT, STATIC
+from planner.service.page.shapes import shapes, thinned
+from tests.service.support import ROOT as REPOSITORY
+from tests.service.support import TABLE, InProcess
+
+PAGES = ["/", "/ui/new", "/ui/compare", "/ui/login", f"/ui/jobs/{'0' * 32}"]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+    with InProcess(tmp_path_factory.mktemp("page") / "data", examiners=1) as made:
+        yield made
+
+
+class Markup(HTMLParser):
+    """Collects what a strict policy would not let run, what is fetched, and what has no name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.inline: list[str] = []
+        self.fetched: list[str] = []
+        self._script = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self._script = tag == "script" and "src" not in given
+        self.inline += [name for name in given if name.startswith("on") or name == "style"]
+        self.inline += [tag] if tag == "style" else []
+        self.fetched += [str(given[key]) for key in ("src", "href") if key in given]
+
+    def handle_data(self, data: str) -> None:
+        if self._script and data.strip():
+            self.inline.append(data)
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_pages_run_their_own_files_alone(here: InProcess, path: str) -> None:
+    answer = here.http.get(path)
+    assert answer.status_code == 200
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    markup = Markup()
+    markup.feed(answer.text)
+    assert not markup.inline
+    for place in markup.fetched:
+        assert place.startswith(("/", "#")), f"{path} needs the internet for {place}"
+        if place.startswith("/ui/static/"):
+            assert here.http.get(place).status_code == 200, place
+
+
+def test_scripts_make_no_markup_of_text_and_fetch_nothing_from_elsewhere() -> None:
+    for path in STATIC.glob("*.js"):
+        text = path.read_text("utf-8")
+        for word in (
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+            "new Function",
+        ):
+            assert word not in text, f"{path.name}: {word}"
+        urls = set(re.findall(r"https?://[^\"'` ]+", text)) - {"http://www.w3.org/2000/svg"}
+        assert not urls, f"{path.name}: {urls}"
+        for name in re.findall(r'from "(\./[^"]+)"', text):
+            assert (STATIC / name).is_file(), f"{path.name}: {name}"
+
+
+def test_vendored_scripts_have_their_licence_beside_them() -> None:
+    for path in (STATIC / "vendor").glob("*.mjs"):
+        licence = path.with_name(f"{path.stem}.LICENSE.txt")
+        assert "Permission is hereby granted" in licence.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/ui/static/../routes.py",
+        "/ui/static/%2e%2e/routes.py",
+        "/ui/static/none.css",
+        "/ui/none",
+        "/ui/static/",
+    ],
+)
+def test_what_is_no_page_is_404(here: InProcess, path: str) -> None:
+    answer = here.http.get(path)
+    assert answer.status_code == 404
+    assert answer.json()["issues"][0]["code"] == "service.not_found"
+
+
+def test_pages_are_no_part_of_the_api(here: InProcess) -> None:
+    assert not [path for path in here.http.get("/openapi.json").json()["paths"] if path.startswith("/ui")]
+
+
+def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
+    from planner.service.auth import Auth
+    from planner.service.database import Database, default_url
+
+    data = tmp_path / "data"
+    data.mkdir()
+    Auth(Database(default_url(data))).make("ann")
+    with InProcess(data, require_token=True, examiners=1) as closed:
+        for path in (
+            "/ui/examples",
+            "/ui/example?name=wing",
+            "/ui/example/file?name=cone_spif&file=cone.ply",
+        ):
+            assert closed.http.get(path).status_code == 401
+        assert closed.http.get("/").status_code == 200
+
+
+@pytest.mark.parametrize("name", sorted(examples.entries()))
+def test_every_bundled_problem_is_data_with_its_files(name: str) -> None:
+    found = examples.problem(name)
+    assert isinstance(found["problem"]["cell"], dict)
+    assert found["problem"]["operations"]
+    for file in found["files"]:
+        assert examples.file(name, file).is_file()
+    assert "make_" not in examples.entries()[name]["about"]
+
+
+def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:
+    for file in ("problem.yaml", "../cells/irb140_ball.yaml", "/etc/passwd", "expect.yaml"):
+        answer = here.http.get("/ui/example/file", params={"name": "cone_spif", "file": file})
+        assert answer.status_code == 404
+    assert here.http.get("/ui/example", params={"name": "../planner"}).status_code == 404
+
+
+def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:
+    answer = here.post(path="/ui/preview")
+    assert answer.status_code == 200
+    (block,) = answer.json()["shapes"]
+    vertices = np.array(block["vertices"]).reshape(-1, 3)
+    assert np.ptp(vertices, axis=0).tolist() == [100.0, 100.0, 100.0]
+    assert (
+        here.http.post(
+            "/ui/preview", files=[("problem", ("p", "a: 1")), ("files", ("t.csv", TABLE))]
+        ).status_code
+        == 422
+    )
+
+
+def test_the_picture_of_a_part_is_as_large_as_the_part() -> None:
+    problem = pipeline.load("cone_spif")
+    assert problem.part is not None
+    assert problem.part.formed is not None
+    body = next(body for body in shapes(problem) if body["kind"] == "part")
+    wanted = problem.part.formed.mesh.vertices * 1e3
+    got = np.array(body["vertices"]).reshape(-1, 3)
+    np.testing.assert_allclose(np.ptp(got, axis=0), np.ptp(wanted, axis=0), rtol=0.02)
+
+
+def test_a_large_mesh_is_thinned_and_keeps_its_shape() -> None:
+    """Against the sphere's own area and radius."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
+    thin = thinned(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)), most=30_000)
+    assert 2_000 < len(thin.faces) <= 30_000
+    made = trimesh.Trimesh(thin.vertices, thin.faces, process=False)
+    assert made.area == pytest.approx(4 * np.pi * 0.01, rel=0.02)
+    assert np.linalg.norm(thin.vertices, axis=1) == pytest.approx(0.1, rel=0.02)
+
+
+def test_templates_styles_and_scripts_travel_in_the_wheel(tmp_path: Path) -> None:
+    """The wheel is built by the very builder that pyproject.toml names."""
+    builder = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
+    (made,) = builder.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])
+    with zipfile.ZipFile(made) as wheel:
+        inside = set(wheel.namelist())
+    for path in (*(ROOT / "templates").iterdir(), *STATIC.rglob("*")):
+        if path.is_file():
+            assert path.relative_to(REPOSITORY).as_posix() in inside
