@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from planner import plan_io, problem_file, processes
+from planner import plan_io, problem_bundle, problem_file, processes
 from planner.catalogue import bundled
 from planner.files import claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -62,7 +62,7 @@ class Outcome:
         tell("report", 0.0)
         files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
         files |= plan_io.dump(self.plan)
-        files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
+        files |= {f"problem/{name}": text for name, text in problem_bundle.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
         write_folder(Path(folder), files, OWNED)
         tell("report", 1.0)

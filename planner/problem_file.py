@@ -6,14 +6,12 @@ Operations belong to processes, so the caller passes their schemas; this module 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import reprlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
 from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
 
 from planner import cell_file, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
@@ -22,6 +20,7 @@ from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
 from planner.problem import Cell, Change, Fixed, Operation, Problem, Settings
+from planner.problem_bundle import digest, resolved
 from planner.schema import Name, Strict
 from planner.sheet_file import SheetFile
 from planner.stock_file import Choice, SetupFile, StockFile
@@ -147,7 +146,7 @@ def build(document: Document, models: OperationModels) -> Problem:
         operations=tuple(operations),
         settings=spec.settings.build(),
         path=path,
-        digest=_digest(source),
+        digest=digest(source),
         source=source,
         changes=changes,
     )
@@ -349,55 +348,3 @@ def _names(cell: Cell, operations: list[Operation], document: Document) -> Itera
                     field=f"operations.{index}.arms",
                     line=document.line(("operations", index, "arms")),
                 )
-
-
-def bundle(problem: Problem) -> dict[str, bytes]:
-    """The problem as files that stand alone: ``problem.yaml`` with the cell inside, and what it names in
-    ``files/``.
-
-    Reading the bundle gives a problem with the same digest, so a result folder can be proven wherever it is
-    carried.
-    """
-    files: dict[str, bytes] = {}
-
-    def carry(path: Path) -> str:
-        content = path.read_bytes()
-        name = f"files/{hashlib.sha256(content).hexdigest()[:16]}{path.suffix.lower()}"
-        files[name] = content
-        return name
-
-    text = yaml.safe_dump(_each_file(problem.source, carry), sort_keys=False, allow_unicode=True)
-    return {"problem.yaml": text.encode(), **files}
-
-
-def resolved(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The file's data with its cell inside and every file name made absolute."""
-    out: dict[str, Any] = _each_file(data, lambda path: str(folder / path))
-    if isinstance(data.get("cell"), str):
-        path = folder / data["cell"]
-        out["cell"] = _each_file(yaml_lines.read(path).data, lambda name: str(path.parent / name))
-    return out
-
-
-def _digest(source: Mapping[str, Any]) -> str:
-    """SHA-256 over the problem's values and the contents of its files: where they lie and comments do not
-    matter.
-    """
-
-    def content(path: Path) -> str:
-        return hashlib.sha256(path.read_bytes()).hexdigest() if is_file(path) else "missing"
-
-    text = json.dumps(_each_file(source, content), sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _each_file(data: Any, change: Callable[[Path], str]) -> Any:
-    """A copy of plain data with every value of a key ``file`` changed."""
-    if isinstance(data, Mapping):
-        return {
-            k: change(Path(v)) if k == "file" and isinstance(v, str) else _each_file(v, change)
-            for k, v in data.items()
-        }
-    if isinstance(data, list):
-        return [_each_file(v, change) for v in data]
-    return data

@@ -9,7 +9,7 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.pipeline import load
-from planner.problem_file import bundle
+from planner.problem_bundle import bundle
 
 GOOD = """\
 tandem: 1

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal, Self
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from planner import pipeline, problem_file, yaml_lines
+from planner import pipeline, problem_bundle, yaml_lines
 from planner.batch.fields import change
 from planner.batch.job import PROBLEM
 from planner.catalogue import bundled
@@ -112,7 +112,7 @@ class Variant:
     def read(self) -> Problem:
         """The problem with the values in it; raises ``TandemError`` with every fault, each named by the batch
         file's line where a varied field is at fault, else by the problem file's."""
-        source = problem_file.resolved(self.base.data, self.base.path.parent.resolve())
+        source = problem_bundle.resolved(self.base.data, self.base.path.parent.resolve())
         issues = []
         for path, value in self.values.items():
             try:

@@ -8,14 +8,14 @@ from typing import Any
 
 import yaml
 
-from planner import problem_file
+from planner import problem_bundle
 from planner.batch.job import PROBLEM, Job
 from planner.problem import Problem
 
 
 def job(name: str, problem: Problem, timeout_s: float | None = None, memory_mb: float | None = None) -> Job:
     """The problem as a job; its issues name files as the problem file does."""
-    files = problem_file.bundle(problem)
+    files = problem_bundle.bundle(problem)
     carried = yaml.safe_load(files[PROBLEM])
     origins = dict(_pairs(carried, problem.source))
     return Job(name, files, timeout_s, memory_mb, origins)

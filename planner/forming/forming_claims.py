@@ -7,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import (
-    Claim,
+from planner.claims import Claim, FollowsPoses
+from planner.claims_forming import (
     FollowsOpposite,
-    FollowsPoses,
     FormingFeed,
     FormsInOrder,
     FormsSheet,

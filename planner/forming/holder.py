@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import SinksHolder
+from planner.claims_forming import SinksHolder
 from planner.forming.job import Job, segment
 from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
 from planner.issues import Issue, Severity

@@ -11,7 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, KerfWithin, WireJoins
+from planner.claims import (
+    Claim,
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    KerfCurve,
+    KerfWithin,
+    WireJoins,
+)
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.hotwire import elastic_kerf
 from planner.hotwire import wire as wires

@@ -7,15 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import (
-    Claim,
-    ConfirmedPower,
-    ContactOnlyIn,
-    FeedWindow,
-    MillsAlong,
-    MillsSurface,
-    SparesPart,
-)
+from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
+from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.milling import spoken
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.job import Done, Job

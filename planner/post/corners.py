@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import CutsSurface, MillsAlong, SparesPart, StraightWire
+from planner.claims import CutsSurface, StraightWire
+from planner.claims_milling import MillsAlong, SparesPart
 from planner.problem import Tool
 from planner.targets import Targets, works
 

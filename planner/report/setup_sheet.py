@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import robot
-from planner.claims import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
+from planner.claims import (
+    CutsSurface,
+    FeedWindow,
+    HoldsStock,
+    StraightWire,
+    WireJoins,
+)
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import exhibits, markup, standing

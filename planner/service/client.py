@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from planner import plan_io, problem_file
+from planner import plan_io, problem_bundle
 from planner.files import write_folder
 from planner.issues import Issue, TandemError
 from planner.pipeline import OWNED, Outcome
@@ -181,7 +181,7 @@ class Client:
             raise _refusal(error) from error
 
     def _upload(self, path: str, problem: Problem) -> dict[str, Any]:
-        files = problem_file.bundle(problem)
+        files = problem_bundle.bundle(problem)
         body, kind = form(files.pop("problem.yaml"), files)
         found: dict[str, Any] = json.loads(self._request(path, body, {"Content-Type": kind}, "POST"))
         return found

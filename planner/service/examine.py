@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner import problem_file, processes, yaml_lines
+from planner import problem_bundle, problem_file, processes, yaml_lines
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.service.page.shapes import shapes
@@ -82,7 +82,7 @@ def examine(
         read = problem_file.build(document, processes.schemas())
     except TandemError as error:
         return Examined(uploaded.told(error.issues))
-    files = problem_file.bundle(read)
+    files = problem_bundle.bundle(read)
     text = files.pop(PROBLEM).decode()
     found = list(read.part.notes) if read.part is not None else []
     if reach:

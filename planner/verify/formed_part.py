@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.claims import FormsSheet
+from planner.claims_forming import FormsSheet
 from planner.geometry.closest import small_pieces
 from planner.units import MM
 from planner.verify.forming_state import Formed, Forming

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses, FormsSheet, SheetState, ToolGap
+from planner.claims import Claim, FollowsPoses
+from planner.claims_forming import FormsSheet, SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_track import Pieces, Track, pieces, track

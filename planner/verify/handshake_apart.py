@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
-from planner.claims import ToolGap
+from planner.claims_forming import ToolGap
 from planner.issues import Issue, TandemError
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample

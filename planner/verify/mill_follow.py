@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import MillsAlong
+from planner.claims_milling import MillsAlong
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

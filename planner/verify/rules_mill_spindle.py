@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import FeedWindow, MillsAlong
+from planner.claims import FeedWindow
+from planner.claims_milling import MillsAlong
 from planner.issues import Issue
 from planner.problem import Stock
 from planner.verify.context import Context, Outcome, mm

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import SinksHolder
+from planner.claims_forming import SinksHolder
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, Phase
 from planner.verify.findings import at_step

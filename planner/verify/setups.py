@@ -14,13 +14,11 @@ from planner.claims import (
     ContactOnlyIn,
     FeedWindow,
     HoldsStock,
-    MillsAlong,
-    MillsSurface,
-    SheetState,
-    SparesPart,
     StraightWire,
     WireJoins,
 )
+from planner.claims_forming import SheetState
+from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
 from planner.verify.steps import MessageStep, MoveStep

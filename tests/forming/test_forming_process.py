@@ -13,10 +13,9 @@ import trimesh
 from scipy.spatial import Delaunay
 
 from planner import pipeline, processes
-from planner.claims import (
-    Claim,
+from planner.claims import Claim, FollowsPoses
+from planner.claims_forming import (
     FollowsOpposite,
-    FollowsPoses,
     FormingFeed,
     FormsInOrder,
     FormsSheet,

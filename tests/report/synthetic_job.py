@@ -9,7 +9,13 @@ import numpy as np
 
 from planner import catalogue
 from planner.cell import robots
-from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
+from planner.claims import (
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    KerfCurve,
+    WireJoins,
+)
 from planner.geometry.rigid import from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims import FormingFeed, FormsInOrder, FormsSheet, SheetState, ToolGap
+from planner.claims_forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, ToolGap
 from planner.forming_tools import ball_tool, profile
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.handshake import Handshake

@@ -16,7 +16,13 @@ import numpy as np
 
 from planner.catalogue import robot
 from planner.cell.robots import forward
-from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
+from planner.claims import (
+    ContactOnlyIn,
+    CutsSurface,
+    FeedWindow,
+    KerfCurve,
+    WireJoins,
+)
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write

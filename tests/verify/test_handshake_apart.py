@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance
-from planner.claims import HoldsStock, SheetState, ToolGap
+from planner.claims import HoldsStock
+from planner.claims_forming import SheetState, ToolGap
 from planner.verify import handshake_apart, rules_handshake
 from planner.verify.context import Context
 from planner.verify.prove import Prover

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.claims import MillsAlong
+from planner.claims_milling import MillsAlong
 from planner.verify.mill_follow import Followed, follow
 
 FloatArray = NDArray[np.float64]

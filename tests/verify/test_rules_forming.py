@@ -8,7 +8,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.claims import FollowsOpposite, SupportsBorder
+from planner.claims_forming import FollowsOpposite, SupportsBorder
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.mutants import moves, name, segment, shifted, tilted, timed

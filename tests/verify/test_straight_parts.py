@@ -7,7 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.claims import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
+from planner.claims import (
+    CutsSurface,
+    FollowsRulings,
+    KerfCurve,
+    KerfWithin,
+    StraightWire,
+)
 from planner.problem import Stock
 from planner.verify.context import Context
 from planner.verify.job import label
