@@ -100,7 +100,14 @@ class Names:
     def outcome(self, outcome: Outcome) -> Outcome:
         """An outcome whose issues call files as people do."""
         plan, proof = outcome.plan, outcome.proof
-        operations = tuple(dataclasses.replace(op, issues=self.issues(op.issues)) for op in plan.operations)
+        operations = tuple(
+            dataclasses.replace(
+                op,
+                issues=self.issues(op.issues),
+                targets=dataclasses.replace(op.targets, issues=self.issues(op.targets.issues)),
+            )
+            for op in plan.operations
+        )
         plan = dataclasses.replace(plan, operations=operations, issues=self.issues(plan.issues))
         proof = dataclasses.replace(proof, issues=self.issues(proof.issues))
         return dataclasses.replace(outcome, plan=plan, proof=proof)

@@ -15,10 +15,14 @@ from planner.batch import compare
 from planner.batch.job import Done, State
 from planner.batch.place import Record
 from planner.batch.run import RECORDS
+from planner.batch.solve import Names
 from planner.compare_commands import Compare, run
 from planner.issues import Issue, TandemError
+from planner.pipeline import Outcome, load
 from planner.plans import OperationPlan, Plan
 from planner.targets import Targets
+from planner.verify.result import Proof
+from tests import small_problem
 
 LABELS = ("approach", "cut", "cut", "link", "cut")
 
@@ -119,3 +123,23 @@ def test_batches_are_compared_job_by_job(tmp_path: Path, capsys: pytest.CaptureF
     assert "cycle s, sum over 1 jobs: 10 to 8" in shown
     with pytest.raises(TandemError, match="no batch has ended"):
         run(Compare(one, tmp_path / "none"))
+
+
+def test_no_issue_of_an_outcome_names_the_folder_that_it_was_planned_in(tmp_path: Path) -> None:
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "1.nc").write_text("")
+    (tmp_path / "problem.yaml").write_text("")
+    inside = str(tmp_path / "files" / "1.nc")
+    issues = (Issue("mesh.unit", f"{inside}: m", file=inside, hint=f"see {tmp_path}/problem.yaml"),)
+    made = plan(issues=issues)
+    targets = dataclasses.replace(made.operations[0].targets, issues=issues)
+    made = dataclasses.replace(
+        made, issues=issues, operations=(dataclasses.replace(made.operations[0], targets=targets),)
+    )
+    proof = Proof("d", (), issues, {}, (), "")
+    problem = load(small_problem.write(tmp_path))
+    told = Names(tmp_path, {"files/1.nc": "mine.nc"}).outcome(Outcome(problem, made, proof, {}))
+    text = b"".join(plan_io.dump(told.plan).values())
+    assert str(tmp_path).encode() not in text
+    assert text.count(b"mine.nc: m") == 3
+    assert [(i.file, i.hint) for i in told.proof.issues] == [("mine.nc", "see problem.yaml")]
