@@ -26,9 +26,10 @@ class Job:
     """A problem that stands alone.
 
     ``name`` is a safe folder name. ``files``: the problem by relative names, as
-    :func:`planner.problem_bundle.bundle` makes it. A job is stopped after ``timeout_s`` [s] of planning, and when its worker holds more than
-    ``memory_mb`` [MB]; None is no limit. ``origins``: what people call a file, by its name in ``files``;
-    issues name files so, and by their names in ``files`` where nothing is given.
+    :func:`planner.problem_bundle.bundle` makes it. A job is stopped after ``timeout_s`` [s] of planning, and
+    when its worker holds more than ``memory_mb`` [MB]; None is no limit. ``origins``: what people call a
+    file, by its name in ``files``; issues name files so, and by their names in ``files`` where nothing is
+    given.
 
     Raises ``ValueError`` for names that are not safe and where the problem file is missing.
     """
