@@ -136,7 +136,7 @@ def bar(name: str, run: Track, clock: Clock = ()) -> str:
 
 def clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
     """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done, leads to the
-    replay's: what has the same label in both begins and ends together.
+    replay's: what has the same label in both begins and ends together, and so does the whole.
 
     The replay shows the ways from and to home at a pace of its own, so the clocks differ by more than a
     shift.
@@ -149,7 +149,9 @@ def clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
             _, start, end = shown[found]
             shown = shown[found + 1 :]
             out += [(float(time[max(first - 1, 0)]), start), (float(time[last]), end)]
-    return tuple(out)
+    if not out:
+        return ()
+    return ((float(time[0]), 0.0), *out, (float(time[-1]), float(run.time[-1] - run.time[0])))
 
 
 def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:

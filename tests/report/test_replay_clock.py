@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
+from pathlib import Path
 
-from planner.report import replay_bar
+import numpy as np
+
+from planner import pipeline
+from planner.report import replay_bar, track
 from planner.report.track import Track
+from tests import small_problem
 
 
 def run(time: list[float], segment: list[str]) -> Track:
@@ -30,15 +33,32 @@ def test_times_of_the_programs_lead_to_the_same_place_in_the_replay() -> None:
     time = np.array([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5])
     labels = ["home", "home", "approach", "approach", "cut", "cut", "home"]
     pairs = np.array(replay_bar.clock(shown, time, labels))
-    at = np.interp([1.0, 1.5, 2.0, 3.0, 4.0], *pairs.T)
-    np.testing.assert_allclose(at, [4.0, 4.5, 5.0, 6.0, 7.0])
+    at = np.interp([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5], *pairs.T)
+    np.testing.assert_allclose(at, [0.0, 4.0, 4.5, 5.0, 6.0, 7.0, 9.0])
 
 
 def test_segments_that_the_programs_repeat_are_taken_in_order() -> None:
     shown = run([0, 1, 2, 3], ["cut", "cut", "link", "cut"])
     time = np.array([0.0, 2.0, 3.0, 5.0])
     pairs = replay_bar.clock(shown, time, ["cut", "cut", "link", "cut"])
-    assert pairs == pytest.approx(((0.0, 0.0), (2.0, 1.0), (2.0, 1.0), (3.0, 2.0), (3.0, 2.0), (5.0, 3.0)))
+    wanted = [[0, 0], [0, 0], [2, 1], [2, 1], [3, 2], [3, 2], [5, 3], [5, 3]]
+    np.testing.assert_allclose(pairs, wanted)
+
+
+def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) -> None:
+    """Joint angles that the proof read out of the programs, against those of the replay."""
+    outcome = pipeline.plan(pipeline.load(small_problem.write(tmp_path)))
+    series = outcome.proof.series
+    shown = track.track(outcome.problem, outcome.plan, 600)
+    labels = [str(label) for label in series["label"]]
+    at = np.flatnonzero(np.array(labels) == "cut/path")[5:-5]
+    pairs = np.array(replay_bar.clock(shown, np.asarray(series["time"]), labels))
+    led = np.interp(series["time"][at], *pairs.T)
+    for joint in range(6):
+        got = np.interp(led, shown.time - shown.time[0], shown.q["left"][:, joint])
+        np.testing.assert_allclose(
+            got, series["joints/left"][at, joint], atol=np.radians(0.5)
+        )  # rounded corners
 
 
 def test_without_a_proof_there_is_no_clock() -> None:
