@@ -17,7 +17,9 @@ import pytest
 import trimesh
 from playwright.sync_api import Page, Route, expect
 
-from tests.service.support import ROOT, free_port
+from planner.service.auth import Auth
+from planner.service.database import Database, default_url
+from tests.service.support import ROOT, Process, free_port
 
 
 def open_problem(page: Page, server: str, files: list[Path]) -> None:
@@ -248,3 +250,27 @@ def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
         process.kill()
         process.wait()
         shutil.rmtree(data, ignore_errors=True)
+
+
+def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    token = Auth(Database(default_url(data))).make("ann")
+    process = Process(data, "--require-token").wait()
+    try:
+        page.goto(f"{process.url}/ui/new?process=forming")
+        page.wait_for_url("**/ui/login?next=*")
+        page.get_by_label("Token").fill(token[:-1] + "!")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.locator(".fault.error")).to_contain_text("unknown or was revoked")
+        page.get_by_label("Token").fill(token)
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/ui/new?process=forming")
+        expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"))
+        assert token not in str(page.context.storage_state()["origins"])
+        page.get_by_role("button", name="Log out").click()
+        page.wait_for_url("**/ui/login")
+        page.goto(process.url)
+        page.wait_for_url("**/ui/login?next=*")
+    finally:
+        process.stop()

@@ -54,8 +54,8 @@ function row(one) {
     h("td", {}, badge(one.state), h("span", { class: "sub" }, running ? `${one.stage}, ${Math.round(100 * one.fraction)} %` : count)),
     h("td", { class: "wide" }, one.processes.map(processName).join(", ")),
     h("td", { class: "n" }, figure("cycle_s", duration)),
-    h("td", { class: "n wide" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),
-    h("td", { class: "n wide" }, one.seconds ? duration(one.seconds) : ""),
+    h("td", { class: "n wider" }, figure("clearance_mm", (v) => `${number(v, 3)} mm`)),
+    h("td", { class: "n wider" }, one.seconds ? duration(one.seconds) : ""),
     h("td", {}, h("time", { dateTime: one.created, title: new Date(one.created).toLocaleString("en-GB") }, ago(one.created))),
   );
 }

@@ -53,7 +53,7 @@ async function chooseProcess(name) {
   const some = drawExamples(examples, name, "", chooseExample);
   const first = some.find(([, one]) => one.feasible && one.processes[0] === name) ?? some[0];
   if (first) await chooseExample(first[0]).catch(tell);
-  else if (name === "targets") take({ problem: poses(), files: new Map(), cell: "", source: "from nothing" });
+  else if (name === "targets") take({ problem: poses(), files: new Map(), cell: "", source: "for a table of poses" });
 }
 
 // Given poses have no bundled problem: a cell and an operation that waits for its table.
@@ -182,6 +182,7 @@ async function check() {
       return;
     }
     if (!drawn) present([], null, "");
+    if (viewer.works) $("view-empty").textContent = "Nothing can be drawn before what is named below is corrected.";
     tellIssues(error.issues, false);
   }
 }

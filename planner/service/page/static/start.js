@@ -39,7 +39,7 @@ export function drawExamples(all, process, chosen, choose) {
   );
   select.onchange = () => choose(select.value);
   $("about").textContent = all[chosen]?.about ?? "";
-  show($("start"), true);
+  show($("start"), some.length > 0);
   return some;
 }
 

@@ -155,7 +155,7 @@ export class Viewer {
     gl.disable(gl.POLYGON_OFFSET_FILL);
     this.stroke("part", this.colours.measure, 0.9);
     gl.depthMask(false);
-    for (const body of this.bodies) if (body.kind === "stock") this.fill(body, this.colours.stock, this.bodies.length > 1 ? 0.16 : 0.8);
+    for (const body of this.bodies) if (body.kind === "stock") this.fill(body, this.colours.stock, this.bodies.length > 1 ? 0.16 : 0.4);
     gl.depthMask(true);
     this.stroke("edges", this.colours.line, 0.6);
     this.measure(times(lens, view));
