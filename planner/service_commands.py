@@ -58,6 +58,8 @@ class Serve:
     """most memory of planning, a job"""
     keep_days: float | None = None
     """delete finished jobs after so many days"""
+    lease_s: float = 30.0
+    """on a shared database: jobs of a host that has been silent for so long are planned by others"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +121,8 @@ def serve(asked: Serve) -> None:
         job_memory_mb=asked.job_memory_mb,
         keep_days=asked.keep_days,
     )
-    for name, value in (*dataclasses.asdict(limits).items(), ("workers", asked.workers)):
+    more = {"workers": asked.workers, "lease_s": asked.lease_s}
+    for name, value in (dataclasses.asdict(limits) | more).items():
         if value is not None and not value > 0:
             raise TandemError(Issue("service.start", f"{name}: got {value:g}, give more than 0", field=name))
     server.serve(
@@ -131,6 +134,7 @@ def serve(asked: Serve) -> None:
             workers=asked.workers,
             cluster=asked.cluster,
             require_token=asked.require_token,
+            lease_s=asked.lease_s,
             limits=limits,
         ),
         asked.certificate,

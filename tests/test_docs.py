@@ -16,6 +16,9 @@ from types import ModuleType
 
 import pytest
 
+from tests import small_problem
+from tests.service.support import Process
+
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -82,12 +85,27 @@ def test_the_commands_of_the_readme_run_from_any_folder(site: Path, tmp_path: Pa
 
 
 def test_the_python_of_the_readme_runs(site: Path, tmp_path: Path) -> None:
-    code = [text for _, text in blocks("python")]
+    code = [text for name, text in blocks("python") if name != "service.md"]
     assert code
     for text in code:
         done = run([sys.executable, "-c", text], site, tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith("True ")
+
+
+def test_the_python_of_the_service_runs(site: Path, tmp_path: Path) -> None:
+    """Against a service, and with a smaller problem than the wing."""
+    (text,) = [text for name, text in blocks("python") if name == "service.md"]
+    assert 'planner.load("wing")' in text
+    small = small_problem.write(tmp_path)
+    served = Process(tmp_path / "data").wait()
+    try:
+        code = text.replace("http://127.0.0.1:8000", served.url).replace('"wing"', repr(str(small)))
+        done = run([sys.executable, "-c", code], site, tmp_path)
+    finally:
+        served.stop()
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("True ")
 
 
 def test_the_problem_of_the_reference_page_reads(tmp_path: Path) -> None:

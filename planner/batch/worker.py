@@ -34,7 +34,7 @@ OOM_SCORE = "500"
 
 def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> int:
     """Serve until standard input ends; ``get`` gives what solves a job, by default the real thing."""
-    _end_with(int(arguments[0]))
+    end_with(int(arguments[0]))
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)
         solve = (get or _planning)()
@@ -80,7 +80,7 @@ def _planning() -> Solve:
     return with_kept_models
 
 
-def _end_with(parent: int) -> None:
+def end_with(parent: int) -> None:
     """Ask the kernel to end this process when its parent does: a thread that waits for the pipe to close
     would not run while a solver holds the interpreter.
     """

@@ -22,7 +22,6 @@ from planner.service.guard import LOOPBACK, Guard
 from planner.service.metrics import REQUESTS
 from planner.service.page import routes as routes_page
 from planner.service.refusals import RefusedError
-from planner.service.schemas import IN_OPENAPI, problem_schema
 from planner.service.service import Service
 
 LOG: Final = logging.getLogger("planner.service")
@@ -90,15 +89,18 @@ METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OP
 def _openapi(app: FastAPI) -> dict[str, Any]:
     """OpenAPI with the schemas of problem files among its components."""
     if app.openapi_schema is None:
+        from planner.service.schemas import IN_OPENAPI, problem_schema  # loads all processes
+
         made = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes
         )
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
+        refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
         for path in made["paths"].values():
             for method in path.values():
-                answers = method["responses"]
-                if "HTTPValidationError" in str(answers.get("422")):
-                    answers["422"] = {"description": "all that is wrong, by code and field"}
+                for status, answer in method["responses"].items():
+                    if status.startswith("4"):  # JSON, whatever a good answer is
+                        answer["content"] = refusal
         app.openapi_schema = made
     return app.openapi_schema
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import yaml
@@ -14,10 +14,10 @@ from pydantic import BaseModel
 from planner import cell_file
 from planner.catalogue import data_dir, robot, robot_names
 from planner.materials import foams, wire_materials
+from planner.service.models import Kind
 from planner.sheet_metals import sheet_metals
 from planner.units import DEG, MM
 
-Kind = Literal["robots", "cells", "tools", "materials"]
 TOOLS: Final[tuple[type[BaseModel], ...]] = (
     cell_file.WireHolderFile,
     cell_file.BowFile,

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import dataclasses
+import http.client
 import json
 import tempfile
 import time
@@ -118,7 +119,7 @@ class Client:
                     after, ended = max(after, number), kind == "end"
                     if not ended:
                         yield kind, data
-            except (OSError, ValueError):  # the line broke off
+            except (OSError, ValueError, http.client.HTTPException):  # the line broke off
                 pass
             if not ended:
                 time.sleep(AGAIN_S)
@@ -209,7 +210,7 @@ class Client:
                 return content
         except urllib.error.HTTPError as error:
             raise _refusal(error) from error
-        except OSError as error:
+        except (OSError, http.client.HTTPException) as error:
             reason = getattr(error, "reason", error)
             raise TandemError(_answer(self._url, f"does not answer ({reason}); see that it runs")) from error
 

@@ -10,6 +10,8 @@ from typing import Any, Final, NamedTuple
 
 import anyio.to_thread
 from sqlalchemy import select
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from planner.issues import Issue
 from planner.service.database import Database
@@ -117,3 +119,17 @@ class Hub:
             query = select(EVENTS).where(EVENTS.c.job == job, EVENTS.c.seq > after).order_by(EVENTS.c.seq)
             rows = db.execute(query).mappings().all()
         return [Event(row["seq"], row["kind"], row["data"]) for row in rows], state in OPEN
+
+
+class Stream(StreamingResponse):
+    """The events of a job as an answer, which holds a slot of its owner for as long as it is sent."""
+
+    def __init__(self, hub: Hub, owner: str, job: str, after: int) -> None:
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(hub.stream(job, after), media_type="text/event-stream", headers=headers)
+        self._hub, self._owner = hub, owner
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI; raises :class:`RefusedError`, 429."""
+        with self._hub.slot(self._owner):
+            await super().__call__(scope, receive, send)

@@ -7,7 +7,6 @@ hostile.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ import numpy as np
 from planner import problem_bundle, problem_file, processes, yaml_lines
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
+from planner.service.examined import Examined
 from planner.service.page.shapes import shapes
 from planner.service.uploaded import NOWHERE, Uploaded
 from planner.units import MM
@@ -40,26 +40,6 @@ ARCHIVES: Final = (
 )
 """How zip, gzip, bzip2, xz, 7z, rar, zstd, lz4, ar and cab begin; tar has its word further on."""
 TAR: Final = slice(257, 262)
-
-
-@dataclasses.dataclass(frozen=True)
-class Examined:
-    """What is known of an upload. Where it can be read: ``text``, the problem as it stands alone, ``files``
-    {name in it: SHA-256}, its ``name``, ``digest``, ``processes`` and ``summary``; else errors alone."""
-
-    issues: tuple[Issue, ...]
-    name: str = ""
-    digest: str = ""
-    processes: tuple[str, ...] = ()
-    text: str = ""
-    files: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    summary: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    shapes: tuple[Mapping[str, Any], ...] = ()
-
-    @property
-    def readable(self) -> bool:
-        """Whether the problem can be planned, as far as its file says."""
-        return bool(self.text)
 
 
 def examine(

@@ -15,11 +15,12 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
 from planner.issues import Issue
-from planner.service.examine import Examined
+from planner.service.examined import Examined
 
 MB: Final = 1 << 20
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -35,6 +36,8 @@ class Examiners:
             self._idle.put(None)
         self._all: set[subprocess.Popen[str]] = set()
         self._closed = False
+        # the kernel ends a process with the thread that made it, so one thread makes them all and stays
+        self._maker = ThreadPoolExecutor(1, "tandem-examiners")
 
     def examine(
         self, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
@@ -44,7 +47,7 @@ class Examiners:
         try:
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
                 if process is None or process.poll() is not None:
-                    process = self._start()
+                    process = self._maker.submit(self._start).result()
                 asked = {
                     "folder": folder,
                     "problem": str(problem),
@@ -59,6 +62,7 @@ class Examiners:
     def close(self) -> None:
         """End the processes."""
         self._closed = True
+        self._maker.shutdown(cancel_futures=True)
         for process in list(self._all):
             process.kill()
             process.wait()
@@ -68,12 +72,13 @@ class Examiners:
             raise RuntimeError("the service is stopping")
         self._all = {process for process in self._all if process.poll() is None}
         process = subprocess.Popen(
-            [sys.executable, "-m", "planner.service.examiner", str(self._memory)],
+            [sys.executable, "-P", "-m", "planner.service.examiner", str(os.getpid()), str(self._memory)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             encoding="utf-8",
-            env={**os.environ, **dict.fromkeys(THREADS, "1")},
+            env={**os.environ, **dict.fromkeys(THREADS, "1"), "PYTHONPATH": _path()},
+            process_group=0,  # Ctrl-C is for the service, which ends them
         )
         self._all.add(process)
         return process
@@ -105,6 +110,11 @@ class Examiners:
         return Examined((Issue("service.check_stopped", message, field="problem"),))
 
 
+def _path() -> str:
+    """The module path of this process, so that the other one imports the same code."""
+    return os.pathsep.join(entry for entry in sys.path if entry)
+
+
 def _exchange(process: subprocess.Popen[str], line: str) -> str:
     """The answer to one line; nothing where the process is gone."""
     if process.stdin is None or process.stdout is None:
@@ -130,9 +140,11 @@ def _from_json(data: dict[str, Any]) -> Examined:
 
 def serve() -> None:
     """Answer requests from standard input until it ends."""
+    from planner.batch.worker import end_with
     from planner.service.examine import examine
 
-    limit = int(float(sys.argv[1]) * MB)
+    end_with(int(sys.argv[1]))
+    limit = int(float(sys.argv[2]) * MB)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")

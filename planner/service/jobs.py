@@ -82,23 +82,21 @@ class Jobs:
             return row["owner"], job_out(row, self._ahead(db, job) if row["state"] == "queued" else None)
 
     def page(
-        self, owner: str, states: Sequence[str], after: tuple[float, str] | None, count: int
-    ) -> list[JobOut]:
-        """Up to ``count`` jobs of the owner, the newest first, after the one made then with that id."""
+        self, owner: str, states: Sequence[str], cursor: str | None, count: int
+    ) -> tuple[list[JobOut], str | None]:
+        """Up to ``count`` jobs of the owner, the newest first, and the cursor of what follows, if anything
+        does."""
         query = select(JOBS).where(JOBS.c.owner == owner, JOBS.c.cancel != DELETED)
         if states:
             query = query.where(JOBS.c.state.in_(states))
-        if after is not None:
-            made, job = after
+        if cursor is not None:  # jobs may have been deleted since, that one too
+            made, job = float(cursor.split("-")[0]), cursor.split("-")[1]
             query = query.where(or_(JOBS.c.created < made, and_(JOBS.c.created == made, JOBS.c.id < job)))
-        query = query.order_by(JOBS.c.created.desc(), JOBS.c.id.desc()).limit(count)
+        query = query.order_by(JOBS.c.created.desc(), JOBS.c.id.desc()).limit(count + 1)
         with self._database.read() as db:
-            return [job_out(row) for row in db.execute(query).mappings()]
-
-    def cursor(self, job: str) -> tuple[float, str]:
-        """The place of a job in the list; raises :class:`RefusedError`, 404."""
-        with self._database.read() as db:
-            return float(_row(db, job)["created"]), job
+            rows = db.execute(query).mappings().all()
+        last = f"{rows[count - 1]['created']!r}-{rows[count - 1]['id']}" if len(rows) > count else None
+        return [job_out(row) for row in rows[:count]], last
 
     def cancel(self, job: str, also_delete: bool = False) -> JobOut:
         """Cancel a job: at once if it waits, else its worker is told; no more happens to one that is done."""

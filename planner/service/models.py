@@ -22,6 +22,7 @@ State = Literal[
     "memory",
     "cancelled",
 ]
+Kind = Literal["robots", "cells", "tools", "materials"]
 OPEN: Final = ("queued", "running")
 SETTLED: Final = ("verified", "infeasible", "unproven")
 """States that the problem alone decides, so that an identical one needs no planning."""

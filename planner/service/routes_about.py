@@ -1,4 +1,7 @@
-"""What is known without a job: schemas, catalogue, issue codes, health, figures; and sessions of browsers."""
+"""What is known without a job: schemas, catalogue, issue codes, health, figures; and sessions of browsers.
+
+Schemas and catalogue are imported when they are asked for: with all processes they take seconds to load.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,11 @@ from fastapi import APIRouter, Cookie, Request, Response
 from fastapi.responses import PlainTextResponse
 
 import planner
-from planner import processes
 from planner.issue_codes import CODES
-from planner.service import catalogue, schemas
 from planner.service.auth import LOCAL, SESSION_S
 from planner.service.context import COOKIE, REFUSALS, Caller, Here
 from planner.service.metrics import text
-from planner.service.models import Catalogue, Health
+from planner.service.models import Catalogue, Health, Kind
 
 router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
 
@@ -45,6 +46,8 @@ def metrics(owner: Caller, here: Here) -> PlainTextResponse:
 def known_processes(owner: Caller) -> dict[str, str]:
     """What each one does, by the word that problem files use."""
     del owner
+    from planner import processes
+
     return {name: " ".join((m.__doc__ or "").split()) for name, m in processes.schemas().items()}
 
 
@@ -52,6 +55,8 @@ def known_processes(owner: Caller) -> dict[str, str]:
 def process_schema(name: str, owner: Caller) -> dict[str, Any]:
     """The fields of an operation, with ranges, defaults and help; units end their names."""
     del owner
+    from planner.service import schemas
+
     return schemas.process(name)
 
 
@@ -59,14 +64,18 @@ def process_schema(name: str, owner: Caller) -> dict[str, Any]:
 def problem_schema(owner: Caller) -> dict[str, Any]:
     """The whole file with the operations of all processes."""
     del owner
+    from planner.service import schemas
+
     return schemas.problem_file()
 
 
 @router.get("/v1/catalogue/{kind}", summary="What is built in")
-def catalogue_of(kind: catalogue.Kind, owner: Caller) -> Catalogue:
+def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
     """Robots and materials with the sources of their figures, tools with their schemas, cells as problem
     files may have them inside."""
     del owner
+    from planner.service import catalogue
+
     return Catalogue(entries=catalogue.entries(kind))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import AsyncIterator
 from pathlib import PurePosixPath
 from typing import Annotated, Final
 
@@ -14,16 +13,16 @@ from fastapi.responses import FileResponse, StreamingResponse
 
 from planner.issues import Issue, has_errors
 from planner.service.context import REFUSALS, Caller, Here, OwnJob
+from planner.service.events import Stream
 from planner.service.files import Blob
 from planner.service.models import CheckOut, FileList, FileOut, JobList, JobOut, State
 from planner.service.refusals import RefusedError
-from planner.service.schemas import IN_OPENAPI, problem_schema
+from planner.service.service import UPLOADS_MOST
 from planner.service.upload import documented, take
 
 router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=REFUSALS)  # type: ignore[arg-type]
-UPLOADS: Final = {"requestBody": documented(problem_schema(IN_OPENAPI)[0])}
-UPLOADS_AT_ONCE: Final = anyio.CapacityLimiter(16)
-"""Threads that wait for a problem to be read, so that other requests find one."""
+UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
+UPLOADS_AT_ONCE: Final = anyio.CapacityLimiter(UPLOADS_MOST)
 TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
@@ -35,6 +34,15 @@ TYPES: Final = {
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
 PAGE: Final = 50
+EVENT: Final = {
+    "type": "object",
+    "description": "one event of the stream",
+    "properties": {
+        "id": {"type": "string"},
+        "event": {"enum": ["state", "progress", "issues", "end"]},
+        "data": {"type": "string", "description": "JSON"},
+    },
+}
 
 
 @router.post(
@@ -59,9 +67,10 @@ async def create(
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
     upload = await take(request, here.files, here.limits)
-    return await anyio.to_thread.run_sync(
-        here.create, owner, upload, timeout_s, memory_mb, limiter=UPLOADS_AT_ONCE
-    )
+    async with here.turn(owner):
+        return await anyio.to_thread.run_sync(
+            here.create, owner, upload, timeout_s, memory_mb, limiter=UPLOADS_AT_ONCE
+        )
 
 
 @router.post(
@@ -74,9 +83,9 @@ async def check(
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
 ) -> CheckOut:
     """Read a problem and say what is in its way; a file that cannot be read is 422."""
-    del owner
     upload = await take(request, here.files, here.limits)
-    read = await anyio.to_thread.run_sync(here.examine, upload, reach, limiter=UPLOADS_AT_ONCE)
+    async with here.turn(owner):
+        read = await anyio.to_thread.run_sync(here.examine, upload, reach, limiter=UPLOADS_AT_ONCE)
     return CheckOut(
         ok=not has_errors(read.issues),
         name=read.name,
@@ -93,14 +102,14 @@ def page(
     here: Here,
     limit: Annotated[int, Query(ge=1, le=200)] = PAGE,
     cursor: Annotated[
-        str | None, Query(pattern="^[0-9a-f]{32}$", description="`next` of the page before")
+        str | None,
+        Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
     ] = None,
     state: Annotated[list[State] | None, Query(description="these states alone")] = None,
 ) -> JobList:
     """The newest first, a page at a time."""
-    after = None if cursor is None else here.jobs.cursor(cursor)
-    found = here.jobs.page(owner, state or [], after, limit + 1)
-    return JobList(jobs=found[:limit], next=found[limit - 1].id if len(found) > limit else None)
+    found, following = here.jobs.page(owner, state or [], cursor, limit)
+    return JobList(jobs=found, next=following)
 
 
 @router.get("/jobs/{job}", response_model_exclude_none=True, summary="State of a job")
@@ -113,7 +122,7 @@ def get(found: OwnJob) -> JobOut:
     "/jobs/{job}/events",
     summary="Events of a job as they happen",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}},
+    responses={200: {"content": {"text/event-stream": {"schema": EVENT}}}},
 )
 def events(
     found: OwnJob,
@@ -127,18 +136,7 @@ def events(
     come."""
     if last_event_id is not None and last_event_id.isdecimal() and len(last_event_id) < 10:
         after = int(last_event_id)
-    slot = here.hub.slot(owner)
-    slot.__enter__()
-
-    async def body() -> AsyncIterator[str]:
-        try:
-            async for text in here.hub.stream(found.id, after):
-                yield text
-        finally:
-            slot.__exit__(None, None, None)
-
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(body(), media_type="text/event-stream", headers=headers)
+    return Stream(here.hub, owner, found.id, after)
 
 
 @router.post("/jobs/{job}/cancel", response_model_exclude_none=True, summary="Cancel a job")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import resource
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,8 @@ from typing import Final
 
 import uvicorn
 
+from planner.batch.cluster import Cluster
+from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError
 from planner.service.app import create_app
 from planner.service.runner import Team
@@ -32,6 +35,8 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         except (OSError, ssl.SSLError) as error:
             message = f"certificate {certificate} with key {key}: cannot be used ({error}); give PEM files"
             raise TandemError(Issue("service.start", message, field="certificate")) from error
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
     service = Service(options, make_team(options))
     config = uvicorn.Config(
         create_app(service),
@@ -64,10 +69,11 @@ class _Server(uvicorn.Server):
 
 
 def make_team(options: Options) -> Callable[[], Team]:
-    """What plans the jobs: processes of this machine."""
-    from planner.batch.workers import Workers
-
-    def local() -> Team:
-        return Workers(options.workers, memory_mb=options.limits.job_memory_mb)
-
-    return local
+    """What plans the jobs: processes of this machine, or a cluster. Raises ``TandemError`` for a cluster that
+    cannot be used."""
+    memory_mb, count = options.limits.job_memory_mb, options.workers
+    if options.cluster is None:
+        return lambda: Workers(count, memory_mb=memory_mb)
+    address = options.cluster
+    first = [Cluster(address, count, memory_mb)]  # what is wrong is told at the start
+    return lambda: first.pop() if first else Cluster(address, count, memory_mb)

@@ -18,11 +18,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Final
 
+import anyio
+
+from planner.batch.job import all_versions
 from planner.issues import Issue, TandemError
-from planner.service.auth import Auth
+from planner.service.auth import LOCAL, Auth
 from planner.service.database import Database, default_url
 from planner.service.events import Hub
-from planner.service.examine import Examined
+from planner.service.examined import Examined
 from planner.service.examiner import Examiners
 from planner.service.files import Blob, Files
 from planner.service.guard import LOOPBACK
@@ -33,9 +36,10 @@ from planner.service.refusals import RefusedError
 from planner.service.runner import Runner, Team
 from planner.service.upload import Upload
 from planner.service.work import Work
-from planner.versions import versions
 
 PID: Final = ".pid-"
+UPLOADS_MOST: Final = 16
+"""So many uploads are read or wait to be read in threads, so that other requests find one."""
 REMEMBERED: Final = 256
 """So many uploads that were read are known again."""
 
@@ -98,8 +102,14 @@ class Service:
             keep_s=None if limits.keep_days is None else limits.keep_days * 86400.0,
             shas=self.jobs.shas,
         )
+        self._turns: dict[str, anyio.Semaphore] = {}
         self._read: OrderedDict[str, Examined] = OrderedDict()
         self._read_lock = threading.Lock()
+
+    def turn(self, owner: str) -> anyio.Semaphore:
+        """What an owner holds while an upload is read: one token never keeps all readers from the others."""
+        most = UPLOADS_MOST if owner == LOCAL else max(1, self.options.examiners - 1)
+        return self._turns.setdefault(owner, anyio.Semaphore(most))
 
     def start(self) -> None:
         """Begin to plan."""
@@ -166,7 +176,7 @@ def _key(digest: str) -> str:
 
 @functools.cache
 def _versions() -> str:
-    return json.dumps(versions(), sort_keys=True)
+    return json.dumps(all_versions(), sort_keys=True)
 
 
 def _claim(data: Path, alone: bool) -> IO[str]:

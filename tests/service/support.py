@@ -118,28 +118,27 @@ def free_port() -> int:
 class Process:
     """``tandem serve`` as a process of its own."""
 
-    def __init__(self, data: Path, *options: str) -> None:
-        self.port = free_port()
+    def __init__(
+        self,
+        data: Path,
+        *options: str,
+        port: int = 0,
+        module: str = "planner",
+        arguments: tuple[str, ...] | None = None,
+    ) -> None:
+        self.port = port or free_port()
         self.url = f"http://127.0.0.1:{self.port}"
-        self._log = (data.parent / f"{data.name}-{self.port}.log").open("wb")
-        self._process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "planner",
-                "serve",
-                "--data",
-                str(data),
-                "--port",
-                str(self.port),
-                *options,
-            ],
-            stdout=self._log,
-            stderr=self._log,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-            cwd=data.parent,
-        )
-        self.log = Path(self._log.name)
+        self.log = data.parent / f"{data.name}-{self.port}.log"
+        usual = ("serve", "--data", str(data), "--port", str(self.port), *options)
+        given = usual if arguments is None else (str(self.port), *arguments)
+        with self.log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", module, *given],
+                stdout=log,
+                stderr=log,
+                env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+                cwd=data.parent,
+            )
 
     def wait(self, timeout_s: float = 60.0) -> Process:
         """Until it answers."""
@@ -171,4 +170,3 @@ class Process:
         finally:
             self._process.kill()
             self._process.wait()
-            self._log.close()

@@ -1,0 +1,65 @@
+"""The API against its own OpenAPI, by schemathesis: no 500, and answers are what the document says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+)
+
+from planner import Client, load
+from tests import small_problem
+from tests.service.support import Process
+
+CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Process]:
+    data = tmp_path_factory.mktemp("fuzz") / "data"
+    process = Process(data, module="tests.service.pretend", arguments=(str(data), "")).wait()
+    yield process
+    process.stop()
+    assert "Traceback" not in process.log.read_text()
+
+
+def ask(operation: Any, known: str, examples: int) -> None:
+    """Send what the document allows and what it forbids; half of it about a job that exists."""
+
+    @seed(31)
+    @settings(max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+    @given(operation.as_strategy(), st.booleans())
+    def one(case: schemathesis.Case, is_known: bool) -> None:
+        if is_known and "job" in case.path_parameters:
+            case.path_parameters["job"] = known
+        case.validate_response(case.call(timeout=60), checks=CHECKS)
+
+    one()
+
+
+def fuzz(served: Process, folder: Path, examples: int) -> None:
+    schema = schemathesis.openapi.from_url(f"{served.url}/openapi.json")
+    client, problem = Client(served.url), load(small_problem.write(folder))
+    operations = [found.ok() for found in schema.get_all_operations()]
+    assert len(operations) >= 18
+    for operation in operations:
+        ask(operation, client.submit(problem), examples)
+
+
+def test_no_request_of_the_document_is_a_500(served: Process, tmp_path: Path) -> None:
+    fuzz(served, tmp_path, 4)
+
+
+@pytest.mark.long
+def test_no_request_of_the_document_is_a_500_at_length(served: Process, tmp_path: Path) -> None:
+    fuzz(served, tmp_path, 300)
