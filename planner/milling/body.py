@@ -8,26 +8,20 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from planner.geometry.round_body import Round
+from planner.geometry.swept import least
 from planner.tool_heads import Cutter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-NEAR: Final = 6
-"""Places of the path that each point of the part is held against: the nearest ones along the tool's axis."""
 DENSE: Final = 0.15
-"""Distance of places along the path, over the radius of the section; along the
-axis they are a radius apart."""
+"""Distance of places along the path, over the radius of the section."""
 LEAST: Final = 0.5e-3
 """The same at least [m]."""
-MOST: Final = 2_000_000
 SIGHT: Final = 2e-3
 """Points that are farther off than this [m] are as good as any other."""
-LEAF: Final = 16
-CHUNK: Final = 4000
-"""Points that are looked at at once."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,54 +89,13 @@ def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section:
 
 
 def off(
-    points: FloatArray, tip: FloatArray, axis: FloatArray, section: Section
+    points: FloatArray, tip: FloatArray, axis: FloatArray, section: Section, below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
     """Least distance (P,) [m] of points (P, 3) from a section along a path (N,), negative inside, and the
-    place (P,) that the move leads to at which it is least; no more than ``SIGHT`` is told."""
+    place (P,) that the move leads to at which it is least; no more than ``SIGHT`` is told. With ``below`` [m]
+    what is not less may be told too large, but for the least of all."""
     step = max(DENSE * section.radius, LEAST)
     tips, axes, to = between(tip, axis, section.end, step)
-    levels = max(int(np.ceil((section.end - section.start) / max(section.radius, LEAST))), 1)
-    back = section.start + (np.arange(levels) + 0.5) / levels * (section.end - section.start)
-    if len(tips) * levels > MOST:
-        keep = np.unique(np.linspace(0, len(tips) - 1, MOST // levels).astype(np.int64))
-        tips, axes, to = tips[keep], axes[keep], to[keep]
-    centre = (tips[:, None] + back[None, :, None] * axes[:, None]).reshape(-1, 3)
-    reach = float(np.hypot(section.radius, 0.6 * max(section.radius, LEAST))) + SIGHT
-    best, where = np.full(len(points), SIGHT), np.zeros(len(points), dtype=np.int64)
-    near = ((points >= centre.min(axis=0) - reach) & (points <= centre.max(axis=0) + reach)).all(axis=1)
-    some = np.flatnonzero(near)
-    if not len(some):
-        return best, where
-    # what is within sight of a section is within reach of one of its centres; the index behind the last
-    # stands for nothing there
-    some = some[np.lexsort(np.floor(points[some] / max(section.radius, LEAST)).T)]
-    tree = cKDTree(centre, leafsize=LEAF)
-    for rows in np.array_split(some, max(1, len(some) // CHUNK)):
-        index = tree.query(points[rows], k=min(NEAR, len(centre)), distance_upper_bound=reach)[1]
-        index = index.reshape(len(rows), -1)
-        near_rows = np.flatnonzero(index[:, 0] < len(centre))
-        index, rows = index[near_rows], rows[near_rows]
-        if not len(rows):
-            continue
-        place = np.where(index < len(centre), index, index[:, :1]) // levels
-        behind, beside = _cylindrical(points[rows], tips, axes, place)
-        here = beside - section.radius  # no section is nearer than one without ends
-        here[:, 0] = section.off(behind[:, 0], beside[:, 0])
-        nearer = np.nonzero(here < here[:, :1])
-        here[nearer] = section.off(behind[nearer], beside[nearer])
-        column = here.argmin(axis=1)[:, None]
-        least = np.take_along_axis(here, column, axis=1)[:, 0]
-        better = least < SIGHT
-        best[rows[better]] = least[better]
-        where[rows[better]] = to[np.take_along_axis(place, column, axis=1)[better, 0]]
-    return best, where
-
-
-def _cylindrical(
-    points: FloatArray, tips: FloatArray, axes: FloatArray, place: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """How far (N, K) [m] points (N, 3) are behind the tips and beside the axes at places (N, K)."""
-    rest = [points[:, d, None] - tips[:, d][place] for d in range(3)]
-    behind = sum(r * axes[:, d][place] for d, r in enumerate(rest))
-    square = rest[0] * rest[0] + rest[1] * rest[1] + rest[2] * rest[2] - behind * behind
-    return np.asarray(behind), np.sqrt(np.maximum(square, 0.0))
+    solid = Round(section.start, section.end, section.radius, section.off, section.corner == 0.0)
+    best, place = least(points, tips, axes, solid, SIGHT, below)
+    return best, np.where(best < SIGHT, to[place], 0)

@@ -90,7 +90,7 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
         points, owner = known[size]
         allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
         for run, tip, axis in ways:
-            apart, where = body.off(points, tip, axis, section)
+            apart, where = body.off(points, tip, axis, section, -allowed)
             k = int(apart.argmin())
             if apart[k] >= -allowed or section.name in told:
                 continue

@@ -164,7 +164,23 @@ def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
     rows, samples = grid.values.shape[:2]
     index = np.repeat(np.arange(rows), samples)
     poses = scene.tcp(targets, grid.values.reshape(rows * samples, -1), index)
-    return {arm: _reach(scene, scene.chains[arm], poses[arm], (rows, samples)) for arm in targets.arms}
+    return {arm: _known(scene, arm, poses[arm], (rows, samples)) for arm in targets.arms}
+
+
+def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+    """The table of one arm; that of the last poses is remembered, as paths are searched more than once over
+    the same samples."""
+    last = scene.reached.get(arm)
+    if last is not None and last[1] == shape and np.array_equal(last[0], pose):
+        found = last[2]
+        if isinstance(found, Reach):
+            return found
+    found = _reach(scene, scene.chains[arm], pose, shape)
+    for rungs in found.branches.values():
+        for array in (rungs.q, rungs.ok, rungs.penalty):
+            array.flags.writeable = False
+    scene.reached[arm] = pose, shape, found
+    return found
 
 
 def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:

@@ -85,6 +85,11 @@ class Scene:
         return points if frame == "world" else transform(self.stock, points)
 
     @functools.cached_property
+    def reached(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
+        """What was found last of each arm's reach: the poses, how many targets and samples, and the table."""
+        return {}
+
+    @functools.cached_property
     def passing(self) -> Pairs:
         """Pairs of bodies that may meet in working segments: the stock and the rigid edges of the tools that
         take part, and the heads of two tools that form one sheet."""

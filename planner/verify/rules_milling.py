@@ -87,7 +87,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
 
 def _step(solid: Solid, tolerance: float) -> float:
     """Way between places [m] of which a round tool hides a tenth of the tolerance at most: s^2 / 8 r."""
-    narrow = solid.widest if solid.beside[0] == solid.widest else 0.5 * solid.widest
+    narrow = solid.radius if solid.corner == 0.0 else 0.5 * solid.radius
     return float(np.clip(np.sqrt(0.8 * narrow * tolerance), 0.3e-3, 3e-3))
 
 
@@ -107,8 +107,8 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             tip, axis, rows = track.spaced(_GOUGE * _step(solid, claim.tolerance))
             points = claim.vertices[:1]
             if comes_near(claim.vertices, tip, axis, solid):
-                points = milling.places(claim, solid.widest)
-            off, place = sweep(points, tip, axis, solid)
+                points = milling.places(claim, solid.radius)
+            off, place = sweep(points, tip, axis, solid, -allowed)
             k = int(off.argmin())
             if -off[k] - allowed > worst:
                 worst, limit = float(-off[k]) - allowed, mm(allowed)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from planner.milling import body
 from planner.milling.job import job
@@ -34,64 +35,129 @@ def _path() -> tuple[FloatArray, FloatArray]:
     return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True)
 
 
-def _points() -> FloatArray:
-    rng = np.random.default_rng(3)
-    return rng.uniform([-0.08, -0.08, -0.01], [0.28, 0.08, 0.31], (6000, 3))
-
-
 def _all(points: FloatArray, tip: FloatArray, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
     rest = points[:, None] - tip
     back = (rest * axis).sum(axis=2)
     return back, np.linalg.norm(rest - back[..., None] * axis, axis=2)
 
 
+def _leaning(seed: int) -> tuple[FloatArray, FloatArray]:
+    """Tips and axes along a wave that lean by up to 60 degrees, and turn by as much from end to end; a last
+    stretch goes along the axis."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 1.0, 140)
+    w = rng.uniform(1.0, 9.0, 4)
+    tip = np.stack([0.2 * t, 0.02 * np.sin(w[0] * t), 0.004 * np.cos(w[1] * t)], axis=1)
+    axis = np.stack([1.3 * np.sin(w[2] * t), 1.2 * np.cos(w[3] * t), np.ones_like(t)], axis=1)
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    up = np.linspace(0.0, 0.1, 20)[1:, None] * axis[-1]
+    return np.concatenate([tip, tip[-1] + up]), np.concatenate([axis, np.repeat(axis[-1:], len(up), axis=0)])
+
+
+def _near(tip: FloatArray, axis: FloatArray, start: float, end: float, radius: float) -> FloatArray:
+    """Places in and around a body on its way, half of them at its flat ends."""
+    rng = np.random.default_rng(4)
+    some = rng.integers(0, len(tip), 2400)
+    deep = rng.uniform(start - 0.003, end + 0.003, 2400)
+    deep[::4], deep[1::4] = start + rng.uniform(-0.003, 0.003, (2, 600))
+    deep[1::4] += end - start
+    beside = rng.normal(size=(2400, 3))
+    beside -= (beside * axis[some]).sum(axis=1, keepdims=True) * axis[some]
+    beside *= rng.uniform(0.0, radius + 0.003, (2400, 1)) / np.linalg.norm(beside, axis=1, keepdims=True)
+    return np.asarray(tip[some] + deep[:, None] * axis[some] + beside)
+
+
+PATHS = [_path(), *(_leaning(seed) for seed in range(3))]
+
+
+@pytest.mark.parametrize("path", range(len(PATHS)))
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
-def test_the_proof_finds_the_nearest_of_all_places_beside_a_body(cutter: Cutter) -> None:
-    (tip, axis), points = _path(), _points()
-    back, beside = _all(points, tip, axis)
+def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
+    tip, axis = PATHS[path]
     for solid in mill_body.solids(cutter):
-        wanted = mill_body.signed(solid, back.ravel(), beside.ravel()).reshape(back.shape)
+        points = _near(tip, axis, solid.start, solid.end, solid.radius)
+        wanted = mill_body.signed(solid, *_all(points, tip, axis))
         got, place = mill_body.sweep(points, tip, axis, solid)
-        _agrees(points, back, wanted, got, mill_body.SIGHT, (solid.back[0], solid.back[-1]))
+        _agrees(wanted, got, mill_body.SIGHT)
         seen = np.flatnonzero(got < mill_body.SIGHT)
         np.testing.assert_allclose(got[seen], wanted[seen, place[seen]], rtol=0.0, atol=1e-12)
-        near = np.flatnonzero(wanted.min(axis=1) < mill_body.SIGHT)
+        near = np.flatnonzero(wanted.min(axis=1) < mill_body.SIGHT)[::10]
         assert all(mill_body.comes_near(points[[i]], tip, axis, solid) for i in near)
+        for below in (-0.005, -0.0001):
+            deep, _ = mill_body.sweep(points, tip, axis, solid, below)
+            _agrees_below(wanted, deep, mill_body.SIGHT, below)
 
 
+@pytest.mark.parametrize("path", range(len(PATHS)))
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
-def test_the_planner_finds_the_nearest_of_all_places_beside_a_body(cutter: Cutter) -> None:
-    (tip, axis), points = _path(), _points()
+def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
+    tip, axis = PATHS[path]
     for section in body.sections(cutter):
+        points = _near(tip, axis, section.start, section.end, section.radius)[::4]
         step = max(body.DENSE * section.radius, body.LEAST)
         tips, axes, to = body.between(tip, axis, section.end, step)
-        back, beside = _all(points, tips, axes)
-        wanted = section.off(back, beside)
+        wanted = section.off(*_all(points, tips, axes))
         got, where = body.off(points, tip, axis, section)
-        _agrees(points, back, wanted, got, body.SIGHT, (section.start, section.end))
+        _agrees(wanted, got, body.SIGHT)
         for i in np.flatnonzero(got < body.SIGHT):
             assert np.isclose(wanted[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
-        near = np.flatnonzero(wanted.min(axis=1) < body.SIGHT)
+        near = np.flatnonzero(wanted.min(axis=1) < body.SIGHT)[::10]
         assert all(body.comes_near(points[[i]], tip, axis, section) for i in near)
+        for below in (-0.005, -0.0001):
+            deep, _ = body.off(points, tip, axis, section, below)
+            _agrees_below(wanted, deep, body.SIGHT, below)
 
 
-def _agrees(
-    points: FloatArray,
-    back: FloatArray,
-    wanted: FloatArray,
-    got: FloatArray,
-    sight: float,
-    ends: tuple[float, float],
-) -> None:
-    """Nothing nearer than the nearest of all places is told, and that itself of points outside that are
-    beside the body, not before or behind it."""
-    least, at = wanted.min(axis=1), wanted.argmin(axis=1)
-    assert np.all(got >= np.minimum(least, sight) - 1e-12)
-    room = 0.25 * (ends[1] - ends[0])
-    behind = back[np.arange(len(points)), at]
-    beside = (behind > ends[0] + room) & (behind < ends[1] - room) & (least > 0.0) & (least < sight)
-    assert np.any(beside)
-    np.testing.assert_allclose(got[beside], least[beside], rtol=0.0, atol=2e-5)
+def _agrees(wanted: FloatArray, got: FloatArray, sight: float) -> None:
+    """The least over all places, inside and outside, at the sides and at the ends."""
+    least = np.minimum(wanted.min(axis=1), sight)
+    assert (least < 0.0).sum() > 100
+    assert ((least > 0.0) & (least < sight)).sum() > 10
+    np.testing.assert_allclose(got, least, rtol=0.0, atol=1e-9)
+
+
+def _agrees_below(wanted: FloatArray, got: FloatArray, sight: float, below: float) -> None:
+    """The least over all places where it is below, and of the others nothing below, nor below the truth."""
+    least = np.minimum(wanted.min(axis=1), sight)
+    deep = least < below - 1e-9
+    np.testing.assert_allclose(got[deep], least[deep], rtol=0.0, atol=1e-9)
+    assert np.all(got[~deep] >= least[~deep] - 1e-9)
+    assert got.min() == pytest.approx(least.min(), abs=1e-9)
+
+
+def test_the_least_of_all_is_told_where_nothing_is_as_deep_as_asked_for() -> None:
+    tip, axis = PATHS[1]
+    solid = mill_body.solids(CUTTERS[2])[0]
+    points = _near(tip, axis, solid.start, solid.end, solid.radius)
+    least = mill_body.signed(solid, *_all(points, tip, axis)).min(axis=1)
+    outer = np.flatnonzero(least > 2e-4)
+    got, place = mill_body.sweep(points[outer], tip, axis, solid, -1e-3)
+    k = int(got.argmin())
+    assert k == int(least[outer].argmin())
+    assert got[k] == pytest.approx(least[outer[k]], abs=1e-9)
+    back, beside = _all(points[outer[[k]]], tip[place[[k]]], axis[place[[k]]])
+    assert mill_body.signed(solid, back, beside)[0, 0] == pytest.approx(got[k], abs=1e-12)
+
+
+def test_a_holder_whose_flat_end_goes_into_the_part_is_found_where_near_places_do_not_show_it() -> None:
+    """A holder of 60 mm leans over a path and back; the front face of its nose goes into a part far from the
+    axis, while the middle of the holder is nearer at many other places. Those alone are told to be clear."""
+    tip, axis = PATHS[1]
+    solid = mill_body.Solid("holder", 0.06, 0.1, 0.06)
+    points = _near(tip, axis, solid.start, solid.end, solid.radius)
+    wanted = mill_body.signed(solid, *_all(points, tip, axis))
+    count = int(np.ceil((solid.end - solid.start) / solid.radius))
+    depth = solid.start + (np.arange(count) + 0.5) / count * (solid.end - solid.start)
+    middles = (tip[:, None] + depth[None, :, None] * axis[:, None]).reshape(-1, 3)
+    few = cKDTree(middles).query(points, k=8)[1] // count
+    seen = np.take_along_axis(wanted, few, axis=1).min(axis=1)
+    deep = np.flatnonzero((wanted.min(axis=1) < -1e-3) & (seen > 0.0))
+    assert len(deep) > 5
+    for i in deep:
+        got, _ = mill_body.sweep(points[[i]], tip, axis, solid, -1e-4)
+        assert got[0] == pytest.approx(wanted[i].min(), abs=1e-9)
+    section = body.Section("holder", 0.06, 0.1, 0.06)
+    assert np.all(body.off(points[deep], tip, axis, section)[0] < -9e-4)
 
 
 def test_what_is_far_off_is_left_out_by_boxes() -> None:

@@ -169,3 +169,32 @@ def test_an_obstacle_forces_a_change_of_spin() -> None:
     assert found.rounds > 1
     assert scene.free(targets, found.q, rows).all()
     assert found.path.cost >= free_path.path.cost
+
+
+def test_a_reach_that_is_remembered_is_that_of_the_same_poses_alone() -> None:
+    """Asked again it is the same; for other targets, and for a scene with other margins, it is that of a
+    scene that remembers nothing."""
+    scene, targets = one_arm()
+    grid = sample(targets)
+    first = reach(scene, targets, grid)["arm"]
+    assert reach(scene, targets, grid)["arm"] is first
+    moved = {arm: pose.copy() for arm, pose in targets.pose.items()}
+    moved["arm"][:, 2, 3] += 0.01
+    other = dataclasses.replace(targets, pose=moved)
+    strict = dataclasses.replace(
+        scene, settings=dataclasses.replace(scene.settings, joint_margin=scene.settings.joint_margin + 0.3)
+    )
+    for one, what in ((scene, other), (scene, targets), (strict, targets)):
+        got = reach(one, what, grid)["arm"]
+        fresh = reach(dataclasses.replace(one), what, grid)["arm"]
+        assert got is not fresh
+        np.testing.assert_array_equal(got.exists, fresh.exists)
+        assert set(got.branches) == set(fresh.branches)
+        for branch, rungs in fresh.branches.items():
+            np.testing.assert_array_equal(got.branches[branch].q, rungs.q)
+            np.testing.assert_array_equal(got.branches[branch].penalty, rungs.penalty)
+    assert not np.array_equal(reach(strict, targets, grid)["arm"].exists, first.exists) or any(
+        not np.array_equal(rungs.ok, first.branches[b].ok)
+        for b, rungs in reach(strict, targets, grid)["arm"].branches.items()
+        if b in first.branches
+    )

@@ -1,0 +1,220 @@
+"""How far points are off a body of revolution at any of its places along a way: the least over all of them.
+
+Bounds over groups of places, and over cells of points, say where the least cannot be; whatever they leave
+open is looked at, so that nothing is missed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.geometry.round_body import PARTS, Round, dot, ladder
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+BLOCK: Final = 1 << 19
+"""Places that are looked at at once."""
+IN_CELL: Final = 24
+"""Points of a cell, about."""
+SPLIT: Final = 8
+"""Cells are taken apart into their points at groups of so many places."""
+PAIRS: Final = 20_000
+"""Points and groups that are looked at at once."""
+SAME: Final = 1e-10
+"""Places at which a point is nearer by less than this [m] are one as good as the other."""
+
+
+def least(
+    points: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    body: Round,
+    sight: float,
+    below: float = np.inf,
+) -> tuple[FloatArray, IntArray]:
+    """Least signed distance (P,) [m] of points (P, 3) from a body at any of the places ``tip``, ``axis``
+    (N, 3), the axes of unit length, and the index (P,) of the place; ``sight`` [m] and 0 where it is no less
+    than that.
+
+    With ``below`` [m] only distances less than that are wanted, and the least one of all: the others may be
+    told too large, but stay at ``below`` and at the least one of all or above.
+    """
+    best, where = np.full(len(points), sight), np.zeros(len(points), dtype=np.int64)
+    for first in range(0, len(tip), BLOCK):
+        rows = slice(first, first + BLOCK)
+        some = _in_box(points, tip[rows], axis[rows], body, sight)
+        if len(some):
+            wanted = _Wanted(sight, below, float(best.min()))
+            _Search(points, some, tip[rows], axis[rows], body, wanted, best, where, first).run()
+    return best, where
+
+
+def _in_box(points: FloatArray, tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> IntArray:
+    """Rows of the points in the box around the body on its way."""
+    ends = np.stack([tip + body.start * axis, tip + body.end * axis])
+    room = body.widest + sight
+    low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
+    return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+
+
+@dataclasses.dataclass
+class _Wanted:
+    """What is looked for: distances below ``sight`` [m]; of those from ``below`` [m] on only the least of
+    all, of which ``lowest`` [m] is known."""
+
+    sight: float
+    below: float
+    lowest: float
+
+    @property
+    def limit(self) -> float:
+        """No other distances matter."""
+        return max(self.below, self.lowest)
+
+
+class _Search:
+    """The search of one block of places."""
+
+    def __init__(
+        self,
+        points: FloatArray,
+        some: IntArray,
+        tip: FloatArray,
+        axis: FloatArray,
+        body: Round,
+        wanted: _Wanted,
+        best: FloatArray,
+        where: IntArray,
+        first: int,
+    ) -> None:
+        self.tip, self.axis, self.body, self.wanted = tip, axis, body, wanted
+        self.best, self.where, self.first = best, where, first
+        self.some, start = _cells(points[some])
+        self.some = some[self.some]
+        self.points = points[self.some]
+        self.start = np.append(start, len(some))
+        low, high = (op.reduceat(self.points, start, axis=0) for op in (np.minimum, np.maximum))
+        self.middle = 0.5 * (low + high)
+        off = self.points - np.repeat(self.middle, np.diff(self.start), axis=0)
+        self.size = np.sqrt(np.maximum.reduceat(dot(off, off), start))
+        # where a point of a cell is within sight, its middle is not much farther
+        self.levels = ladder(tip, axis, body, wanted.sight + float(self.size.max()))
+        self.near = np.maximum.reduceat(best[self.some], start)
+        self.told = best[self.some]
+
+    def run(self) -> None:
+        """Takes groups and cells apart until nothing is left open."""
+        top = len(self.levels) - 1
+        count = len(self.levels[top].of)
+        cells = np.arange(len(self.middle))
+        stack = [
+            (True, top, np.repeat(part, count), np.tile(np.arange(count), len(part)))
+            for part in np.array_split(cells, -(-len(cells) // 512))
+        ]
+        while stack:
+            cell, level, own, group = stack.pop()
+            if len(own) > PAIRS and own[0] != own[-1]:
+                cut = int(np.searchsorted(own, own[len(own) // 2], side="left"))
+                cut = cut or int(np.searchsorted(own, own[0], side="right"))
+                stack += [(cell, level, own[:cut], group[:cut]), (cell, level, own[cut:], group[cut:])]
+                continue
+            if level < 0:
+                self._look(own, group)
+                continue
+            keep = self._open(cell, level, own, group)
+            own, group = own[keep], group[keep]
+            if not len(own):
+                continue
+            if cell and self.levels[level].size <= SPLIT:
+                stack.append((False, level, *self._apart(own, group)))
+                continue
+            below = len(self.levels[level - 1].of) if level else len(self.tip)
+            own, group = np.repeat(own, PARTS), (PARTS * group[:, None] + np.arange(PARTS)).ravel()
+            there = group < below
+            stack.append((cell, level - 1, own[there], group[there]))
+
+    def _apart(self, own: IntArray, group: IntArray) -> tuple[IntArray, IntArray]:
+        """The points of cells, each with the groups of its cell, by point."""
+        first = np.flatnonzero(np.diff(own, prepend=-1))
+        groups = np.diff(np.append(first, len(own)))
+        cells = own[first]
+        many = self.start[cells + 1] - self.start[cells]
+        point = np.repeat(self.start[cells] - (np.cumsum(many) - many), many) + np.arange(int(many.sum()))
+        per = np.repeat(groups, many)
+        base = np.repeat(np.repeat(first, many) - (np.cumsum(per) - per), per)
+        return np.repeat(point, per), group[base + np.arange(int(per.sum()))]
+
+    def _open(self, cell: bool, level: int, own: IntArray, group: IntArray) -> NDArray[np.bool_]:
+        """Which groups may hold a nearer place than the nearest known one, which is sought in the best."""
+        points = (self.middle if cell else self.points)[own]
+        low, share = self.levels[level].bound(points, group, self.body)
+        if cell:
+            low -= self.size[own]
+        first = np.flatnonzero(np.diff(own, prepend=-1))
+        best = np.repeat(np.minimum.reduceat(low, first), np.diff(np.append(first, len(own))))
+        hit = np.flatnonzero(low == best)
+        known = self.near if cell else self.told
+        hit = hit[low[hit] < known[own[hit]]]
+        size = self.levels[level].size
+        place = size * group[hit] + np.rint((share[hit] + 1.0) * 0.5 * (size - 1)).astype(np.int64)
+        np.minimum(place, len(self.tip) - 1, out=place)
+        if cell:
+            far = self._off(self.middle[own[hit]], place) + self.size[own[hit]]
+            np.minimum.at(self.near, own[hit], far)
+            # what is known of a cell is not yet told of its points
+            return np.asarray(low < np.minimum(self.near[own], self.wanted.limit) + SAME)
+        self._note(own[hit], place)
+        return np.asarray(low < np.minimum(self.told[own], self.wanted.limit) - SAME)
+
+    def _look(self, own: IntArray, place: IntArray) -> None:
+        """All of these places."""
+        off = self._off(self.points[own], place)
+        first = np.flatnonzero(np.diff(own, prepend=-1))
+        best = np.repeat(np.minimum.reduceat(off, first), np.diff(np.append(first, len(own))))
+        hit = np.flatnonzero(off == best)
+        self._keep(own[hit], place[hit], off[hit])
+
+    def _note(self, own: IntArray, place: IntArray) -> None:
+        self._keep(own, place, self._off(self.points[own], place))
+
+    def _keep(self, own: IntArray, place: IntArray, off: FloatArray) -> None:
+        """Told where it is nearer."""
+        nearer = off < self.told[own]
+        own, place, off = own[nearer], place[nearer], off[nearer]
+        self.told[own] = off
+        rows = self.some[own]
+        self.best[rows], self.where[rows] = off, place + self.first
+        # of a point that comes twice one place was told, not always the nearer one
+        self.wanted.lowest = min(self.wanted.lowest, float(self.told[own].min(initial=np.inf)))
+
+    def _off(self, points: FloatArray, place: IntArray) -> FloatArray:
+        rest = points - self.tip[place]
+        back = dot(rest, self.axis[place])
+        square = dot(rest, rest) - back * back
+        return self.body.distance(back, np.sqrt(np.maximum(square, 0.0)))
+
+
+def _cells(points: FloatArray) -> tuple[IntArray, IntArray]:
+    """Points (P, 3) in cells of a grid: their order, and where in it each cell begins."""
+    low = points.min(axis=0)
+    span = points.max(axis=0) - low
+    side = max(float(span.max()) / 64.0, 1e-9)
+    key, many = _keys(points - low, side)
+    taken = np.zeros(many, dtype=bool)
+    taken[key] = True
+    # the points are those of faces: cells become fewer with the square of their sides
+    key, _ = _keys(points - low, side * float(np.sqrt(taken.sum() * IN_CELL / len(points))))
+    order = np.argsort(key)
+    return order, np.flatnonzero(np.diff(key[order], prepend=-1))
+
+
+def _keys(rest: FloatArray, side: float) -> tuple[IntArray, int]:
+    """Numbers (P,) of a grid's cells that points ``rest`` (P, 3) from its corner are in; how many it has."""
+    place = (rest / side).astype(np.int64)
+    wide = place.max(axis=0) + 1
+    return place[:, 0] + wide[0] * (place[:, 1] + wide[1] * place[:, 2]), int(wide.prod())
