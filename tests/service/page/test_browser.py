@@ -112,17 +112,22 @@ def test_a_whole_job_from_upload_to_download(
     expect(row).to_contain_text("small")
 
 
-def test_what_has_no_plan_says_what_and_what_to_do(page: Page, server: str) -> None:
-    bundled(page, server, "infeasible/mill_unreachable")
+def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str) -> None:
+    bundled(page, server, "infeasible/wire_too_short")
     page.get_by_role("button", name="Start planning").click()
-    expect(page.locator("#outcome-title")).to_have_text(
-        "There is no feasible plan for this problem", timeout=90_000
-    )
+    title = page.locator("#outcome-title")
+    expect(title).to_have_text("There is no feasible plan for this problem", timeout=90_000)
     outcome = page.locator("#outcome")
-    expect(outcome).to_contain_text("motion.no_reach")
-    expect(outcome).to_contain_text("What to do: ")
-    expect(outcome).to_contain_text("approach/1")
+    for told in ("wire.too_short", "170 mm", "What to do: Use a longer wire", "wire › length"):
+        expect(outcome).to_contain_text(told)
     expect(page.get_by_role("link", name="Download programs")).to_be_hidden()
+    page.get_by_role("button", name="Change this field").click()
+    length = page.locator('.field[data-path="operations.0.wire.length_mm"]')
+    expect(length.locator("input")).to_be_focused()
+    length.locator("input").fill("400")
+    expect(length.locator(".was")).to_contain_text("was 170")
+    length.get_by_role("button", name="undo").click()
+    expect(length.locator("input")).to_have_value("170")
 
 
 def test_a_refusal_shows_at_its_field(page: Page, server: str, small: list[Path]) -> None:
