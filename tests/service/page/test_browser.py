@@ -166,6 +166,24 @@ def test_a_part_in_the_wrong_unit_is_seen_and_told(page: Page, server: str, tmp_
     expect(page.locator("#size")).to_contain_text("× 25 mm")
 
 
+def test_the_last_choice_holds_although_an_earlier_one_is_slower(page: Page, server: str) -> None:
+    page.goto(f"{server}/ui/new")
+    page.get_by_text("Sheet forming").wait_for()
+    waiting: list[Route] = []
+    page.route(re.compile(r"example\?name=flank_wall"), lambda route: waiting.append(route))
+    page.locator("input[name=process][value=milling]").check()
+    example = page.locator("#example")
+    example.select_option("flank_wall")
+    example.select_option("engrave")
+    source = page.locator("#source")
+    expect(source).to_have_text("from the bundled problem engrave")
+    with page.expect_response(re.compile(r"example\?name=flank_wall")):
+        for route in waiting:
+            route.continue_()
+    page.wait_for_timeout(300)
+    expect(source).to_have_text("from the bundled problem engrave")
+
+
 def test_another_cell_is_taken_with_its_arms(page: Page, server: str) -> None:
     bundled(page, server, "wing")
     page.locator("#cell").select_option("irb140_bow")

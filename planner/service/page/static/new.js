@@ -18,6 +18,7 @@ let form = null;
 let examples = {};
 let cells = {};
 let checking = null;
+let choices = 0;
 
 async function begin() {
   const [schema, robots, materials, found, bundled] = await Promise.all([
@@ -64,8 +65,10 @@ function poses() {
 
 async function chooseExample(name) {
   if (!name) return;
+  const own = ++choices; // an earlier choice whose files come later is past
   try {
     const found = await fromExample(name);
+    if (own !== choices) return;
     state.example = name;
     take(found);
   } catch (error) {
@@ -216,6 +219,7 @@ async function addFiles(list) {
 
 async function openProblem(list) {
   state.example = "";
+  choices += 1;
   try {
     take(await fromFiles(list));
   } catch (error) {
