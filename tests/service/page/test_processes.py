@@ -33,6 +33,7 @@ def test_a_whole_job_of_each_process(page: Page, server: str, process: str) -> N
     with page.expect_download() as caught:
         page.get_by_role("link", name="Download programs").click()
     with zipfile.ZipFile(caught.value.path()) as archive:
-        assert any("MODULE" in archive.read(name).decode() for name in archive.namelist())
+        texts = [archive.read(name).decode() for name in archive.namelist()]
+    assert any(re.search(r"^(MODULE|DEF) ", text, re.MULTILINE) for text in texts)  # RAPID, KRL
     page.get_by_role("tab", name="Replay").click()
     expect(page.frame_locator("iframe.replay").locator("#bar .time")).to_contain_text("/", timeout=60_000)
