@@ -46,14 +46,36 @@ class Nearest:
     share: FloatArray
     tied: FloatArray
 
+    def at(self, chosen: IntArray) -> Nearest:
+        """Of some of the points, ``chosen`` (K,), in their order."""
+        new = np.full(len(self.apart), -1)
+        new[chosen] = np.arange(len(chosen))
+        row = new[self.row]
+        use = np.flatnonzero(row >= 0)
+        use = use[np.argsort(row[use], kind="stable")]
+        points = self.place[chosen], self.apart[chosen], self.signed[chosen]
+        return Nearest(*points, row[use], self.triangle[use], self.share[use], self.tied[use])
+
+    def followed_by(self, other: Nearest) -> Nearest:
+        """Of these points and then of the ``other`` ones."""
+        return Nearest(
+            np.concatenate([self.place, other.place]),
+            np.concatenate([self.apart, other.apart]),
+            np.concatenate([self.signed, other.signed]),
+            np.concatenate([self.row, other.row + len(self.apart)]),
+            np.concatenate([self.triangle, other.triangle]),
+            np.concatenate([self.share, other.share]),
+            np.concatenate([self.tied, other.tied]),
+        )
+
 
 class Face:
-    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up; ``rows`` are, of the
-    given ones, those that have an area."""
+    """The triangles of a face ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up, however vertices are
+    numbered. ``given`` (F, 3, 3) are the corners of all, ``rows`` those of them that have an area."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, scale: float) -> None:
-        self.given = (vertices, faces)
         corners = vertices[faces]
+        self.given = corners
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(cross, axis=1)
         kept = size > 1e-16
@@ -107,9 +129,10 @@ class Face:
         signed = np.where(self._beyond(back, owner[first], weights[first]), back[:, 2], signed)
         return Nearest(foot[first], apart, signed, i, owner, weights, foot)
 
-    def value(self, found: Nearest, at_vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Least and largest value (N,) of what is known at the vertices (V,), over the nearest places."""
-        values = _dot(found.share, at_vertices[self.faces[found.triangle]])
+    def value(self, found: Nearest, at_corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Least and largest value (N,) of what is known at the corners (F, 3) of the given triangles, over
+        the nearest places."""
+        values = _dot(found.share, at_corners[self.rows[found.triangle]])
         low, high = np.full(len(found.apart), np.inf), np.full(len(found.apart), -np.inf)
         np.minimum.at(low, found.row, values)
         np.maximum.at(high, found.row, values)

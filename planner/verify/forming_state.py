@@ -23,6 +23,26 @@ SPARE = 0.1
 """The straight pieces of a track are off it by this share of the tolerance at most."""
 
 
+class Balls:
+    """The forming ball at rows of a track: what of the face is nearest to it, each row asked once for all
+    claims."""
+
+    def __init__(self, track: Track, face: Face) -> None:
+        self.track, self.face = track, face
+        self._rows = np.zeros(0, dtype=np.int64)
+        self._near = face.nearest(np.zeros((0, 3)), TIED)
+
+    def near(self, rows: IntArray) -> Nearest:
+        """At ``rows`` (K,) of the track, ascending; ties within `TIED`."""
+        fresh = np.setdiff1d(rows, self._rows)
+        if len(fresh):
+            known = np.concatenate([self._rows, fresh])
+            order = np.argsort(known)
+            found = self.face.nearest(self.track.centre[fresh, 0], TIED)
+            self._rows, self._near = known[order], self._near.followed_by(found).at(order)
+        return self._near.at(np.searchsorted(self._rows, rows))
+
+
 @dataclasses.dataclass(frozen=True)
 class Formed:
     """The face of a pass and the way of its tools; ``knots`` (K + 1,) rows of the track where its pieces
@@ -34,11 +54,12 @@ class Formed:
     pieces: Pieces
     knots: IntArray
     face: Face
+    balls: Balls
 
     @cached_property
     def near(self) -> Nearest:
         """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
-        return self.face.nearest(self.track.centre[self.knots, 0], TIED)
+        return self.balls.near(self.knots)
 
     @cached_property
     def touches(self) -> NDArray[np.bool_]:
@@ -85,6 +106,7 @@ class Forming:
         self.context = context
         self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
         self._faces: list[tuple[float, Face]] = []
+        self._balls: dict[tuple[int, int], Balls] = {}
         self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
@@ -134,13 +156,18 @@ class Forming:
         return self._tracks[key]
 
     def _face(self, vertices: FloatArray, faces: IntArray, scale: float) -> Face:
-        """A face, worked out once for claims of the same triangles."""
+        """A face, worked out once for claims of the same triangles, however they number vertices."""
+        corners = vertices[faces]
         for known, face in self._faces:
-            same = known == scale and np.array_equal(face.given[0], vertices)
-            if same and np.array_equal(face.given[1], faces):
+            if known == scale and np.array_equal(face.given, corners):
                 return face
         self._faces.append((scale, Face(vertices, faces, scale)))
         return self._faces[-1][1]
+
+    def _ball(self, way: Track, face: Face) -> Balls:
+        """The forming ball on a track, worked out once for claims of the same track and face, which live as
+        long as this does."""
+        return self._balls.setdefault((id(way), id(face)), Balls(way, face))
 
     def _formed(self, claim: FormsSheet, index: int) -> Formed:
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
@@ -148,7 +175,8 @@ class Forming:
         way = self._track(claim.segment, index, (claim.arm, *arms))
         parts = pieces(way, SPARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
-        return Formed(claim, index, way, parts, knots, self._face(claim.vertices, claim.faces, claim.radius))
+        face = self._face(claim.vertices, claim.faces, claim.radius)
+        return Formed(claim, index, way, parts, knots, face, self._ball(way, face))
 
     def _opened(self, claim: ToolGap, index: int) -> Opened:
         way = self._track(claim.segment, index, claim.arms)
@@ -157,5 +185,5 @@ class Forming:
         parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
         knots = np.unique(np.concatenate([parts.first, parts.last]))
         face = self._face(claim.vertices, claim.faces, claim.radii[0])
-        near = face.nearest(way.centre[knots, 0], TIED)
-        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap))
+        near = self._ball(way, face).near(knots)
+        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap[claim.faces]))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
-from planner.verify.forming_face import Face
-from planner.verify.forming_state import TIED
+from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_state import TIED, Balls
 from planner.verify.forming_track import Track
 from planner.verify.rules_forming_two import _turned
 
@@ -62,3 +65,23 @@ def test_beyond_both_walls_the_line_is_off_by_how_far_it_is_beyond(degrees: floa
     pole *= -np.sign(pole[2]) / np.linalg.norm(pole)
     angle = np.deg2rad(degrees)
     assert turned(CORNER, np.cos(angle) * mean + np.sin(angle) * pole) == pytest.approx(degrees, abs=1e-6)
+
+
+def test_what_is_nearest_is_the_same_however_it_is_asked() -> None:
+    rng = np.random.default_rng(7)
+    vertices = np.column_stack([rng.uniform(-0.1, 0.1, (40, 2)), np.zeros(40)])
+    faces = Delaunay(vertices[:, :2]).simplices.astype(np.int64)
+    cross = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
+    faces[cross[:, 2] < 0.0] = faces[cross[:, 2] < 0.0][:, ::-1]
+    face = Face(vertices, faces, RADIUS)
+    centre = np.column_stack([rng.uniform(-0.15, 0.15, (60, 2)), rng.uniform(-0.02, 0.02, 60)])[:, None]
+    centre[:8, 0] = vertices[:8] + [0.0, 0.0, RADIUS]  # over vertices, where many triangles are as near
+    joined, own = np.zeros(59, dtype=np.bool_), np.ones(60, dtype=np.bool_)
+    way = Track(("left",), np.arange(60), centre, own, joined, (), np.eye(4)[None])
+    balls = Balls(way, face)
+    for rows in (np.array([3, 10, 40]), np.array([0, 3, 7, 41]), np.arange(60), np.array([5])):
+        got, wanted = balls.near(rows), face.nearest(centre[rows, 0], TIED)
+        for field in dataclasses.fields(Nearest):
+            assert np.array_equal(getattr(got, field.name), getattr(wanted, field.name)), field.name
