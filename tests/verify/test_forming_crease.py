@@ -77,7 +77,8 @@ def test_what_is_nearest_is_the_same_however_it_is_asked() -> None:
     faces[cross[:, 2] < 0.0] = faces[cross[:, 2] < 0.0][:, ::-1]
     face = Face(vertices, faces, RADIUS)
     centre = np.column_stack([rng.uniform(-0.15, 0.15, (60, 2)), rng.uniform(-0.02, 0.02, 60)])[:, None]
-    centre[:8, 0] = vertices[:8] + np.array([0.0, 0.0, RADIUS])  # over vertices, where many triangles are as near
+    # over vertices, where many triangles are as near
+    centre[:8, 0] = vertices[:8] + np.array([0.0, 0.0, RADIUS])
     joined, own = np.zeros(59, dtype=np.bool_), np.ones(60, dtype=np.bool_)
     way = Track(("left",), np.arange(60), centre, own, joined, (), np.eye(4)[None])
     balls = Balls(way, face)
