@@ -17,6 +17,17 @@ from planner.issues import Issue, TandemError
 
 STAGING = ".tandem-"
 """How the names of unfinished folders begin."""
+RESULT = (
+    "programs",
+    "problem",
+    "plan.npz",
+    "plan.json",
+    "proof.json",
+    "report.html",
+    "replay.html",
+    "simulated_part.obj",
+)
+"""What a result folder holds; anything else in the folder is left alone."""
 
 
 def is_file(path: Path) -> bool:

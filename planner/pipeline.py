@@ -10,7 +10,7 @@ from pathlib import Path
 
 from planner import plan_io, problem_bundle, problem_file, processes
 from planner.catalogue import bundled
-from planner.files import claim_folder, is_file, write_folder
+from planner.files import RESULT, claim_folder, is_file, write_folder
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.motion import solve
 from planner.plans import Plan
@@ -21,19 +21,6 @@ from planner.verify import margins, prove
 from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
-OWNED = (
-    "programs",
-    "problem",
-    "plan.npz",
-    "plan.json",
-    "proof.json",
-    "report.html",
-    "replay.html",
-    "simulated_part.obj",
-)
-"""What a result folder holds; anything else in the folder is left alone."""
-
-
 MAX_PROGRAM_BYTES = 20_000_000
 
 
@@ -64,7 +51,7 @@ class Outcome:
         files |= plan_io.dump(self.plan)
         files |= {f"problem/{name}": text for name, text in problem_bundle.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
-        write_folder(Path(folder), files, OWNED)
+        write_folder(Path(folder), files, RESULT)
         tell("report", 1.0)
 
 
@@ -140,14 +127,14 @@ def claim_output(folder: str | Path, problem: str | Path) -> None:
 
     Raises ``TandemError`` with ``output.folder``.
     """
-    claim_folder(Path(folder), OWNED, _find(Path(problem)))
+    claim_folder(Path(folder), RESULT, _find(Path(problem)))
 
 
 def save_failure(problem: Problem | None, issues: tuple[Issue, ...], folder: str | Path) -> None:
     """Write the report alone, for a problem that was refused or has no plan; removes what an older run
     left.
     """
-    write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, OWNED)
+    write_folder(Path(folder), {"report.html": output.failure(problem, issues)}, RESULT)
 
 
 def exit_code(outcome: Outcome) -> int:

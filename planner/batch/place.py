@@ -11,20 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from planner.batch.job import Done
-from planner.files import is_file, staging, unhurried, write_whole
+from planner.files import RESULT, is_file, staging, unhurried, write_whole
 from planner.issues import Issue, TandemError
-
-RESULT = {
-    "programs",
-    "problem",
-    "plan.npz",
-    "plan.json",
-    "proof.json",
-    "report.html",
-    "replay.html",
-    "simulated_part.obj",
-}
-"""What a result folder holds (`planner.pipeline.OWNED`; asking there would import Drake)."""
 
 
 @dataclasses.dataclass(frozen=True)

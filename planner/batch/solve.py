@@ -12,7 +12,7 @@ from planner import pipeline
 from planner.batch.figures import figures
 from planner.batch.job import PROBLEM, Done, State
 from planner.blame import given_wrong
-from planner.files import write_folder
+from planner.files import RESULT, write_folder
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 
@@ -66,7 +66,7 @@ def write_failure(folder: Path, issues: Sequence[Issue]) -> None:
 
 def write_result(folder: Path, files: Mapping[str, bytes]) -> None:
     """A result folder of files that were planned elsewhere, whole or not at all."""
-    write_folder(folder, files, pipeline.OWNED)
+    write_folder(folder, files, RESULT)
 
 
 class Names:

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner import plan_io, problem_bundle
-from planner.files import write_folder
+from planner.files import RESULT, write_folder
 from planner.issues import Issue, TandemError
-from planner.pipeline import OWNED, Outcome
+from planner.pipeline import Outcome
 from planner.problem import Problem
 from planner.service.form import form
 from planner.verify.result import Proof, RuleResult
@@ -48,7 +48,7 @@ class Served(Outcome):
     def save(self, folder: str | Path, progress: Progress | None = None) -> None:
         """Write the result folder as the service made it."""
         del progress
-        write_folder(Path(folder), self.files, OWNED)
+        write_folder(Path(folder), self.files, RESULT)
 
 
 class Client:
