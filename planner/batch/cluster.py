@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Progress, all_versions
+from planner.batch.job import Done, Event, Finished, Found, Job, Progress, all_versions, cancelled
 from planner.batch.place import Place, Record
 from planner.batch.process import MODULE
 from planner.issues import Issue, TandemError
@@ -154,8 +154,7 @@ class Cluster:
         with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
             self._client.run(remote.cancel, sent.token, on_error="ignore")
         sent.future.cancel(force=True)
-        issue = Issue("batch.cancelled", f"{name}: planning was cancelled; start it again if wanted")
-        done = Done(name, "cancelled", (issue,), {}, time.monotonic() - sent.since)
+        done = Done(name, "cancelled", (cancelled(name),), {}, time.monotonic() - sent.since)
         self._heard.put(("told", Finished(name, done)))
         return True
 

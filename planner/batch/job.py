@@ -125,6 +125,11 @@ def all_versions() -> dict[str, str]:
     return {"tandem": planner.__version__, **versions()}
 
 
+def cancelled(name: str) -> Issue:
+    """Of a job that was told to end."""
+    return Issue("batch.cancelled", f"{name}: planning was cancelled; start it again if wanted")
+
+
 def safe_name(name: str) -> bool:
     """Whether a name may name a folder anywhere: letters, digits, ``-``, ``_`` and ``.``, no dot first."""
     plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in name)

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Progress, State
+from planner.batch.job import Done, Event, Finished, Found, Job, Progress, State, cancelled
 from planner.batch.place import Place, Record
 from planner.batch.process import MODULE, Process
 from planner.issues import Issue, TandemError
@@ -301,7 +301,7 @@ class Workers:
             hint = "allow more, or plan a smaller problem: fewer targets, coarser meshes"
             return Issue("batch.memory", what, limit=limit, unit="MB", hint=hint)
         if state == "cancelled":
-            return Issue("batch.cancelled", f"{job.name}: planning was cancelled; start it again if wanted")
+            return cancelled(job.name)
         what = f"{job.name}: the process that planned it {how}; other jobs go on"
         hint = (
             "plan it again; if that fails too, report it; after SIGKILL look whether the machine lacks memory"
