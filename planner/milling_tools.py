@@ -91,11 +91,6 @@ def outline(cutter: Cutter) -> FloatArray:
     return np.concatenate([end, behind])
 
 
-def whole_outline(cutter: Cutter) -> FloatArray:
-    """Outline (K, 2) [m] as :func:`outline`, with holder and spindle behind the cutter."""
-    return np.concatenate([outline(cutter), cutter.behind])
-
-
 def _check(
     kind: CutterKind, radius: float, corner: float, flute: float, overhang: float, shank: float
 ) -> None:

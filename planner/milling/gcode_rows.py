@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.milling.gcode_state import Triple
+from planner.milling.values import ARC, CUT, RAPID
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 EventKind = Literal["pause", "dwell"]
 
 RAPID_ROW, CUT_ROW, ARC_ROW = 0, 1, 2
-KINDS = ("rapid", "cut", "arc")
+KINDS = (RAPID, CUT, ARC)
 
 
 @dataclasses.dataclass(frozen=True)
