@@ -22,25 +22,12 @@ from planner.batch.bundles import job
 from planner.batch.cluster import Cluster
 from planner.batch.job import Finished, Job
 from planner.batch.workers import Workers
+from tests import small_problem
 
 JOBS = int(os.environ.get("BATCH_BENCH_JOBS", "64"))
 WANTED_EFFICIENCY = 0.9
 WANTED_MB = 600.0
 COUNTED = 20_000_000
-PROBLEM = """\
-tandem: 1
-name: small
-cell:
-  arms:
-    - name: left
-      robot: irb140
-      tool: {kind: wire_holder, mounting: along, side: start}
-      home_deg: [0, 0, 0, 0, 45, 0]
-stock: {size_mm: [100, 100, 100], place: {xyz_mm: [450, 0, 100]}}
-operations:
-  - {name: poses, process: targets, arms: [left], file: targets.csv, frame: world}
-"""
-HEAD = "left.x_mm,left.y_mm,left.z_mm,left.qw,left.qx,left.qy,left.qz,feed_mm_s"
 
 
 def run() -> list[dict[str, Any]]:
@@ -94,9 +81,8 @@ def _jobs(folder: Path, count: int) -> list[Job]:
     out = []
     for i in range(count):
         rows = [f"450,{y + 0.1 * i:.1f},500,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
-        (folder / "targets.csv").write_text("\n".join([HEAD, *rows]))
-        (folder / "problem.yaml").write_text(PROBLEM)
-        out.append(job(f"job-{i:02d}", pipeline.load(folder / "problem.yaml")))
+        path = small_problem.write(folder, table="\n".join([small_problem.COLUMNS, *rows]))
+        out.append(job(f"job-{i:02d}", pipeline.load(path)))
     return out
 
 
