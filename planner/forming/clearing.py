@@ -112,11 +112,11 @@ def clear_tilt(
 
 
 def radius_issue(
-    one: Pass, face: FarFace, contact: ContactPath, off: FloatArray, gap: FloatArray, radii: FloatArray
+    one: Pass, thickness: float, contact: ContactPath, off: FloatArray, gap: FloatArray, radii: FloatArray
 ) -> Issue | None:
     """A warning (forming.support_radius) where the support is turned away from opposite by ``off`` (N,) [rad]
-    too often, beyond where the flat around the feature makes it. ``gap`` (N,) [m]; ``radii`` (2,) [m] of the
-    forming ball and the support."""
+    too often, beyond where the flat around the feature makes it. ``thickness`` [m] of the flat sheet; ``gap``
+    (N,) [m]; ``radii`` (2,) [m] of the forming ball and the support."""
     deep = one.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
     wrong = deep & (off > TURNED) & contact.working
     way = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
@@ -124,6 +124,7 @@ def radius_issue(
     if share <= SHARE:
         return None
     touch = contact.centre[wrong] - (radii[0] + gap[wrong])[:, None] * contact.normal[wrong]
+    face = FarFace(one, thickness, contact, float(radii[0]))
     fits = face.largest(touch, contact.normal[wrong], contact.point[wrong, 2], float(radii[1]))
     at = contact.point[np.flatnonzero(wrong)[int(np.argmax(off[wrong]))]] / MM
     return Issue(

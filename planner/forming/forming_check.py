@@ -16,6 +16,7 @@ from planner.forming.job import Job
 from planner.forming.passes import ALIKE, pass_issues
 from planner.forming.state import states
 from planner.forming.state_check import clear_issues
+from planner.forming.support import support_issues
 from planner.forming.thickness import steepest
 from planner.forming.values import Pass, ToolPath
 from planner.forming_tools import profile
@@ -26,8 +27,8 @@ from planner.units import DEG, MM
 
 
 def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
-    """All issues of a job: metal, passes, forces, the die and its holder, tools that would cut into what is
-    formed already."""
+    """All issues of a job: metal, passes, forces, the die and its holder, supports that cannot do as they
+    should, tools that would cut into what is formed already."""
     out = [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
     return [*out, *_die(job), *holder.step_issues(job, paths)]
 
@@ -64,7 +65,10 @@ def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
     found = states(job.tree, job.mesh, job.passes, job.thickness)
     for (one, path), state in zip(paths, found, strict=True):
         arms = tuple(filter(None, (job.former(one), job.supporter(one))))
-        profiles = [profile(job.heads[arm]) for arm in arms]
+        heads = [job.heads[arm] for arm in arms]
+        support = heads[1] if len(heads) > 1 else None
+        yield from support_issues(one, path, job.operation, heads[0], support, job.thickness)
+        profiles = [profile(head) for head in heads]
         yield from clear_issues(one, path, state, arms, profiles, job.pressed)
         if job.operation.cone_deg == 0.0:  # else motion may tilt it out of there
             yield from clamp_issues(one, path, job.clamp, arms, profiles)

@@ -20,7 +20,7 @@ import numpy as np
 
 from planner.forming.border import border_path
 from planner.forming.clamp import Clamp
-from planner.forming.clearing import FarFace, radius_issue
+from planner.forming.clearing import radius_issue
 from planner.forming.heated import heated
 from planner.forming.operation import Forming
 from planner.forming.opposite import SHARE, opposite_path
@@ -90,7 +90,7 @@ def support_issues(
     off = np.where(np.isnan(path.gap), 0.0, np.maximum(contact.angle - shift, 0.0) - tilt)
     radii = np.array([former.radius, support.radius])
     gap = np.nan_to_num(path.gap)
-    issue = radius_issue(one, FarFace(one, thickness, contact, former.radius), contact, off, gap, radii)
+    issue = radius_issue(one, thickness, contact, off, gap, radii)
     loose = _loose_issue(one, path, operation)
     return tuple(found for found in (issue, loose) if found is not None)
 

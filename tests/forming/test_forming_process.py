@@ -201,6 +201,22 @@ def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_
         np.testing.assert_allclose(angle, max(45.0 - shift, 0.0), atol=0.6)
 
 
+def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_path: Path) -> None:
+    turn = np.radians(np.linspace(20.0, 60.0, 9))  # a wall that turns steeper around 2.5 mm at the far face
+    bend = np.column_stack([0.028 + 0.0025 * (np.sin(turn[0]) - np.sin(turn)), 0.0025 * (np.cos(turn) - 1.0)])
+    bend[:, 1] -= bend[0, 1] + 0.017 * np.tan(turn[0])
+    foot = bend[-1, 0] - (0.02 + bend[-1, 1]) / np.tan(turn[-1])
+    bent = [(0.055, 0.0), (0.045, 0.0), *map(tuple, bend), (foot, -0.02), (0.0, -0.02)]
+    part = shapes.revolved(bent, 240)
+    (told,) = {
+        issue
+        for issue in processes.make_targets(problem(tmp_path, "dsif", part), 0).issues
+        if issue.code == "forming.support_radius"
+    }
+    assert told.severity is Severity.WARNING
+    assert "pass f1: on" in told.message and "largest that fits" in told.message
+
+
 def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
     told = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
     assert "shift_deg is 41, allowed is 0 to 40.0" in told
