@@ -108,6 +108,11 @@ def named(name: str) -> str:
     return small_problem.PROBLEM.replace("name: small", f"name: {name}")
 
 
+def codes(answer: Any) -> list[tuple[str, str | None]]:
+    """Code and field of every issue in an answer."""
+    return [(issue["code"], issue.get("field")) for issue in answer.json()["issues"]]
+
+
 def free_port() -> int:
     """A port that nobody listens at."""
     with socket.socket() as one:

@@ -6,13 +6,12 @@ import io
 import json
 import zipfile
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
 from planner.service.limits import Limits
 from tests import small_problem
-from tests.service.support import NOTE, TABLE, InProcess, named
+from tests.service.support import NOTE, TABLE, InProcess, codes, named
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +31,6 @@ def held(here: InProcess) -> Iterator[InProcess]:
         here.team.hold.clear()
         for job in here.http.get("/v1/jobs?limit=200").json()["jobs"]:
             here.ended(job["id"])
-
-
-def codes(answer: Any) -> list[tuple[str, str | None]]:
-    return [(issue["code"], issue.get("field")) for issue in answer.json()["issues"]]
 
 
 def test_a_job_from_upload_to_result(here: InProcess) -> None:

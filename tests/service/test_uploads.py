@@ -1,0 +1,218 @@
+"""What may be uploaded: hostile files, names and bodies are refused with their code and field."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+import tarfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from planner.service.limits import Limits
+from tests import small_problem
+from tests.service.support import InProcess, codes, named
+
+PLY = "ply\nformat binary_little_endian 1.0\nelement vertex {n}\nproperty float x\nproperty float y\n"
+PLY += "property float z\nelement face {m}\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[InProcess]:
+    limits = Limits(upload_mb=2, mesh_mb=0.5, check_s=60, files=5)
+    with InProcess(tmp_path_factory.mktemp("open") / "data", limits, examiners=1) as made:
+        yield made
+
+
+def with_mesh(name: str) -> str:
+    """The small problem with an obstacle from a mesh file."""
+    body = f"obstacles: [{{name: wall, shapes: [{{kind: mesh, file: {name}, unit: mm}}]}}]"
+    return small_problem.PROBLEM.replace("stock:", f"  {body}\nstock:")
+
+
+def test_too_much_is_413_said_or_not(here: InProcess) -> None:
+    big = b"x" * 2_100_000
+    answer = here.http.post("/v1/jobs", files=[("problem", ("p.yaml", "a: 1")), ("files", ("t.csv", big))])
+    assert answer.status_code == 413
+    assert codes(answer) == [("service.too_large", None)]
+
+    def chunks() -> Iterator[bytes]:  # no Content-Length
+        yield b'--b\r\nContent-Disposition: form-data; name="files"; filename="t.csv"\r\n\r\n'
+        for _ in range(40):
+            yield b"x" * 65536
+
+    kind = {"Content-Type": "multipart/form-data; boundary=b"}
+    answer = here.http.post("/v1/jobs", content=chunks(), headers=kind)
+    assert answer.status_code == 413
+    mesh = [("problem", ("p.yaml", "a: 1")), ("files", ("wall.STL", b"x" * 600_000))]
+    assert codes(here.http.post("/v1/jobs", files=mesh)) == [("service.too_large", "files.0")]
+    assert not list((here.service.options.data / "files" / "incoming").iterdir())
+
+
+def archives() -> Iterator[tuple[str, bytes]]:
+    zipped, tarred = io.BytesIO(), io.BytesIO()
+    with zipfile.ZipFile(zipped, "w") as archive:
+        archive.writestr("../../escape", "x")
+    with tarfile.open(fileobj=tarred, mode="w") as tar:
+        tar.addfile(tarfile.TarInfo("/etc/escape"), io.BytesIO(b""))
+    yield "targets.csv", zipped.getvalue()
+    yield "targets.csv", tarred.getvalue()
+    yield "targets.csv", gzip.compress(b"x")
+
+
+@pytest.mark.parametrize(("name", "content"), list(archives()), ids=["zip", "tar", "gzip"])
+def test_archives_are_refused_whatever_they_are_called(here: InProcess, name: str, content: bytes) -> None:
+    files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", (name, content))]
+    answer = here.http.post("/v1/jobs", files=files)
+    assert answer.status_code == 422
+    assert codes(answer) == [("service.archive", "files")]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/etc/passwd",
+        "../../../../etc/passwd",
+        "file:///etc/passwd",
+        "..\\\\..\\\\secret",
+        ".",
+        "",
+        "a\\0b",
+        "~/.ssh/id",
+    ],
+)
+def test_a_problem_names_no_file_outside_its_upload(here: InProcess, path: str) -> None:
+    whole = small_problem.PROBLEM
+    cell = whole[whole.index("cell:") : whole.index("stock:")]
+    for text in (
+        whole.replace("file: targets.csv", f'file: "{path}"'),
+        whole.replace(cell, f'cell: "{path}"\n'),
+        with_mesh(f'"{path}"'),
+    ):
+        answer = here.post(text)
+        assert answer.status_code == 422
+        assert "service.not_uploaded" in [code for code, _ in codes(answer)]
+        assert "root:" not in answer.text
+
+
+def test_an_upload_whose_name_is_a_path_is_found_by_its_last_step(here: InProcess) -> None:
+    files = [
+        ("problem", ("../../etc/p.yaml", named("steps").replace("targets.csv", "../tables/targets.csv"))),
+        ("files", ("C:\\work\\targets.csv", "\n".join([small_problem.COLUMNS, *small_problem.ROWS]))),
+    ]
+    answer = here.http.post("/v1/jobs", files=files)
+    assert answer.status_code == 201, answer.text
+    names = [one["name"] for one in here.http.get(f"/v1/jobs/{answer.json()['id']}/files").json()["files"]]
+    assert all(".." not in name and "\\" not in name for name in names)
+
+
+def test_bad_names_of_files_are_told(here: InProcess) -> None:
+    table = b"1"
+    files = [
+        ("problem", ("p.yaml", "a: 1")),
+        *(("files", (name, table)) for name in ("a", "a", "x" * 300, "b/")),
+    ]
+    assert codes(here.http.post("/v1/jobs", files=files)) == [
+        ("service.file_name", "files.1"),
+        ("service.file_name", "files.2"),
+        ("service.file_name", "files.3"),
+    ]
+
+
+BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(9)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        BOMB,
+        "[" * 100_000,
+        "{a: " * 5000 + "1" + "}" * 5000,
+        "&a [*a]",
+        "a: !!python/object/apply:os.system ['true']",
+        "tandem: 1\n? [1]\n: 2",
+        "\x00",
+        "\ud83d".encode("utf-16-le", "surrogatepass").decode("latin-1"),
+        "a: " + "9" * 10_000,
+        "- 1",
+        "",
+    ],
+    ids=["aliases", "deep", "deep maps", "loop", "object", "key", "zero", "latin", "number", "list", "empty"],
+)
+def test_hostile_yaml_is_422_with_issues(here: InProcess, text: str) -> None:
+    answer = here.post(text)
+    assert answer.status_code == 422
+    assert answer.json()["issues"]
+
+
+def cube(facets: int, value: float) -> bytes:
+    return b"\0" * 80 + struct.pack("<I", facets) + struct.pack("<12fH", *([value] * 12), 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("wall.stl", cube(1, float("nan"))),
+        ("wall.stl", cube(2**32 - 1, 1.0)),
+        ("wall.stl", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 1e999 0 0\n" * 3),
+        ("wall.ply", PLY.format(n=2**40, m=1).encode() + b"\0" * 64),
+        ("wall.ply", PLY.format(n=-1, m=-1).encode()),
+        ("wall.ply", PLY.format(n=3, m=1).encode() + struct.pack("<9fB3i", *range(9), 3, 7, 8, 9)),
+        ("wall.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999\n"),
+        ("wall.obj", b"mtllib /etc/passwd\nv 0 0 0\nf 1 1 1\n"),
+        ("wall.obj", b""),
+        ("wall.exe", b"MZ"),
+    ],
+    ids=["nan", "count", "infinite", "huge", "negative", "index", "obj index", "material", "empty", "kind"],
+)
+def test_hostile_meshes_are_422_with_issues(here: InProcess, name: str, content: bytes) -> None:
+    table = "\n".join([small_problem.COLUMNS, *small_problem.ROWS])
+    files = [
+        ("problem", ("p.yaml", with_mesh(name))),
+        ("files", (name, content)),
+        ("files", ("targets.csv", table)),
+    ]
+    answer = here.http.post("/v1/jobs", files=files)
+    assert answer.status_code == 422
+    assert answer.json()["issues"]
+    assert str(here.service.options.data) not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("multipart/form-data", b"x"),
+        ("multipart/form-data; boundary=b", b"x"),
+        (
+            "multipart/form-data; boundary=b",
+            b'--b\r\nContent-Disposition: form-data; name="problem"\r\n\r\nx',
+        ),
+        (
+            "multipart/form-data; boundary=b; charset=hex",
+            b'--b\r\nContent-Disposition: form-data; name="a"\r\n\r\n',
+        ),
+        ("text/plain", b"x"),
+        ("application/json", b"\xff"),
+        ("application/json", b""),
+    ],
+)
+def test_malformed_bodies_are_422_with_issues(here: InProcess, kind: str, body: bytes) -> None:
+    answer = here.http.post("/v1/jobs", content=body, headers={"Content-Type": kind})
+    assert answer.status_code == 422
+    assert answer.json()["issues"]
+
+
+def test_reading_that_takes_too_long_or_too_much_is_422(tmp_path: Path) -> None:
+    large = "tandem: 1\na: [" + "x, " * 400_000 + "x]"
+    with InProcess(tmp_path / "data", Limits(check_s=0.5), examiners=1) as here:
+        assert codes(answer := here.post(large)) == [("service.check_stopped", "problem")]
+        assert answer.status_code == 422 and "0.5 s" in answer.text
+    with InProcess(tmp_path / "more", Limits(check_memory_mb=300), examiners=1) as here:
+        assert codes(answer := here.post(large)) == [("service.check_stopped", "problem")]
+        assert answer.status_code == 422 and "300 MB" in answer.text
+        assert here.post(named("after")).status_code == 201
