@@ -20,6 +20,7 @@ def test_the_cells_are_there() -> None:
     assert [p.stem for p in CELLS] == [
         "irb140_ball",
         "irb140_bow",
+        "irb140_gauge",
         "irb4600_bow",
         "irb4600_mill",
         "irb6640_irb4400_facing",

@@ -13,6 +13,7 @@ SMALLEST = {
     "straight_wire": "wing",
     "forming": "cone_spif",
     "milling": "engrave",
+    "targets": "gauge_lanes",
 }
 MOST_MS = 900_000
 

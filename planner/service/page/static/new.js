@@ -54,13 +54,6 @@ async function chooseProcess(name) {
   const some = drawExamples(examples, name, "", chooseExample);
   const first = some.find(([, one]) => one.feasible && one.processes[0] === name) ?? some[0];
   if (first) await chooseExample(first[0]).catch(tell);
-  else if (name === "targets") take({ problem: poses(), files: new Map(), cell: "", source: "for a table of poses" });
-}
-
-// Given poses have no bundled problem: a cell and an operation that waits for its table.
-function poses() {
-  const [, cell] = Object.entries(cells)[0];
-  return { tandem: 1, name: "poses", cell, stock: { size_mm: [100, 100, 100] }, operations: [{ name: "poses", process: "targets", arms: [cell.arms[0].name], file: null }] };
 }
 
 async function chooseExample(name) {
