@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+FIRST: Final = 4
+"""Places of a group of the lowest level."""
 PARTS: Final = 2
 """Groups of one level in a group of the next one."""
 FEW: Final = 12
@@ -63,46 +65,52 @@ class Round:
 
 @dataclasses.dataclass(frozen=True)
 class Level:
-    """G groups of ``size`` consecutive places: rows of ``of`` (G, 14) are m, u, the part of h beside u,
+    """G groups of ``size`` consecutive places: rows of ``of`` (14, G) are m, u, the part of h beside u,
     g, f, and what is lost beside the axis, as above."""
 
     size: int
     of: FloatArray
 
+    @property
+    def count(self) -> int:
+        """How many groups there are."""
+        return self.of.shape[1]
+
     def bound(self, points: FloatArray, group: IntArray, body: Round) -> tuple[FloatArray, FloatArray]:
-        """Bounds below the distances (M,) [m] of points (M, 3), which are overwritten, from the body at all
-        places of a group (M,) where it is within sight of them, and the share (M,) from -1 to 1 of the way
-        through the group at which it is nearest, about."""
-        g = self.of[group]
-        rest = points
-        rest -= g[:, :3]
-        depth = dot(rest, g[:, 3:6])
-        way = depth[:, None] * g[:, 9:12]
-        way += g[:, 6:9]
-        share = dot(rest, way)
-        share /= np.maximum(dot(way, way), 1e-300)
+        """Bounds below the distances (M,) [m] of points (3, M) from the body at all places of a group (M,)
+        where it is within sight of them, and the share (M,) from -1 to 1 of the way through the group at
+        which it is nearest, about."""
+        g = self.of.take(group, axis=1)
+        rest = points - g[:3]
+        depth = columns(rest, g[3:6])
+        way = depth * g[9:12]
+        way += g[6:9]
+        along, square = columns(rest, way), columns(way, way)
+        share = along / np.maximum(square, 1e-300)
         np.clip(share, -1.0, 1.0, out=share)
-        way *= share[:, None]
-        rest -= way
-        square = dot(rest, rest)
+        # of what is left of rest beside the way: |rest - share way|^2
+        square *= share
+        square -= 2.0 * along
+        square *= share
+        square += columns(rest, rest)
         square -= depth * depth
         beside = np.sqrt(np.maximum(square, 0.0))
-        beside -= g[:, 13]
-        low = body.least(depth, beside, g[:, 12])
+        beside -= g[13]
+        low = body.least(depth, beside, g[12])
         if not body.plain:
-            near = body.distance(depth + body.middle, np.maximum(beside, 0.0)) - g[:, 12]
+            near = body.distance(depth + body.middle, np.maximum(beside, 0.0)) - g[12]
             np.maximum(low, near, out=low)
         return low, share
 
 
 def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list[Level]:
-    """Groups of two places, of four and so on, until they are few: of a body at places ``tip`` and ``axis``
+    """Groups of ``FIRST`` places, of ``PARTS`` times as many and so on, until they are few: of a body at places ``tip`` and ``axis``
     (N, 3), for points within ``sight`` [m] of it."""
     pivot = tip + body.middle * axis
     wide, far = body.widest + sight, body.half + sight
     out: list[Level] = []
-    size = PARTS
-    while not out or len(out[-1].of) > FEW:
+    size = FIRST
+    while not out or out[-1].count > FEW:
         count = -(-len(tip) // size)
         rows = np.minimum(np.arange(count * size).reshape(count, size), len(tip) - 1)
         mean = axis[rows[:, 0]] + axis[rows[:, -1]]
@@ -124,7 +132,7 @@ def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list
         lost += far * np.sqrt(np.einsum("gkd,gkd->gk", lean, lean).max(axis=1))
         lost += depth * np.linalg.norm(turn, axis=1)
         half -= dot(half, unit)[:, None] * unit
-        out.append(Level(size, np.column_stack([middle, unit, half, turn, depth, lost])))
+        out.append(Level(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, lost])))
         size *= PARTS
     return out
 
@@ -132,3 +140,8 @@ def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
     """Products (M,) of rows of two arrays (M, 3)."""
     return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def columns(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products (M,) of columns of two arrays (3, M), which is how many of them are worked out fastest."""
+    return np.asarray(np.einsum("ij,ij->j", a, b))

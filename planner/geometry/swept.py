@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.round_body import PARTS, Round, dot, ladder
+from planner.geometry.round_body import FIRST, PARTS, Round, columns, ladder
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -45,6 +45,7 @@ def least(
     told too large, but stay at ``below`` and at the least one of all or above.
     """
     best, where = np.full(len(points), sight), np.zeros(len(points), dtype=np.int64)
+    points = np.ascontiguousarray(points.T)
     for first in range(0, len(tip), BLOCK):
         rows = slice(first, first + BLOCK)
         some = _in_box(points, tip[rows], axis[rows], body, sight)
@@ -55,11 +56,11 @@ def least(
 
 
 def _in_box(points: FloatArray, tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> IntArray:
-    """Rows of the points in the box around the body on its way."""
+    """Which of the points (3, P) are in the box around the body on its way."""
     ends = np.stack([tip + body.start * axis, tip + body.end * axis])
     room = body.widest + sight
     low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
-    return np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    return np.flatnonzero(((points >= low[:, None]) & (points <= high[:, None])).all(axis=0))
 
 
 @dataclasses.dataclass
@@ -78,7 +79,8 @@ class _Wanted:
 
 
 class _Search:
-    """The search of one block of places."""
+    """The search of one block of places; points, places and axes have their x, y and z in rows, which is
+    how many of them are worked out fastest."""
 
     def __init__(
         self,
@@ -92,16 +94,17 @@ class _Search:
         where: IntArray,
         first: int,
     ) -> None:
-        self.tip, self.axis, self.body, self.wanted = tip, axis, body, wanted
+        self.body, self.wanted, self.places = body, wanted, len(tip)
+        self.tip, self.axis = np.ascontiguousarray(tip.T), np.ascontiguousarray(axis.T)
         self.best, self.where, self.first = best, where, first
-        self.some, start = _cells(points[some])
-        self.some = some[self.some]
-        self.points = points[self.some]
+        points = points.take(some, axis=1)
+        order, start = _cells(points)
+        self.some, self.points = some[order], points.take(order, axis=1)
         self.start = np.append(start, len(some))
-        low, high = (op.reduceat(self.points, start, axis=0) for op in (np.minimum, np.maximum))
+        low, high = (op.reduceat(self.points, start, axis=1) for op in (np.minimum, np.maximum))
         self.middle = 0.5 * (low + high)
-        off = self.points - np.repeat(self.middle, np.diff(self.start), axis=0)
-        self.size = np.sqrt(np.maximum.reduceat(dot(off, off), start))
+        off = self.points - np.repeat(self.middle, np.diff(self.start), axis=1)
+        self.size = np.sqrt(np.maximum.reduceat(columns(off, off), start))
         # where a point of a cell is within sight, its middle is not much farther
         self.levels = ladder(tip, axis, body, wanted.sight + float(self.size.max()))
         self.near = np.maximum.reduceat(best[self.some], start)
@@ -110,8 +113,8 @@ class _Search:
     def run(self) -> None:
         """Takes groups and cells apart until nothing is left open."""
         top = len(self.levels) - 1
-        count = len(self.levels[top].of)
-        cells = np.arange(len(self.middle))
+        count = self.levels[top].count
+        cells = np.arange(len(self.size))
         stack = [
             (True, top, np.repeat(part, count), np.tile(np.arange(count), len(part)))
             for part in np.array_split(cells, -(-len(cells) // 512))
@@ -133,8 +136,9 @@ class _Search:
             if cell and self.levels[level].size <= SPLIT:
                 stack.append((False, level, *self._apart(own, group)))
                 continue
-            below = len(self.levels[level - 1].of) if level else len(self.tip)
-            own, group = np.repeat(own, PARTS), (PARTS * group[:, None] + np.arange(PARTS)).ravel()
+            below = self.levels[level - 1].count if level else self.places
+            parts = PARTS if level else FIRST
+            own, group = np.repeat(own, parts), (parts * group[:, None] + np.arange(parts)).ravel()
             there = group < below
             stack.append((cell, level - 1, own[there], group[there]))
 
@@ -151,7 +155,7 @@ class _Search:
 
     def _open(self, cell: bool, level: int, own: IntArray, group: IntArray) -> NDArray[np.bool_]:
         """Which groups may hold a nearer place than the nearest known one, which is sought in the best."""
-        points = (self.middle if cell else self.points)[own]
+        points = (self.middle if cell else self.points).take(own, axis=1)
         low, share = self.levels[level].bound(points, group, self.body)
         if cell:
             low -= self.size[own]
@@ -162,9 +166,9 @@ class _Search:
         hit = hit[low[hit] < known[own[hit]]]
         size = self.levels[level].size
         place = size * group[hit] + np.rint((share[hit] + 1.0) * 0.5 * (size - 1)).astype(np.int64)
-        np.minimum(place, len(self.tip) - 1, out=place)
+        np.minimum(place, self.places - 1, out=place)
         if cell:
-            far = self._off(self.middle[own[hit]], place) + self.size[own[hit]]
+            far = self._off(self.middle.take(own[hit], axis=1), place) + self.size[own[hit]]
             np.minimum.at(self.near, own[hit], far)
             # what is known of a cell is not yet told of its points
             return np.asarray(low < np.minimum(self.near[own], self.wanted.limit) + SAME)
@@ -173,14 +177,14 @@ class _Search:
 
     def _look(self, own: IntArray, place: IntArray) -> None:
         """All of these places."""
-        off = self._off(self.points[own], place)
+        off = self._off(self.points.take(own, axis=1), place)
         first = np.flatnonzero(np.diff(own, prepend=-1))
         best = np.repeat(np.minimum.reduceat(off, first), np.diff(np.append(first, len(own))))
         hit = np.flatnonzero(off == best)
         self._keep(own[hit], place[hit], off[hit])
 
     def _note(self, own: IntArray, place: IntArray) -> None:
-        self._keep(own, place, self._off(self.points[own], place))
+        self._keep(own, place, self._off(self.points.take(own, axis=1), place))
 
     def _keep(self, own: IntArray, place: IntArray, off: FloatArray) -> None:
         """Told where it is nearer."""
@@ -193,28 +197,29 @@ class _Search:
         self.wanted.lowest = min(self.wanted.lowest, float(self.told[own].min(initial=np.inf)))
 
     def _off(self, points: FloatArray, place: IntArray) -> FloatArray:
-        rest = points - self.tip[place]
-        back = dot(rest, self.axis[place])
-        square = dot(rest, rest) - back * back
+        """Distances (M,) [m] of points (3, M) from the body at places (M,)."""
+        rest, axis = points - self.tip.take(place, axis=1), self.axis.take(place, axis=1)
+        back = columns(rest, axis)
+        square = columns(rest, rest) - back * back
         return self.body.distance(back, np.sqrt(np.maximum(square, 0.0)))
 
 
 def _cells(points: FloatArray) -> tuple[IntArray, IntArray]:
-    """Points (P, 3) in cells of a grid: their order, and where in it each cell begins."""
-    low = points.min(axis=0)
-    span = points.max(axis=0) - low
-    side = max(float(span.max()) / 64.0, 1e-9)
-    key, many = _keys(points - low, side)
+    """Points (3, P) in cells of a grid: their order, and where in it each cell begins."""
+    low = points.min(axis=1)[:, None]
+    rest = points - low
+    side = max(float(rest.max()) / 64.0, 1e-9)
+    key, many = _keys(rest, side)
     taken = np.zeros(many, dtype=bool)
     taken[key] = True
     # the points are those of faces: cells become fewer with the square of their sides
-    key, _ = _keys(points - low, side * float(np.sqrt(taken.sum() * IN_CELL / len(points))))
+    key, _ = _keys(rest, side * float(np.sqrt(taken.sum() * IN_CELL / len(key))))
     order = np.argsort(key)
     return order, np.flatnonzero(np.diff(key[order], prepend=-1))
 
 
 def _keys(rest: FloatArray, side: float) -> tuple[IntArray, int]:
-    """Numbers (P,) of a grid's cells that points ``rest`` (P, 3) from its corner are in; how many it has."""
-    place = (rest / side).astype(np.int64)
-    wide = place.max(axis=0) + 1
-    return place[:, 0] + wide[0] * (place[:, 1] + wide[1] * place[:, 2]), int(wide.prod())
+    """Numbers (P,) of a grid's cells that points ``rest`` (3, P) from its corner are in; how many it has."""
+    x, y, z = (rest / side).astype(np.int64)
+    wide = [int(row.max()) + 1 for row in (x, y, z)]
+    return x + wide[0] * (y + wide[1] * z), wide[0] * wide[1] * wide[2]
