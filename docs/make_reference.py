@@ -1,4 +1,4 @@
-"""Writes the tables of ``docs/problem_file.md`` (fields) and ``docs/proof.md`` (rules) from the code.
+"""Writes tables of fields (``docs/problem_file.md``, ``docs/batch.md``) and rules (``docs/proof.md``) from the code.
 
 Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
 writes.
@@ -27,6 +27,7 @@ from planner import (
     sheet_file,
     stock_file,
 )
+from planner.batch import batch_file
 from planner.forming import operation as forming
 from planner.hotwire import operation, straight_operation
 from planner.milling import gcode_file
@@ -118,7 +119,16 @@ def rules() -> str:
     return "\n".join(["| rule | what it asks |", "|---|---|", *rows, ""])
 
 
-PAGES: dict[str, Callable[[], str]] = {"problem_file.md": fields, "proof.md": rules}
+def batch_fields() -> str:
+    """The tables of a batch file."""
+    return "\n".join([_table(batch_file.BatchFile), "A range of `vary`:", "", _table(batch_file.RangeFile)])
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "problem_file.md": fields,
+    "proof.md": rules,
+    "batch.md": batch_fields,
+}
 
 
 def page(name: str, old: str) -> str:
@@ -129,11 +139,15 @@ def page(name: str, old: str) -> str:
 
 
 def _chapter(title: str, anchor: str, model: type[BaseModel]) -> str:
-    schema = model.model_json_schema()
     mark = f'<a id="{anchor}"></a>\n\n' if anchor else ""
     text = " ".join((model.__doc__ or "").split())
+    return "\n".join([f"{mark}### {title}", "", text, "", _table(model)])
+
+
+def _table(model: type[BaseModel]) -> str:
+    schema = model.model_json_schema()
     required = set(schema.get("required", ()))
-    lines = [f"{mark}### {title}", "", text, "", "| field | what | default |", "|---|---|---|"]
+    lines = ["| field | what | default |", "|---|---|---|"]
     for name, field in schema.get("properties", {}).items():
         shown = _plain(field.get("default"))
         default = "required" if name in required else shown if shown == "see below" else f"`{shown}`"
@@ -182,7 +196,7 @@ def _range(field: dict[str, Any]) -> str:
 
 def _plain(value: Any) -> str:
     if isinstance(value, dict):
-        return "see below"
+        return "see below" if value else "empty"
     if isinstance(value, bool):
         return str(value).lower()
     return "none" if value is None else str(value).replace("'", "")

@@ -117,7 +117,7 @@ def test_the_problem_of_the_reference_page_reads(tmp_path: Path) -> None:
     assert load(path).name == "my_panel"
 
 
-@pytest.mark.parametrize("name", ["problem_file.md", "proof.md"])
+@pytest.mark.parametrize("name", ["problem_file.md", "proof.md", "batch.md"])
 def test_the_tables_are_those_of_the_code(name: str) -> None:
     text = (ROOT / "docs" / name).read_text("utf-8")
     assert reference().page(name, text) == text, "run python docs/make_reference.py"

@@ -1,4 +1,4 @@
-"""The bundled table of poses: it is what its script writes, lies where it should, and is planned and proven."""
+"""The bundled table of poses: what its script writes, lying where it should, planned and proven."""
 
 from __future__ import annotations
 

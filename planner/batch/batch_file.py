@@ -38,10 +38,10 @@ class RangeFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    start: Annotated[float, Field(alias="from")]
-    to: float
-    count: Annotated[int, Field(ge=2, le=MOST)] | None = None
-    step: Annotated[float, Field(gt=0)] | None = None
+    start: Annotated[float, Field(alias="from", description="first value")]
+    to: Annotated[float, Field(description="last value, or beyond it where a step does not divide the range")]
+    count: Annotated[int | None, Field(ge=2, le=MOST, description="so many values, or")] = None
+    step: Annotated[float | None, Field(gt=0, description="one every so much; give one of the two")] = None
 
     @model_validator(mode="after")
     def _one_spacing(self) -> Self:
@@ -69,13 +69,16 @@ class BatchFile(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    batch: Literal[1]
+    batch: Annotated[Literal[1], Field(description="version of this format")]
     problem: Annotated[FileName, Field(description="problem file or bundled problem")]
     vary: Annotated[
         dict[str, Annotated[list[Value], Field(min_length=1)] | RangeFile],
-        Field(description="lists, or ranges with from, to, and count or step, by dotted path"),
+        Field(description="values by path: each a list, or a range (see below)"),
     ] = {}
-    combine: Literal["product", "zip"] = "product"
+    combine: Annotated[
+        Literal["product", "zip"],
+        Field(description="all values with each other, or the first of each, the second of each, ..."),
+    ] = "product"
     csv: Annotated[FileName | None, Field(description="table of problems; a column name names them")] = None
 
     @model_validator(mode="after")
