@@ -340,6 +340,8 @@ CODES: Final[dict[str, str]] = {
     "service.archive": "an archive or compressed file was uploaded",
     "service.too_large": "an upload or a file of it is larger than the service takes",
     "service.too_many": "a token has as many jobs, or as many streams of events, as it may have",
+    "service.stopping": "the service was told to stop while it read an upload",
+    "service.storage": "the files of a token, or of the whole service, have no more room",
     "service.check_stopped": "reading or checking a problem took too much time or memory",
     "service.gave_up": "the service stopped several times while it worked on a job",
     "service.answer": "an address does not answer as this service does",

@@ -48,10 +48,16 @@ class Serve:
     """largest upload"""
     mesh_mb: float = 50.0
     """largest mesh in it"""
+    mesh_facets: int = 1_000_000
+    """most facets of a mesh; it may have three times as many vertices"""
     open_jobs: int = 100
     """jobs of one token that may wait or run"""
     kept_jobs: int = 5000
     """jobs of one token that are kept"""
+    token_disk_mb: float = 20_000.0
+    """room for the files of one token"""
+    disk_mb: float | None = None
+    """room for all files; else what the disk has"""
     job_timeout_s: float = 3600.0
     """most time of planning, a job"""
     job_memory_mb: float = 4096.0
@@ -115,8 +121,11 @@ def serve(asked: Serve) -> None:
     limits = Limits(
         upload_mb=asked.upload_mb,
         mesh_mb=asked.mesh_mb,
+        mesh_facets=asked.mesh_facets,
         open_jobs=asked.open_jobs,
         kept_jobs=asked.kept_jobs,
+        token_disk_mb=asked.token_disk_mb,
+        disk_mb=asked.disk_mb,
         job_s=asked.job_timeout_s,
         job_memory_mb=asked.job_memory_mb,
         keep_days=asked.keep_days,

@@ -18,6 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 import planner
 from planner.issues import Issue
 from planner.service import routes_about, routes_jobs
+from planner.service.context import REFUSALS
 from planner.service.guard import LOOPBACK, Guard
 from planner.service.metrics import REQUESTS
 from planner.service.page import routes as routes_page
@@ -96,10 +97,11 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         )
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
         refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
+        told = [str(one["description"]) for one in REFUSALS.values()]
         for path in made["paths"].values():
             for method in path.values():
                 for status, answer in method["responses"].items():
-                    if status.startswith("4"):  # JSON, whatever a good answer is
+                    if status[0] == "4" or answer["description"] in told:  # JSON, whatever a good answer is
                         answer["content"] = refusal
         app.openapi_schema = made
     return app.openapi_schema

@@ -25,6 +25,8 @@ REFUSALS: Final = {
     404: {"model": Refusal, "description": "there is no such thing"},
     413: {"model": Refusal, "description": "larger than this service takes"},
     422: {"model": Refusal, "description": "all that is wrong, by code and field"},
+    503: {"model": Refusal, "description": "the service is stopping; see Retry-After"},
+    507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
     429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
 }
 

@@ -19,8 +19,9 @@ from planner import problem_bundle, problem_file, processes, yaml_lines
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
 from planner.service.examined import Examined
+from planner.service.mesh_size import mesh_size
 from planner.service.page.shapes import shapes
-from planner.service.uploaded import NOWHERE, Uploaded
+from planner.service.uploaded import NOWHERE, Uploaded, last
 from planner.units import MM
 from planner.yaml_lines import Document
 
@@ -43,14 +44,19 @@ TAR: Final = slice(257, 262)
 
 
 def examine(
-    folder: Path, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
+    folder: Path,
+    problem: Path,
+    uploads: Mapping[str, Path],
+    facets: int,
+    reach: bool = False,
+    draw: bool = False,
 ) -> Examined:
     """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
 
-    ``folder`` is an empty one for this call alone. With ``reach`` the targets are made and reach is tested,
-    with ``draw`` there are ``shapes`` for the page.
+    ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
+    With ``reach`` the targets are made and reach is tested, with ``draw`` there are ``shapes`` for the page.
     """
-    faults = list(_archives(uploads))
+    faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
     if faults:
         return Examined(tuple(faults))
     uploaded = Uploaded(folder, uploads)
@@ -97,6 +103,19 @@ def _archives(uploads: Mapping[str, Path]) -> Iterator[Issue]:
         if head.startswith(ARCHIVES) or head[TAR] == b"ustar":
             message = f"{name[:80]!r} is an archive or compressed; unpack it and upload the files themselves"
             yield Issue("service.archive", message, file=name, field="files")
+
+
+def _large_meshes(uploads: Mapping[str, Path], most: int) -> Iterator[Issue]:
+    """Meshes are counted before they are read, which takes far more time and memory."""
+    for name, path in uploads.items():
+        size = mesh_size(path, Path(last(name)).suffix)
+        for what, count, limit in (("facets", size.facets, most), ("vertices", size.vertices, 3 * most)):
+            if count > limit:
+                message = (
+                    f"{name[:80]!r} has {count:,} {what}, this service takes meshes of at most {limit:,}; "
+                    "export it coarser, or simplify it"
+                )
+                yield Issue("service.too_large", message, file=name, field="files", value=count, limit=limit)
 
 
 def _summary(problem: Problem) -> dict[str, Any]:

@@ -15,12 +15,13 @@ import sys
 import tempfile
 import threading
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
 from planner.issues import Issue
 from planner.service.examined import Examined
+from planner.service.refusals import RefusedError
 
 MB: Final = 1 << 20
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -29,8 +30,9 @@ THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class Examiners:
     """A few processes that serve in turn; start on use, end with :meth:`close`."""
 
-    def __init__(self, count: int, scratch: Path, seconds: float, memory_mb: float) -> None:
+    def __init__(self, count: int, scratch: Path, seconds: float, memory_mb: float, mesh_facets: int) -> None:
         self._scratch, self._seconds, self._memory = scratch, seconds, memory_mb
+        self._facets = mesh_facets
         self._idle: queue.Queue[subprocess.Popen[str] | None] = queue.Queue()
         for _ in range(count):
             self._idle.put(None)
@@ -42,34 +44,46 @@ class Examiners:
     def examine(
         self, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
     ) -> Examined:
-        """As :func:`planner.service.examine.examine`, in a process of its own."""
+        """As :func:`planner.service.examine.examine`, in a process of its own; raises :class:`RefusedError`,
+        503, where the service stops meanwhile."""
         process = self._idle.get()
         try:
+            if self._closed:
+                raise _stopping()
             with tempfile.TemporaryDirectory(dir=self._scratch, prefix="examine-") as folder:
                 if process is None or process.poll() is not None:
-                    process = self._maker.submit(self._start).result()
+                    process = self._started()
                 asked = {
                     "folder": folder,
                     "problem": str(problem),
                     "uploads": {name: str(path) for name, path in uploads.items()},
                     "reach": reach,
                     "draw": draw,
+                    "facets": self._facets,
                 }
                 return self._ask(process, asked)
         finally:
             self._idle.put(process)
 
     def close(self) -> None:
-        """End the processes."""
+        """End the processes, and with them what they are asked."""
         self._closed = True
         self._maker.shutdown(cancel_futures=True)
         for process in list(self._all):
             process.kill()
             process.wait()
 
+    def _started(self) -> subprocess.Popen[str]:
+        try:
+            process = self._maker.submit(self._start).result()
+        except (RuntimeError, CancelledError):  # closed meanwhile
+            raise _stopping() from None
+        if self._closed:  # it began while the others were ended
+            process.kill()
+            process.wait()
+        return process
+
     def _start(self) -> subprocess.Popen[str]:
-        if self._closed:
-            raise RuntimeError("the service is stopping")
         self._all = {process for process in self._all if process.poll() is None}
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "planner.service.examiner", str(os.getpid()), str(self._memory)],
@@ -101,6 +115,8 @@ class Examiners:
             return _from_json(json.loads(answer))
         process.kill()
         process.wait()
+        if self._closed:
+            raise _stopping()
         what = (
             f"took more than {self._seconds:g} s"
             if late.is_set()
@@ -108,6 +124,11 @@ class Examiners:
         )
         message = f"the problem {what}; make its meshes, tables and step counts smaller"
         return Examined((Issue("service.check_stopped", message, field="problem"),))
+
+
+def _stopping() -> RefusedError:
+    what = "the service is stopping; send the request again when it runs"
+    return RefusedError(503, Issue("service.stopping", what), {"Retry-After": "10"})
 
 
 def _path() -> str:
@@ -154,7 +175,7 @@ def serve() -> None:
         uploads = {name: Path(path) for name, path in asked["uploads"].items()}
         try:
             folder, problem = Path(asked["folder"]), Path(asked["problem"])
-            found = examine(folder, problem, uploads, asked["reach"], asked["draw"])
+            found = examine(folder, problem, uploads, asked["facets"], asked["reach"], asked["draw"])
             answer = json.dumps(_to_json(found))
         except MemoryError:
             os._exit(1)  # who asked says what it means

@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -28,9 +29,12 @@ class Files:
     """The stored files under ``root``, in folders by the first two digits of their hash."""
 
     def __init__(self, root: Path) -> None:
-        self._root = root
+        self.root = self._root = root
         self._incoming = root / "incoming"
         self._incoming.mkdir(parents=True, exist_ok=True)
+        self._lock = threading.Lock()
+        self.used = self._measured()
+        """What all files take [bytes]; what other hosts store is known after the next sweep."""
 
     def put(self, stream: BinaryIO) -> Blob:
         """Store what ``stream`` holds from here on."""
@@ -46,11 +50,15 @@ class Files:
                 os.fsync(out.fileno())
             blob = Blob(digest.hexdigest(), size)
             target = self.path(blob.sha)
-            if target.is_file():
-                os.utime(target)  # it is wanted again: the sweep leaves it
-            else:
-                target.parent.mkdir(exist_ok=True)
-                Path(name).replace(target)
+            with self._lock:
+                new = not target.is_file()
+                if new:
+                    target.parent.mkdir(exist_ok=True)
+                    Path(name).replace(target)
+                    self.used += size
+                else:
+                    os.utime(target)  # it is wanted again: the sweep leaves it
+            if new:
                 _to_disk(target.parent)
         finally:
             Path(name).unlink(missing_ok=True)
@@ -66,6 +74,10 @@ class Files:
         if not _SHA.fullmatch(sha):
             raise ValueError(f"{sha!r} is no SHA-256")
         return self._root / sha[:2] / sha
+
+    def has(self, sha: str) -> bool:
+        """Whether it is stored."""
+        return self.path(sha).is_file()
 
     def read(self, sha: str) -> bytes:
         """The content."""
@@ -87,7 +99,30 @@ class Files:
                 if path.name not in kept and _older(path, before):
                     path.unlink(missing_ok=True)
                     removed += 1
+        with self._lock:
+            self.used = self._measured()
         return removed
+
+    def _measured(self) -> int:
+        folders = [folder for folder in self._root.iterdir() if folder != self._incoming and folder.is_dir()]
+        return sum(_size(path) for folder in folders for path in folder.iterdir())
+
+
+def blob_of(stream: BinaryIO) -> Blob:
+    """What storing the rest of ``stream`` would give; the stream is where it was afterwards."""
+    begin, digest, size = stream.tell(), hashlib.sha256(), 0
+    while chunk := stream.read(CHUNK):
+        digest.update(chunk)
+        size += len(chunk)
+    stream.seek(begin)
+    return Blob(digest.hexdigest(), size)
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:  # another host's sweep
+        return 0
 
 
 def _older(path: Path, before: float) -> bool:

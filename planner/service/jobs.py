@@ -128,6 +128,17 @@ class Jobs:
         with self._database.read() as db:
             return set(db.execute(select(FILES.c.sha).where(FILES.c.sha.in_(shas)).distinct()).scalars())
 
+    def owned(self, owner: str) -> dict[str, int]:
+        """The content that an owner's jobs name: sizes [bytes] by SHA-256."""
+        query = (
+            select(FILES.c.sha, FILES.c.size)
+            .join_from(FILES, JOBS, FILES.c.job == JOBS.c.id)
+            .where(JOBS.c.owner == owner)
+            .distinct()
+        )
+        with self._database.read() as db:
+            return dict(tuple(row) for row in db.execute(query))
+
     def counts(self) -> dict[str, int]:
         """The number of jobs in each state."""
         with self._database.read() as db:

@@ -45,6 +45,7 @@ def text(here: Service) -> str:
         (
             _figure("tandem_info", "gauge", "Version.", [({"version": planner.__version__}, 1.0)]),
             _figure("tandem_jobs", "gauge", "Jobs in the store by state.", jobs),
+            _figure("tandem_files_bytes", "gauge", "Stored files.", [({}, float(here.files.used))]),
             _figure("tandem_workers", "gauge", "Worker processes.", [({}, float(here.options.workers))]),
             _figure(
                 "tandem_planning",

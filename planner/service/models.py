@@ -107,6 +107,14 @@ class Health(Sent):
     running: int
 
 
+class Storage(Sent):
+    """What a token's files take: those of its jobs, and for an hour what was only checked. Content counts
+    once."""
+
+    used_mb: float
+    limit_mb: float
+
+
 class Catalogue(Sent):
     """Entries by name, as plain data."""
 

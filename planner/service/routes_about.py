@@ -15,7 +15,7 @@ from planner.issue_codes import CODES
 from planner.service.auth import LOCAL, SESSION_S
 from planner.service.context import COOKIE, REFUSALS, Caller, Here
 from planner.service.metrics import text
-from planner.service.models import Catalogue, Health, Kind
+from planner.service.models import Catalogue, Health, Kind, Storage
 
 router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
 
@@ -84,6 +84,12 @@ def issue_codes(owner: Caller) -> dict[str, str]:
     """Every code with its meaning."""
     del owner
     return dict(CODES)
+
+
+@router.get("/v1/storage", summary="Room for files")
+def storage(owner: Caller, here: Here) -> Storage:
+    """What your files take, and may take."""
+    return Storage(used_mb=here.storage.used(owner) / 1e6, limit_mb=here.limits.token_disk_mb)
 
 
 @router.post("/v1/session", status_code=204, summary="Log a browser in")

@@ -66,7 +66,7 @@ async def create(
 ) -> JobOut:
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
-    upload = await take(request, here.files, here.limits)
+    upload = await take(request, here.storage, owner, here.limits)
     async with here.turn(owner):
         return await anyio.to_thread.run_sync(
             here.create, owner, upload, timeout_s, memory_mb, limiter=UPLOADS_AT_ONCE
@@ -83,7 +83,7 @@ async def check(
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
 ) -> CheckOut:
     """Read a problem and say what is in its way; a file that cannot be read is 422."""
-    upload = await take(request, here.files, here.limits)
+    upload = await take(request, here.storage, owner, here.limits)
     async with here.turn(owner):
         read = await anyio.to_thread.run_sync(here.examine, upload, reach, limiter=UPLOADS_AT_ONCE)
     return CheckOut(

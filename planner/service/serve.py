@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import resource
+import signal
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +25,7 @@ STREAMS_END_S: Final = 3
 
 
 def serve(options: Options, certificate: Path | None = None, key: Path | None = None) -> None:
-    """Serve until told to stop. Raises ``TandemError`` where the service cannot start."""
+    """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
     if (certificate is None) != (key is None):
         raise TandemError(
             Issue("service.start", "TLS needs --certificate and --key, give both", field="certificate")
@@ -53,11 +54,15 @@ def serve(options: Options, certificate: Path | None = None, key: Path | None = 
         ssl_certfile=certificate,
         ssl_keyfile=key,
     )
+    # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
+    # nothing more is to be done then
+    signal.signal(signal.SIGTERM, lambda number, frame: None)
     _Server(config, service).run()
 
 
 class _Server(uvicorn.Server):
-    """Ends streams of events as soon as it is told to stop, so that nobody has to wait for them."""
+    """Ends streams of events and the reading of uploads as soon as it is told to stop: nobody waits for
+    them."""
 
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)
@@ -65,6 +70,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[object] | None = None) -> None:  # type: ignore[override]
         self._service.hub.close()
+        self._service.stop_reading()
         await super().shutdown(sockets)  # type: ignore[arg-type]
 
 

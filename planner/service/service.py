@@ -34,6 +34,7 @@ from planner.service.limits import Limits
 from planner.service.models import JobOut
 from planner.service.refusals import RefusedError
 from planner.service.runner import Runner, Team
+from planner.service.storage import Storage
 from planner.service.upload import Upload
 from planner.service.work import Work
 
@@ -88,9 +89,12 @@ class Service:
         self.host = f"{socket.gethostname()}{PID}{os.getpid()}-{secrets.token_hex(4)}"
         self.scratch = _fresh(options.data / "work", options.database is None, self.host)
         self.jobs = Jobs(self.database, self.limits)
+        self.storage = Storage(self.files, self.jobs.owned, self.limits)
         self.hub = Hub(self.database, self.limits)
         limits = self.limits
-        self._examiners = Examiners(options.examiners, self.scratch, limits.check_s, limits.check_memory_mb)
+        self._examiners = Examiners(
+            options.examiners, self.scratch, limits.check_s, limits.check_memory_mb, limits.mesh_facets
+        )
         self.runner = Runner(
             Work(self.database, self.host, options.lease_s),
             self.files,
@@ -115,6 +119,10 @@ class Service:
         """Begin to plan."""
         self.runner.start()
 
+    def stop_reading(self) -> None:
+        """End the reading of uploads; requests that wait for it are told."""
+        self._examiners.close()
+
     def close(self) -> None:
         """Stop: jobs that run wait for the next start."""
         self.hub.close()
@@ -125,7 +133,7 @@ class Service:
         self._lock.close()
 
     def examine(self, upload: Upload, reach: bool = False, draw: bool = False) -> Examined:
-        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 422."""
+        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413 or 422."""
         rows = [
             upload.problem.sha,
             reach,
@@ -139,7 +147,8 @@ class Service:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
             known = self._examiners.examine(self.files.path(upload.problem.sha), uploads, reach, draw)
             if not known.readable:
-                raise RefusedError(422, known.issues)
+                large = all(issue.code == "service.too_large" for issue in known.issues)
+                raise RefusedError(413 if large else 422, known.issues)
             if draw:  # pictures are large, and asked for once
                 return known
             with self._read_lock:
@@ -149,10 +158,10 @@ class Service:
         return known
 
     def create(self, owner: str, upload: Upload, timeout_s: float | None, memory_mb: float | None) -> JobOut:
-        """A job for an upload; raises :class:`RefusedError`, 422 or 429."""
+        """A job for an upload; raises :class:`RefusedError`, 413, 422, 429 or 507."""
         read = self.examine(upload)
         sizes = {blob.sha: blob.size for blob in upload.files.values()}
-        text = self.files.put(io.BytesIO(read.text.encode()))
+        (text,) = self.storage.put(owner, [io.BytesIO(read.text.encode())])
         files = {f"problem/{name}": Blob(sha, sizes[sha]) for name, sha in read.files.items()}
         return self.jobs.create(
             NewJob(

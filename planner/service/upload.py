@@ -14,9 +14,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
 from planner.issues import Issue
-from planner.service.files import Blob, Files
+from planner.service.files import Blob
 from planner.service.limits import Limits
 from planner.service.refusals import RefusedError, too_large
+from planner.service.storage import FULL, Storage
 from planner.service.uploaded import last
 from planner.yaml_lines import MAX_BYTES
 
@@ -36,11 +37,11 @@ class Upload:
     files: Mapping[str, Blob]
 
 
-async def take(request: Request, files: Files, limits: Limits) -> Upload:
+async def take(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
     """The upload of a request: ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone
     as JSON or YAML.
 
-    Raises :class:`RefusedError`, 413 or 422.
+    Raises :class:`RefusedError`, 413, 422 or 507.
     """
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if kind in PLAIN:
@@ -49,7 +50,7 @@ async def take(request: Request, files: Files, limits: Limits) -> Upload:
             body += chunk
             if len(body) > MAX_BYTES:
                 raise too_large("the problem", MAX_BYTES / MB, "problem")
-        blob = await anyio.to_thread.run_sync(files.put, io.BytesIO(body))
+        (blob,) = await anyio.to_thread.run_sync(storage.put, owner, [io.BytesIO(body)])
         return Upload(blob, {})
     if kind != "multipart/form-data":
         what = f"got the content type {kind[:80]!r}; send multipart/form-data, or {', '.join(PLAIN)}"
@@ -59,11 +60,16 @@ async def take(request: Request, files: Files, limits: Limits) -> Upload:
             max_files=limits.files + 1, max_fields=len(FIELDS), max_part_size=MAX_BYTES
         ) as form:
             problem, uploads = _sorted(form, limits)
-            return await anyio.to_thread.run_sync(_store, files, problem, uploads)
+            return await anyio.to_thread.run_sync(_store, storage, owner, problem, uploads)
     except HTTPException as error:
         raise RefusedError(422, _fault("body", f"the form cannot be read: {error.detail}")) from error
     except ClientDisconnect as error:
         raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        what = "the disk that uploads come in on is full; send it later, or ask who runs the service"
+        raise RefusedError(507, Issue("service.storage", what, field="files")) from error
     except (ValueError, LookupError) as error:  # charsets that are none, and the like
         raise RefusedError(422, _fault("body", "the form cannot be read; send UTF-8")) from error
 
@@ -100,9 +106,12 @@ def _sorted(form: FormData, limits: Limits) -> tuple[UploadFile | str, dict[str,
     return problems[0], named
 
 
-def _store(files: Files, problem: UploadFile | str, uploads: Mapping[str, UploadFile]) -> Upload:
+def _store(
+    storage: Storage, owner: str, problem: UploadFile | str, uploads: Mapping[str, UploadFile]
+) -> Upload:
     stream: BinaryIO = io.BytesIO(problem.encode()) if isinstance(problem, str) else problem.file
-    return Upload(files.put(stream), {name: files.put(one.file) for name, one in uploads.items()})
+    first, *others = storage.put(owner, [stream, *(one.file for one in uploads.values())])
+    return Upload(first, dict(zip(uploads, others, strict=True)))
 
 
 def _fault(field: str, what: str) -> Issue:

@@ -106,8 +106,7 @@ def example_file(
 async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
     """What is known of an upload without planning it, with the shapes that the page draws; 422 as for a
     job."""
-    del owner
-    upload = await take(request, here.files, here.limits)
+    upload = await take(request, here.storage, owner, here.limits)
     read = await anyio.to_thread.run_sync(here.examine, upload, False, True, limiter=UPLOADS_AT_ONCE)
     return JSONResponse(
         {

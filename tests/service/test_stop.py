@@ -1,0 +1,75 @@
+"""SIGTERM: a service that plans, checks and streams ends by itself within seconds, leaves nobody behind, and
+its job waits for the next start."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import planner
+from planner import Client
+from planner.issues import TandemError
+from planner.service.database import Database, default_url
+from planner.service.jobs import Jobs
+from planner.service.limits import Limits
+from tests.service.support import Process
+
+
+def children(pid: int) -> list[int]:
+    """Processes of the kernel's list that were started by ``pid``, and those that they started."""
+    listed = Path(f"/proc/{pid}/task").glob("*/children")
+    own = [int(word) for path in listed for word in path.read_text().split()]
+    return own + [one for child in own for one in children(child)]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def until(asked: Callable[[], object], timeout_s: float = 60.0) -> None:
+    ending = time.monotonic() + timeout_s
+    while not asked():
+        assert time.monotonic() < ending
+        time.sleep(0.05)
+
+
+def test_sigterm_ends_all_and_keeps_the_jobs(tmp_path: Path) -> None:
+    process = Process(tmp_path / "data").wait()
+    client = Client(process.url)
+    problem = planner.load("wave_wall")
+    job = client.submit(problem)
+    until(lambda: client.job(job).get("stage"))  # a worker plans it
+    told: list[str] = []
+
+    def check() -> None:
+        try:
+            client.check(problem, reach=True)
+        except TandemError as error:
+            told.extend(issue.code for issue in error.issues)
+
+    def stream() -> None:
+        for _ in client._stream(job, 0):
+            pass
+        told.append("stream")
+
+    threads = [threading.Thread(target=one, daemon=True) for one in (check, stream)]
+    for thread in threads:
+        thread.start()
+    time.sleep(0.5)
+    own = children(process.pid)
+    assert len(own) >= 2  # the worker and an examiner
+    began = time.monotonic()
+    assert process.stop() == 0
+    assert time.monotonic() - began < 15.0
+    until(lambda: not any(alive(pid) for pid in own), 5.0)
+    for thread in threads:
+        thread.join(10.0)
+    assert sorted(told) == ["service.stopping", "stream"]
+    assert "Traceback" not in process.log.read_text()
+    _, found = Jobs(Database(default_url(tmp_path / "data")), Limits()).get(job)
+    assert (found.state, found.attempts) == ("queued", 0)  # it waits for the next start

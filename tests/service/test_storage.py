@@ -1,0 +1,138 @@
+"""Room for files: what a token, and all of the service, may take; content counts once."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planner.service import storage
+from planner.service.files import GRACE_S, Files, blob_of
+from planner.service.limits import Limits
+from planner.service.refusals import RefusedError
+from planner.service.storage import Storage
+from tests import small_problem
+from tests.service.support import TABLE, InProcess, named
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Iterator[InProcess]:
+    with InProcess(tmp_path / "data", Limits(token_disk_mb=1.0), examiners=1) as made:
+        yield made
+
+
+def send(here: InProcess, name: str, filling: bytes, path: str = "/v1/jobs") -> Any:
+    """The small problem with a file beside it that no problem names."""
+    files = [
+        ("problem", ("p.yaml", named(name))),
+        ("files", ("targets.csv", TABLE)),
+        ("files", ("more.txt", filling)),
+    ]
+    return here.http.post(path, files=files)
+
+
+def refused(answer: Any) -> dict[str, Any]:
+    assert answer.status_code == 507
+    (issue,) = answer.json()["issues"]
+    assert (issue["code"], issue["field"], issue["unit"]) == ("service.storage", "files", "MB")
+    return dict(issue)
+
+
+def test_a_token_has_so_much_room_and_content_counts_once(here: InProcess) -> None:
+    large = os.urandom(600_000)
+    assert send(here, "one", large).status_code == 201
+    assert send(here, "two", large).status_code == 201  # the same content
+    before = here.http.get("/v1/storage").json()
+    assert before["limit_mb"] == 1.0
+    assert 0.6 < before["used_mb"] < 0.7
+    issue = refused(send(here, "three", os.urandom(600_000)))
+    assert issue["value"] > issue["limit"] == 1.0
+    assert "delete jobs" in issue["hint"]
+    assert here.http.get("/v1/storage").json() == before  # what was refused is not kept
+    assert here.service.files.used < 700_000
+    refused(send(here, "four", os.urandom(600_000), "/v1/check"))
+    refused(send(here, "five", os.urandom(600_000), "/ui/preview"))
+
+
+def test_room_of_deleted_jobs_is_free_again(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", Limits(token_disk_mb=0.6), examiners=1) as here:
+        wide = "\n".join([small_problem.COLUMNS, *small_problem.ROWS * 10_000]).encode()
+        body = [("problem", ("p.yaml", named("wide"))), ("files", ("targets.csv", wide[:450_000]))]
+        text = wide[:450_000].rsplit(b"\n", 1)[0]
+        body[1] = ("files", ("targets.csv", text))
+        job = here.http.post("/v1/jobs", files=body).json()["id"]
+        here.ended(job)
+        refused(send(here, "next", os.urandom(300_000)))
+        assert here.http.delete(f"/v1/jobs/{job}").status_code == 204
+        here.service.storage._sent.clear()  # as an hour later
+        assert send(here, "next", os.urandom(300_000)).status_code == 201
+
+
+def test_what_was_checked_counts_for_an_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = Files(tmp_path)
+    room = Storage(files, lambda owner: {}, Limits(token_disk_mb=1.0))
+    room.put("ann", [io.BytesIO(b"a" * 600_000)])
+    with pytest.raises(RefusedError):
+        room.put("ann", [io.BytesIO(b"b" * 600_000)])
+    room.put("bob", [io.BytesIO(b"b" * 600_000)])  # another token has its own room
+    assert room.used("ann") == 600_000
+    later = time.monotonic() + GRACE_S + 1.0
+    monkeypatch.setattr(storage.time, "monotonic", lambda: later)
+    assert room.used("ann") == 0
+    room.put("ann", [io.BytesIO(b"b" * 600_000)])
+
+
+def test_the_service_has_so_much_room_for_all(tmp_path: Path) -> None:
+    files = Files(tmp_path)
+    room = Storage(files, lambda owner: {}, Limits(disk_mb=1.0))
+    first = room.put("ann", [io.BytesIO(b"a" * 600_000), io.BytesIO(b"a" * 600_000)])
+    assert first[0] == first[1]
+    assert files.used == 600_000
+    room.put("bob", [io.BytesIO(b"a" * 600_000)])  # it is there
+    with pytest.raises(RefusedError) as caught:
+        room.put("bob", [io.BytesIO(b"b" * 300_000), io.BytesIO(b"c" * 300_000)])
+    assert caught.value.status == 507
+    assert not files.has(blob_of(io.BytesIO(b"b" * 300_000)).sha)  # all or nothing
+    assert Files(tmp_path).used == 600_000  # known again after a restart
+    for path in tmp_path.glob("*/*"):
+        os.utime(path, (0, 0))
+    assert files.sweep(lambda shas: set()) == 1
+    assert files.used == 0
+    room.put("bob", [io.BytesIO(b"b" * 300_000), io.BytesIO(b"c" * 300_000)])
+
+
+def test_a_disk_that_is_full_or_nearly_is_507(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = Storage(files := Files(tmp_path), lambda owner: {}, Limits())
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(storage.shutil, "disk_usage", lambda root: usage._replace(free=200_000_000))
+    with pytest.raises(RefusedError, match="of the service's disk"):
+        room.put("ann", [io.BytesIO(b"a")])
+    monkeypatch.undo()
+
+    def full(stream: object) -> None:
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr(files, "put", full)
+    with pytest.raises(RefusedError) as caught:
+        room.put("ann", [io.BytesIO(b"a")])
+    assert (caught.value.status, caught.value.issues[0].code) == (507, "service.storage")
+
+
+def test_results_are_charged_though_never_refused(tmp_path: Path) -> None:
+    with InProcess(tmp_path / "data", Limits(token_disk_mb=0.01), examiners=1) as here:
+        used = 0.0
+        for number in range(40):
+            answer = here.post(named(f"n{number}"))
+            if answer.status_code == 507:
+                break
+            assert here.ended(answer.json()["id"])["state"] == "verified"
+            used = here.http.get("/v1/storage").json()["used_mb"]
+        assert refused(answer)["limit"] == 0.01
+        assert 0.005 < used < 0.012
