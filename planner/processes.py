@@ -1,43 +1,48 @@
 """The registry of processes: one line each. A process turns an operation on a stock into Targets and states
-its claims.
+its claims. What it needs for that is imported where a problem first asks for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from typing import Any, Final, NamedTuple
 
 from pydantic import BaseModel
 
-from planner import posed
 from planner.claims import Claim
-from planner.forming import forming
 from planner.forming.operation import Forming
-from planner.hotwire import elastic, straight
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.straight_operation import Straight
-from planner.milling import milling
 from planner.milling.operation import Milling
+from planner.posed import Posed
 from planner.problem import Part, Problem, Setup
 from planner.targets import Targets
 
 
 class Process(NamedTuple):
-    """Schema of the operation, and the two functions that a process exports: (operation, setup, part) ->
-    ...
-    """
+    """Schema of the operation, and the module that exports the two functions of the process."""
 
     schema: type[BaseModel]
-    make_targets: Callable[[Any, Setup, Part | None], Targets]
-    claims: Callable[[Any, Setup, Part | None], tuple[Claim, ...]]
+    module: str
+
+    def make_targets(self, operation: Any, setup: Setup, part: Part | None) -> Targets:
+        """The targets of an operation of this process."""
+        made: Targets = import_module(self.module).make_targets(operation, setup, part)
+        return made
+
+    def claims(self, operation: Any, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+        """What must hold of the operation."""
+        made: tuple[Claim, ...] = import_module(self.module).claims(operation, setup, part)
+        return made
 
 
 PROCESSES: Final[Mapping[str, Process]] = {
-    "forming": Process(Forming, forming.make_targets, forming.claims),
-    "elastic_wire": Process(ElasticWire, elastic.make_targets, elastic.claims),
-    "straight_wire": Process(Straight, straight.make_targets, straight.claims),
-    "milling": Process(Milling, milling.make_targets, milling.claims),
-    "targets": Process(posed.Posed, posed.make_targets, posed.claims),
+    "forming": Process(Forming, "planner.forming.forming"),
+    "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic"),
+    "straight_wire": Process(Straight, "planner.hotwire.straight"),
+    "milling": Process(Milling, "planner.milling.milling"),
+    "targets": Process(Posed, "planner.posed"),
 }
 
 

@@ -87,19 +87,24 @@ def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArra
         edges = np.empty_like(corners)
         np.subtract(corners[:, 1:], corners[:, :2], out=edges[:, :2])
         np.subtract(corners[:, 0], corners[:, 2], out=edges[:, 2])
-        length = np.einsum("tcd,tcd->tc", edges, edges)
-        longest = np.argmax(length, axis=1)
-        fine = (np.sqrt(length.max(axis=1)) <= size) | (finished + 2 * len(corners) > most)
-        done.append(corners[fine])
-        owners.append(owner[fine])
-        finished += int(fine.sum())
-        corners, owner, longest = corners[~fine], owner[~fine], longest[~fine]
-        rows = np.arange(len(corners))
-        one, two = corners[rows, longest], corners[rows, (longest + 1) % 3]
-        tip = corners[rows, (longest + 2) % 3]
-        middle = 0.5 * (one + two)
-        corners = np.concatenate([np.stack([one, middle, tip], axis=1), np.stack([middle, two, tip], axis=1)])
-        owner = np.concatenate([owner, owner])
+        one, two, three = np.ascontiguousarray(np.einsum("tcd,tcd->tc", edges, edges).T)
+        most_of_two = np.maximum(one, two)
+        # the first one of equals
+        longest = np.where(three > most_of_two, 2, (two > one).astype(np.int64))
+        fine = np.sqrt(np.maximum(most_of_two, three)) <= size
+        fine |= finished + 2 * len(corners) > most
+        kept, rows = np.flatnonzero(fine), np.flatnonzero(~fine)
+        done.append(corners.take(kept, axis=0))
+        owners.append(owner.take(kept))
+        finished += len(kept)
+        vertices, first, longest = corners.reshape(-1, 3), 3 * rows, longest.take(rows)
+        corners = np.empty((2 * len(rows), 3, 3))
+        near, far = corners[: len(rows)], corners[len(rows) :]
+        near[:, 0] = start = vertices.take(first + longest, axis=0)
+        far[:, 1] = end = vertices.take(first + (longest + 1) % 3, axis=0)
+        near[:, 2] = far[:, 2] = vertices.take(first + (longest + 2) % 3, axis=0)
+        near[:, 1] = far[:, 0] = 0.5 * (start + end)
+        owner = np.tile(owner.take(rows), 2)
     return np.concatenate(done), np.concatenate(owners)
 
 

@@ -104,8 +104,8 @@ class Level:
 
 
 def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list[Level]:
-    """Groups of ``FIRST`` places, of ``PARTS`` times as many and so on, until they are few: of a body at places ``tip`` and ``axis``
-    (N, 3), for points within ``sight`` [m] of it."""
+    """Groups of ``FIRST`` places, of ``PARTS`` times as many and so on, until they are few: of a body at
+    places ``tip`` and ``axis`` (N, 3), for points within ``sight`` [m] of it."""
     pivot = tip + body.middle * axis
     wide, far = body.widest + sight, body.half + sight
     out: list[Level] = []
