@@ -74,7 +74,7 @@ class Level:
     @property
     def count(self) -> int:
         """How many groups there are."""
-        return self.of.shape[1]
+        return len(self.of[0])
 
     def bound(self, points: FloatArray, group: IntArray, body: Round) -> tuple[FloatArray, FloatArray]:
         """Bounds below the distances (M,) [m] of points (3, M) from the body at all places of a group (M,)
