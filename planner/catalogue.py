@@ -59,8 +59,8 @@ class RodCoupling:
 class RobotData:
     """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
 
-    ``sources`` say where figures come from, ``assumed`` which ones do not come from a source, and on what
-    ground they were set.
+    ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
+    ``assumed`` which ones do not come from a source, and on what ground they were set.
     """
 
     name: str
@@ -75,6 +75,7 @@ class RobotData:
     payload: float
     reach: float
     coupling: RodCoupling | None
+    home: FloatArray
     sources: tuple[str, ...]
     assumed: tuple[str, ...]
 
@@ -188,6 +189,7 @@ def _read(name: str, entry: dict[str, Any]) -> RobotData:
         payload=float(entry["payload_kg"]),
         reach=float(entry["reach_m"]),
         coupling=None if coupled is None else RodCoupling(coupled[0] * DEG, coupled[1] * DEG),
+        home=_frozen(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
         sources=tuple(entry["sources"]),
         assumed=(acceleration, *entry.get("unverified", ())),
     )

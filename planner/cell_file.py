@@ -220,7 +220,10 @@ class ArmFile(Strict):
     base: PoseFile = PoseFile()
     base_auto: bool = False
     tool: ToolFile
-    home_deg: tuple[Angle, Angle, Angle, Angle, Angle, Angle] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    home_deg: Annotated[
+        tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
+        Field(description="joints at home; none: the upper arm upright, the forearm level"),
+    ] = None
 
 
 class ObstacleFile(Strict):
@@ -250,7 +253,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
         except TandemError as error:
             here = [dataclasses.replace(issue, field=f"arms.{number}.robot") for issue in error.issues]
             raise TandemError(here) from error
-        home = data.from_controller(np.array(arm.home_deg) * DEG)
+        home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
         if float(data.limit_margin(home)) < 0.0:
             raise TandemError(_outside(arm, number, data))
         mounted = tool(arm.tool, folder)
@@ -333,7 +336,7 @@ def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
     limits = ", ".join(
         f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
     )
-    got = ", ".join(f"{angle:g}" for angle in arm.home_deg)
+    got = ", ".join(f"{angle:g}" for angle in arm.home_deg or ())
     return Issue(
         "problem.field",
         f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel rod, "

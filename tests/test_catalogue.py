@@ -109,3 +109,13 @@ def test_missing_data_is_an_issue(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_values_cannot_be_changed_by_accident() -> None:
     with pytest.raises(ValueError, match="read-only"):
         catalogue.robot("irb140").lower[0] = 0.0
+
+
+@pytest.mark.parametrize("name", sorted(TEN))
+def test_every_robot_has_a_home_with_its_upper_arm_upright_and_its_forearm_level(name: str) -> None:
+    """What a cell without ``home_deg`` gets: the zero pose of an ABB arm, of whatever maker the arm is."""
+    robot = catalogue.robot(name)
+    assert robot.limit_margin(robot.home) > 0.0
+    theta = robot.opw.signs * robot.home - robot.opw.offsets
+    np.testing.assert_allclose(theta[:3], [0.0, 0.0, np.pi / 2], atol=1e-12)
+    np.testing.assert_allclose(theta[3:], 0.0, atol=1e-12)

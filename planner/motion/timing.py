@@ -33,6 +33,9 @@ RESERVE_ACCELERATION: Final = 0.74
 corners."""
 
 GRID_PER_KNOT: Final = 2
+SHORTEST: Final = 6e-3
+"""Least time of a move [s], also of one that hardly goes anywhere; controllers plan none in less than 5 ms."""
+
 LEAST_GRID: Final = 100
 MANY_PIECES: Final = 500
 MANY_GRID: Final = 24
@@ -199,7 +202,7 @@ def least_times(
     travel: FloatArray, feed: FloatArray, lengths: Mapping[str, FloatArray], tcp: float
 ) -> FloatArray:
     """Least time (N,) [s] of the move to each target: its guarded point within ``feed``, every TCP within
-    ``tcp`` m/s.
+    ``tcp`` m/s, and none shorter than a controller can plan it.
 
     ``lengths`` {arm: (N,)} are the ways of the TCPs [m].
     """
@@ -207,4 +210,4 @@ def least_times(
         out = np.where(travel > 0.0, travel / feed, 0.0)
     for length in lengths.values():
         out = np.maximum(out, length / tcp)
-    return np.asarray(out)
+    return np.asarray(np.maximum(out, SHORTEST))

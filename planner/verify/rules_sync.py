@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.issues import Issue
 from planner.verify import rules_krl
-from planner.verify.context import Context, Outcome
+from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.steps import (
@@ -170,7 +170,7 @@ def move_time(context: Context) -> Outcome:
         if move.time is None or move.time <= 0.0
     ]
     issues += [
-        at_step("verify.move_time", f"\\T:={move.time:g}: no controller plans so short a move", task, move)
+        at_step("verify.move_time", _too_short(move.time), task, move)
         for _, _, task, moves in context.moves()
         for move in moves
         if move.time is not None and move.time < SHORTEST
@@ -184,6 +184,10 @@ def move_time(context: Context) -> Outcome:
                 message = f"\\T:={b.time:g} runs with \\T:={a.time:g} of {a_task.name}"
                 issues.append(at_step("verify.move_time", message, b_task, b))
     return Outcome(tuple(issues), worst, _TIME_TOLERANCE, "s")
+
+
+def _too_short(time: float) -> str:
+    return f"the move takes {mm(time):.3g} ms, and no controller plans a move in less than {mm(SHORTEST):g} ms"
 
 
 def speed_data(context: Context) -> Outcome:
