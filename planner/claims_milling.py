@@ -32,12 +32,14 @@ class MillsSurface:
 class MillsAlong:
     """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
     to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
-    ``turn`` [rad]; it passes all of them."""
+    ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
+    first one counts for nothing."""
 
     segment: str
     arm: str
     tip: NDArray[np.float64]
     axis: NDArray[np.float64]
+    feed: NDArray[np.float64]
     tolerance: float
     turn: float
 

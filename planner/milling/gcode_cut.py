@@ -18,7 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.milling import gcode
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.gcode_rows import Event
-from planner.milling.thin import filled, thinned
+from planner.milling.thin import filled, parted, thinned
 from planner.milling.values import Run, ToolPath
 
 FloatArray = NDArray[np.float64]
@@ -32,6 +32,8 @@ STILL: Final = 1e-6
 """Rows nearer to one another than this [m] are one place."""
 ALIKE: Final = 1.05
 """Feeds that differ by less than this factor are thinned together, at the lowest of them."""
+NEAR: Final = 2.0
+"""Feeds change within so many tolerances of their place: there are targets so far before and behind it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +72,7 @@ def passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Passes:
             if e.kind == "dwell" and first < e.at - 1 <= last
         ]
         name = f"{cut.name}_{number + 1}"
-        run = _run(name, path[first : last + 1], waits, asked, CHORD * tolerance, step)
+        run = _run(name, path[first : last + 1], waits, asked, tolerance, step)
         runs += [] if run is None else [run]
     if not runs:
         what = "no cut of the file goes anywhere; give the G-code of the job"
@@ -126,12 +128,12 @@ def _run(
     path: ToolPath,
     waits: Sequence[tuple[int, float]],
     asked: str,
-    chord: float,
+    tolerance: float,
     step: float,
 ) -> Run | None:
     """A pass, thinned; None where it goes nowhere."""
     points = np.stack([path.tip, path.tip + LEVER * path.axis], axis=1)
-    rows = _kept(points, path.feed, [row for row, _ in waits], chord, step)
+    rows = _kept(points, path.feed, [row for row, _ in waits], CHORD * tolerance, step)
     if len(rows) < 2:
         return None
     lowest = np.minimum.reduceat(path.feed, rows[:-1] + 1)
@@ -141,8 +143,11 @@ def _run(
         path.tip[rows], path.axis[rows], feed, kind, path.spindle[rows], path.tool[rows], path.line[rows]
     )
     stops = [(int(np.searchsorted(rows, row)), seconds) for row, seconds in waits]
+    change = np.append(np.append(False, _differ(thin.feed[1:-1], thin.feed[2:])), False)
+    by, tip, axis = parted(thin.tip, thin.axis, change, NEAR * tolerance)
     # a long move gets places of its own, or a spin about the tool would have to turn all at once
-    to, tip, axis = filled(thin.tip, thin.axis, step)
+    to, tip, axis = filled(tip, axis, step)
+    to = by[to]
     own = ToolPath(
         tip,
         axis,
@@ -154,6 +159,11 @@ def _run(
     )
     held = [(int(np.searchsorted(to, min(at, len(rows) - 1), "right")) - 1, s) for at, s in stops]
     return Run(name, own, 0, len(own) - 1, 0.0, before=asked, waits=tuple(held), follow=path)
+
+
+def _differ(before: FloatArray, after: FloatArray) -> NDArray[np.bool_]:
+    """Whether feeds (N,) are so different that their change counts."""
+    return np.maximum(before, after) > ALIKE * np.minimum(before, after)
 
 
 def _kept(points: FloatArray, feed: FloatArray, waits: Sequence[int], chord: float, step: float) -> IntArray:

@@ -73,24 +73,28 @@ def _shape(job: Job, one: Done) -> list[Claim]:
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
     for run in one.runs:
-        for way, (tip, axis) in _ways(job, run).items():
-            out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, near, TURN))
+        for way, (tip, axis, feed) in _ways(job, run).items():
+            out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, feed, near, TURN))
     return out
 
 
-def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Tips and axes (N, 3) of a pass, and of the ways from the safe plane and back to it, by what they add to
-    its name: nothing else of the block is to be milled than what lies along these."""
+def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
+    """Tips and axes (N, 3) of a pass with the feeds (N,) [m/s] on the way to each, and of the ways from the
+    safe plane and back to it, by what they add to its name: nothing else of the block is to be milled than
+    what lies along these."""
     path, main = run.path, _followed(run)
     start, end = ends(job.operation, run, job.box)
+    plunge, rapid = job.operation.plunge_mm_s * MM, job.operation.rapid_mm_s * MM
     return {
         "_in": (
             np.concatenate([start[None], path.tip[: run.first + 1]]),
             np.concatenate([path.axis[:1], path.axis[: run.first + 1]]),
+            np.concatenate([[plunge, plunge], path.feed[1 : run.first + 1]]),
         ),
-        "": (main.tip, main.axis),
+        "": (main.tip, main.axis, np.concatenate([main.feed[1:2], main.feed[1:]])),
         "_out": (
             np.concatenate([path.tip[run.last :], end[None]]),
             np.concatenate([path.axis[run.last :], path.axis[-1:]]),
+            np.concatenate([[rapid], path.feed[run.last + 1 :], [rapid]]),
         ),
     }

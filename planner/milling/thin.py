@@ -35,6 +35,33 @@ def filled(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntArray, Fl
     count = np.maximum(np.ceil(way / step - 1e-9).astype(np.int64), 1)
     to = np.repeat(np.arange(1, len(tip)), count)
     share = (np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[to - 1]
+    return _placed(tip, axis, to, share)
+
+
+def parted(
+    tip: FloatArray, axis: FloatArray, change: NDArray[np.bool_], near: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """As :func:`filled`, with places ``near`` [m] before and behind those of ``change`` (N,), or half-way
+    where the way is short; none on ways that are not much longer than that.
+
+    Speeds change over half of the shorter move at a place: so they do within ``near`` of these places.
+    """
+    way = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    first, last, long = change[:-1], change[1:], way > 1.5 * near
+    short = first & last & (way < 2.5 * near)
+    part = near / np.maximum(way, 1e-9)
+    early, late = np.where(short, 0.5, part), 1.0 - part
+    shares = np.stack([np.where(long & first, early, 1.0), np.where(long & last & ~short, late, 1.0)], axis=1)
+    shares = np.concatenate([shares, np.ones((len(way), 1))], axis=1)
+    kept = np.concatenate([shares[:, :2] < 1.0, np.ones((len(way), 1), dtype=bool)], axis=1)
+    to = np.repeat(np.arange(1, len(tip)), kept.sum(axis=1))
+    return _placed(tip, axis, to, shares[kept])
+
+
+def _placed(
+    tip: FloatArray, axis: FloatArray, to: IntArray, share: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Places at ``share`` (M - 1,) of the moves to rows ``to`` (M - 1,), behind the first place."""
     between = np.flatnonzero(share < 1.0)
     tips, axes = tip[to], axis[to]
     end, part = to[between], share[between, None]

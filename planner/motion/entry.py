@@ -108,8 +108,8 @@ def require_home(scene: Scene, targets: Targets) -> None:
             value=distance,
             limit=scene.settings.clearance / MM,
             unit="mm",
-            hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned away, "
-            "or move what is in the way",
+            hint="choose another home posture (home_deg), such as with axis 2 drawn back or axis 1 turned "
+            "away, or move what is in the way",
         )
     )
 

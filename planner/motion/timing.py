@@ -34,7 +34,8 @@ corners."""
 
 GRID_PER_KNOT: Final = 2
 SHORTEST: Final = 6e-3
-"""Least time of a move [s], also of one that hardly goes anywhere; controllers plan none in less than 5 ms."""
+"""Least time of a move [s], also of one that hardly goes anywhere: controllers plan none in less than 5 ms.
+"""
 
 LEAST_GRID: Final = 100
 MANY_PIECES: Final = 500

@@ -26,11 +26,15 @@ AHEAD = 0.05
 @dataclasses.dataclass(frozen=True)
 class Followed:
     """Of T samples: how far the tip is ``off`` its way (T,) [m] and the axis ``turn`` (T,) [rad] off the one
-    that is wanted there; ``missed``: how many places of the way no sample and no move between two passes."""
+    that is wanted there; ``missed``: how many places of the way no sample and no move between two passes.
+    ``at`` (T,) [m]: how far along the way each sample is, places being ``along`` (K,) [m], turns with
+    ``LEVER``; it never falls."""
 
     off: FloatArray
     turn: FloatArray
     missed: int
+    at: FloatArray
+    along: FloatArray
 
 
 def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
@@ -43,7 +47,7 @@ def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
     """
     way = _Way(claim)
     count = len(tip)
-    off, turn = np.empty(count), np.empty(count)
+    off, turn, at = np.empty(count), np.empty(count), np.empty(count)
     stretch, share = 0, 0.0
     missed = way.skipped(tip[:1], axis[:1], -1, 0, _step(tip[:2], axis[:2]))
     tips, axes = tip.tolist(), axis.tolist()
@@ -51,13 +55,15 @@ def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
         near = way.put(tips[i], axes[i], stretch, share)
         off[i], turn[i] = near.apart, near.angle
         if near.cost > 1.0:
+            at[i] = way.at(stretch, share)
             continue
         if near.stretch > stretch:
             pair = [max(i - 1, 0), i]
             missed += way.skipped(tip[pair], axis[pair], stretch, near.stretch)
         stretch, share = near.stretch, near.share
+        at[i] = way.at(stretch, share)
     missed += way.skipped(tip[-1:], axis[-1:], stretch, len(way.step), _step(tip[-2:], axis[-2:]))
-    return Followed(off, turn, missed)
+    return Followed(off, turn, missed, at, np.array(way.along))
 
 
 def looks(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
@@ -108,11 +114,15 @@ class _Way:
         self.leans: list[Row] = lean.tolist()
         self.sizes: list[Row] = np.stack([square, leant, angle], axis=1).tolist()
 
+    def at(self, stretch: int, share: float) -> float:
+        """How far along the way [m] a share of a stretch is."""
+        return self.along[stretch] + share * (self.along[stretch + 1] - self.along[stretch])
+
     def put(self, tip: Row, axis: Row, stretch: int, share: float) -> _Near:
         """Where a sample is on the stretches ahead, from ``share`` of ``stretch`` on: the first one that it
         keeps the tolerances to, or the nearest of those that follow it as long as it keeps them, of equal
         ones the first; where it keeps them to none, the nearest of all."""
-        here = self.along[stretch] + share * (self.along[stretch + 1] - self.along[stretch])
+        here = self.at(stretch, share)
         end = bisect_left(self.along, here + AHEAD + 20.0 * self.claim.tolerance)
         end = min(max(end, stretch + 1), len(self.step))
         near = best = self._near(tip, axis, stretch, share)

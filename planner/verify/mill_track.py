@@ -15,6 +15,7 @@ from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
 from planner.tool_heads import Cutter
 from planner.verify.context import Context
+from planner.verify.mill_follow import Followed, follow, looks
 from planner.verify.speed import during
 
 FloatArray = NDArray[np.float64]
@@ -79,6 +80,7 @@ class Milling:
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._places: dict[tuple[bytes, float], FloatArray] = {}
+        self._followed: dict[tuple[int, str], tuple[IntArray, Followed]] = {}
 
     @property
     def surfaces(self) -> tuple[tuple[int, MillsSurface], ...]:
@@ -123,6 +125,16 @@ class Milling:
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
         return self._tracks[key]
+
+    def followed(self, index: int, claim: MillsAlong) -> tuple[IntArray, Followed] | None:
+        """How the claimed way is followed at those samples of its track whose rows come first; None where the
+        track has none."""
+        key = (index, claim.segment)
+        track = self.track(index, claim.arm, (claim.segment.lower(),))
+        if key not in self._followed and len(track.rows):
+            some = looks(track.tip, track.axis, claim.tolerance)
+            self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
+        return self._followed.get(key)
 
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion

@@ -12,6 +12,7 @@ from planner.issues import Issue
 from planner.problem import Stock
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
+from planner.verify.mill_pace import allowed
 from planner.verify.mill_track import WAYS, Milling, Track
 from planner.verify.power_asked import confirmed
 from planner.verify.setups import MILL
@@ -27,7 +28,8 @@ FEED_SLACK = 1.05
 
 
 def mill_feed(context: Context, milling: Milling) -> Outcome:
-    """While it mills, and on its ways in and out, the tip moves no faster than it may."""
+    """While it mills, and on its ways in and out, the tip moves no faster than it may at each place of its
+    way."""
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
@@ -41,20 +43,33 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
         time = np.diff(motion.time[track.rows])
         speed = np.linalg.norm(np.diff(track.tip, axis=0), axis=1) / np.maximum(time, 1e-6)
         speed = np.where(track.joined, speed, 0.0)
-        share = speed / claim.upper
+        limit = np.minimum(_there(milling, index, claim.segment, len(speed) + 1), claim.upper)
+        share = speed / limit
         if share.max() > worst:
             worst, where = float(share.max()), claim.segment
         bad = np.flatnonzero(share > FEED_SLACK)
         for k in bad[:: max(1, len(bad) // SHOWN)]:
-            what = (
-                f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; allowed: {mm(claim.upper):g}"
-            )
-            measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
+            what = f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; "
+            what += f"allowed there: {mm(limit[k]):g}"
+            measure = (mm(float(speed[k])), mm(float(limit[k])), "mm/s")
             issues.append(at_sample("verify.mill_feed", what, motion, arm, int(track.rows[k + 1]), measure))
     fed = {claim.segment.lower() for claim in claims}
     lacks = sorted(label for label in _labels(context) if label not in fed)
     issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
     return Outcome(tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NONE)
+
+
+def _there(milling: Milling, index: int, segment: str, count: int) -> FloatArray:
+    """The feed (T - 1,) [m/s] from each of T samples of a segment to the next, by the way that is claimed of
+    it; without bounds where none is."""
+    out = np.full(count - 1, np.inf)
+    for setup, claim in milling.curves:
+        if setup != index or claim.segment.lower() != segment.lower() or len(claim.feed) < 2:
+            continue
+        known = milling.followed(index, claim)
+        if known is not None:
+            out = np.minimum(out, allowed(claim, known[0], known[1], count))
+    return out
 
 
 def spindle(context: Context, milling: Milling) -> Outcome:

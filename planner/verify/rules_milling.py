@@ -12,7 +12,6 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
-from planner.verify.mill_follow import follow, looks
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
@@ -134,11 +133,11 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.lower(),))
-        if not len(track.rows):
+        known = milling.followed(index, claim)
+        if known is None:
             issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
             continue
-        some = looks(track.tip, track.axis, claim.tolerance)
-        found = follow(claim, track.tip[some], track.axis[some])
+        some, found = known
         off, turn = found.off, found.turn
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:

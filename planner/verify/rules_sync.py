@@ -187,7 +187,9 @@ def move_time(context: Context) -> Outcome:
 
 
 def _too_short(time: float) -> str:
-    return f"the move takes {mm(time):.3g} ms, and no controller plans a move in less than {mm(SHORTEST):g} ms"
+    return (
+        f"the move takes {mm(time):.3g} ms, and no controller plans a move in less than {mm(SHORTEST):g} ms"
+    )
 
 
 def speed_data(context: Context) -> Outcome:

@@ -60,7 +60,7 @@ def test_feeds_change_where_the_file_changes_them_and_never_rise(tmp_path: Path)
     (run,) = cut(tmp_path, text).runs
     x = run.path.tip[:, 0] * 1e3
     assert 10.0 in x.round(6)
-    np.testing.assert_allclose(run.path.feed[1:] * 60e3, np.where(x[1:] < 10.5, 600, 1200))
+    np.testing.assert_allclose(run.path.feed[1:] * 60e3, np.where(x[1:] < 10.0 + 1e-6, 600, 1200))
 
 
 def test_feeds_that_are_alike_are_thinned_at_the_lowest(tmp_path: Path) -> None:

@@ -41,7 +41,8 @@ WAYS = {
 
 def claim(way: list[tuple[list[float], FloatArray]]) -> MillsAlong:
     tip = np.array([place for place, _ in way], dtype=np.float64) * 1e-3
-    return MillsAlong("mill/a", "robot", tip, np.array([axis for _, axis in way]), TOLERANCE, TURN)
+    axis = np.array([axis for _, axis in way])
+    return MillsAlong("mill/a", "robot", tip, axis, np.full(len(tip), 0.02), TOLERANCE, TURN)
 
 
 def replay(own: MillsAlong, step: float = 0.4e-3) -> tuple[FloatArray, FloatArray]:
