@@ -118,7 +118,10 @@ def build(spec: RuledFile, folder: Path, field: str) -> tuple[Ruled, list[Issue]
     start, end, reverse = aligned(start, end, spec.match)
     notes = []
     if reverse:
-        what = f"surface {spec.name}: its end guide was run the other way, so that rulings do not cross"
+        what = (
+            f"surface {spec.name}: its end guide runs against its start guide and was run the other way, so "
+        )
+        what += "that rulings do not cross; turn its points around in the file"
         notes.append(Issue("part.guide_turned", what, Severity.NOTE, field=f"{field}.end"))
     ruled = join(spec.name, start, end, spec.match, spec.hole)
     if spec.closed:

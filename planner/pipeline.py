@@ -40,8 +40,8 @@ class Outcome:
 
     @property
     def issues(self) -> tuple[Issue, ...]:
-        """All issues of planning and proof, repeats counted."""
-        return aggregate((*self.plan.issues, *self.proof.issues))
+        """All issues of part, planning and proof, repeats counted."""
+        return aggregate((*_notes(self.problem), *self.plan.issues, *self.proof.issues))
 
     def save(self, folder: str | Path, progress: Progress | None = None) -> None:
         """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
@@ -83,12 +83,18 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
 
 def check(problem: Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
+    notes = _notes(problem)
     try:
         targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
-        found = [issue for item in targets for issue in item.issues]
+        found = [*notes, *(issue for item in targets for issue in item.issues)]
         return aggregate([*found, *write.refusals(problem, targets), *solve.check(problem, targets)])
     except TandemError as error:
-        return error.issues
+        return (*notes, *error.issues)
+
+
+def _notes(problem: Problem) -> tuple[Issue, ...]:
+    """What was put right, or is to be known, on the way from the file to the part."""
+    return problem.part.notes if problem.part is not None else ()
 
 
 def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.rulings import tessellate
 from planner.issues import Issue, TandemError
-from planner.milling import engrave_cut, flank_cut, gcode_cut, lines_cut
+from planner.milling import engrave_cut, flank_cut, gcode_cut, inset, lines_cut
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.over import Over
@@ -132,8 +132,12 @@ def _program(op: Milling, cut: GCodeCut, field: str) -> tuple[Done, tuple[Issue,
 def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter) -> Done:
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     if isinstance(cut, LinesCut):
-        runs = tuple(lines_cut.runs(op, cut, over, cutter))
-        return Done(cut, runs, Face("front", front), tolerance)
+        if cut.margin_mm == 0.0:
+            return Done(cut, tuple(lines_cut.runs(op, cut, over, cutter)), Face("front", front), tolerance)
+        # what the margin leaves out is not made, so it is not wanted either
+        area = inset.inner(front, cut.margin_mm * MM)
+        runs = tuple(lines_cut.runs(op, cut, over, cutter, area))
+        return Done(cut, runs, Face("front", inset.clipped(front, area)), tolerance)
     return Done(cut, tuple(engrave_cut.runs(op, cut, over, cutter)), None, tolerance, depth=cut.depth_mm * MM)
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
+from planner.milling.inset import within
 from planner.milling.operation import LinesCut, Milling
 from planner.milling.over import Over, Places
 from planner.milling.point import leant, ridge_step, tips
@@ -18,6 +21,8 @@ from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
+EDGE: Final = 1e-6
+"""Lines keep so far [m] inside the edge, on which a place is neither on the face nor off it."""
 ALONG: Final = 0.5 * MM
 """Distance of the places at which a line is laid on the face."""
 LEVER: Final = 0.05
@@ -29,15 +34,18 @@ BEND: Final = 2.0 * MM
 """Distance over which the bend of the face across a line is measured."""
 
 
-def runs(op: Milling, cut: LinesCut, over: Over, cutter: Cutter) -> list[Run]:
-    """The lines in order, those that follow one another joined. Raises ``TandemError`` with codes
-    ``milling.*``."""
+def runs(
+    op: Milling, cut: LinesCut, over: Over, cutter: Cutter, area: shapely.Geometry | None = None
+) -> list[Run]:
+    """The lines in order, those that follow one another joined, in ``area`` [m] of the plan alone. Raises
+    ``TandemError`` with codes ``milling.*``."""
     turn = cut.angle_deg * DEG
     way, side = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
     corners = np.array([[x, y] for x in (over.low[0], over.high[0]) for y in (over.low[1], over.high[1])])
-    margin = cut.margin_mm * MM + 1e-6
-    ends = [(corners @ axis).min() + margin for axis in (way, side)]
-    tops = [(corners @ axis).max() - margin for axis in (way, side)]
+    if area is not None:
+        corners = shapely.get_coordinates(area)
+    ends = [(corners @ axis).min() + EDGE if len(corners) else 0.0 for axis in (way, side)]
+    tops = [(corners @ axis).max() - EDGE if len(corners) else 0.0 for axis in (way, side)]
     if min(tops[0] - ends[0], tops[1] - ends[1]) <= 0.0:
         raise TandemError(
             Issue(
@@ -52,6 +60,8 @@ def runs(op: Milling, cut: LinesCut, over: Over, cutter: Cutter) -> list[Run]:
     pieces: list[list[tuple[FloatArray, FloatArray]]] = []
     for number, offset in enumerate(offsets):
         laid = over.at(places + offset * side)
+        if area is not None:
+            laid = dataclasses.replace(laid, on=laid.on & within(area, places + offset * side))
         for first, last in _pieces(laid):
             rows = np.arange(first, last + 1)
             flip = cut.zigzag and number % 2 == 1

@@ -69,7 +69,8 @@ class LinesCut(_Cut):
     angle_deg: Annotated[Angle, Field(description="of the lines, about z from x")] = 0.0
     zigzag: Annotated[bool, Field(description="every other line the other way")] = True
     margin_mm: Annotated[
-        float, Field(ge=0, le=500, description="how far from the face's edge lines begin and end")
+        float,
+        Field(ge=0, le=500, description="width of the strip along the face's edge that is left as it is"),
     ] = 0.0
     axis: Literal["normal", "upright"] = "normal"
     lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import processes
+from planner import pipeline, processes
 from planner.issues import Issue, Severity, TandemError
 from planner.motion import solve
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
@@ -204,3 +204,17 @@ def test_every_inner_corner_of_a_closed_hole_is_named(tmp_path: Path) -> None:
     found = issues(tmp_path, WALL, part=part, cuts=[{"flank": "wall", "lead_mm": 0}])
     named = {i.message.split(" degrees at ")[1].split(" mm")[0] for i in found if i.code == "milling.corner"}
     assert len(named) == 4
+
+
+def test_guides_that_run_against_each_other_are_told_and_give_the_same_job(tmp_path: Path) -> None:
+    """The note names the surface, its guide and what to do."""
+    own = WALL["part"]["ruled"][0]
+    back = {"bspline_mm": own["end"]["bspline_mm"][::-1]}
+    turned = {"ruled": [{**own, "end": back}], "in_stock": {}}
+    (note,) = pipeline.check(problem(tmp_path, WALL, part=turned))
+    assert (note.code, note.severity) == ("part.guide_turned", Severity.NOTE)
+    assert note.field == "part.ruled.0.end"
+    assert "wall" in note.message and "turn its points around" in note.message
+    wanted, got = (processes.make_targets(problem(tmp_path, WALL, part=p), 0) for p in (WALL["part"], turned))
+    np.testing.assert_allclose(got.pose["robot"], wanted.pose["robot"], atol=1e-7)
+    assert pipeline.check(problem(tmp_path, WALL)) == ()
