@@ -1,4 +1,4 @@
-"""Writes tables of fields (``docs/problem_file.md``, ``docs/batch.md``) and rules (``docs/proof.md``) from the code.
+"""Writes tables from the code: fields of problem and batch files, and the rules of the proof, into ``docs/``.
 
 Run ``python docs/make_reference.py`` after a change of a schema; a test compares the file with what this
 writes.

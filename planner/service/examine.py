@@ -75,6 +75,10 @@ def examine(
         from planner import pipeline  # loads Drake
 
         found += [issue for issue in pipeline.check(read) if issue not in found]
+    drawn: list[dict[str, Any]] = []
+    if draw:
+        drawn, faults = shapes(read)
+        found += [issue for issue in faults if issue not in found]
     return Examined(
         issues=uploaded.told(found),
         name=read.name,
@@ -83,7 +87,7 @@ def examine(
         text=text,
         files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
         summary=_summary(read),
-        shapes=tuple(shapes(read)) if draw else (),
+        shapes=tuple(drawn),
     )
 
 

@@ -7,8 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.issues import Issue
 from planner.problem import Mesh, Problem
 from planner.report.sweep import part_meshes
+from planner.service.page.paths import paths
 from planner.units import MM
 
 FINEST: Final = 60_000
@@ -17,15 +19,17 @@ CELLS: Final = (400, 200, 100, 50)
 """Vertices within the same cell become one; so many cells along the longest side, until it is few enough."""
 
 
-def shapes(problem: Problem) -> list[dict[str, Any]]:
-    """Bodies in the stock's frame [mm]: ``name``, ``kind`` (part, stock), ``vertices`` and ``faces``, both
-    flat lists."""
+def shapes(problem: Problem) -> tuple[list[dict[str, Any]], list[Issue]]:
+    """Bodies in the stock's frame [mm]: ``name``, ``kind`` (part, path, stock), ``vertices`` and ``faces``,
+    both flat lists; and what is wrong with tables of poses."""
     named = list(part_meshes(problem.part))
     if problem.part is not None and problem.part.formed is not None:
         named.append(("formed sheet", problem.part.formed.mesh))
     bodies = [_body(name, "part", mesh) for name, mesh in named if len(mesh.faces)]
+    ways, faults = paths(problem)
+    bodies += [_body(name, "path", mesh) for name, mesh in ways]
     bodies.append(_body("sheet" if problem.stock.sheet is not None else "block", "stock", _box(problem)))
-    return bodies
+    return bodies, faults
 
 
 def thinned(mesh: Mesh, most: int = FINEST) -> Mesh:
@@ -61,7 +65,7 @@ def _box(problem: Problem) -> Mesh:
 
 
 def _body(name: str, kind: str, mesh: Mesh) -> dict[str, Any]:
-    thin = thinned(mesh)
+    thin = thinned(mesh) if kind == "part" else mesh
     vertices: NDArray[np.float64] = np.round(thin.vertices / MM, 3)
     return {
         "name": name,

@@ -297,3 +297,90 @@ def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path
         page.wait_for_url("**/ui/login?next=*")
     finally:
         process.stop()
+
+
+def test_every_field_of_the_schema_has_a_part_of_the_form(page: Page, server: str) -> None:
+    """Each definition, each of its fields, and each choice of a field is drawn with a value in it; all that
+    can be filled in has a label."""
+    bundled(page, server, "engrave")
+    drawn, nameless = page.evaluate(
+        """async () => {
+          const { Form } = await import("/ui/static/form.js");
+          const { Schema } = await import("/ui/static/schema.js");
+          const schema = new Schema(await (await fetch("/v1/schema")).json());
+          const host = document.body.appendChild(document.createElement("div"));
+          let drawn = 0;
+          const nameless = [];
+          const draw = (given, name, value) => {
+            const state = { problem: { x: { [name]: value } }, origin: null, files: new Map() };
+            const form = new Form(schema, state, () => {}, () => undefined);
+            host.replaceChildren(form.field(given, ["x", name], false));
+            drawn += 1;
+            for (const one of host.querySelectorAll("input, select, textarea"))
+              if (!one.labels.length && !one.ariaLabel && one.ariaHidden !== "true")
+                nameless.push(`${name}: ${one.id}`);
+          };
+          const filled = (given) => {
+            const { schema: one, choices } = schema.read(given);
+            const kinds = schema.mapOf(one);
+            if (kinds) return [{ [kinds.key.enum?.[0] ?? "a"]: filled(kinds.value)[0] }];
+            if (choices) return choices.map((choice) => filled(choice)[0]);
+            if (one.type === "array" && one.items) return [[filled(one.items)[0]]];
+            return [schema.blank({ ...one, default: undefined })];
+          };
+          for (const given of Object.values(schema.defs))
+            for (const [name, field] of Object.entries(given.properties ?? {})) {
+              draw(field, name, undefined);
+              for (const value of filled(field)) draw(field, name, value);
+            }
+          host.remove();
+          return [drawn, nameless];
+        }"""
+    )
+    assert drawn > 600
+    assert nameless == []
+
+
+def test_fields_that_users_name_are_parts_of_the_form(page: Page, server: str) -> None:
+    """Work offsets of G-code: added, filled, refused at the field, removed."""
+    bundled(page, server, "gcode")
+    offsets = page.locator('[data-path="operations.0.cuts.0.gcode.offsets"]')
+    page.evaluate("import('/ui/static/issues.js').then(i => i.goTo('operations.0.cuts.0.gcode.offsets'))")
+    offsets.locator("select").select_option("G58")
+    offsets.get_by_role("button", name="Add").click()
+    place = offsets.locator('[data-path="operations.0.cuts.0.gcode.offsets.G58"]')
+    place.get_by_label("offsets x").fill("1e6")
+    place.get_by_label("offsets y").fill("0")
+    place.get_by_label("offsets z").fill("-5")
+    expect(place.locator(".fault.error").first).to_contain_text("100000")
+    place.get_by_label("offsets x").fill("10")
+    expect(place.locator(".fault")).to_have_count(0)
+    place.get_by_role("button", name="Remove G58").click()
+    expect(place).to_have_count(0)
+
+
+def test_changes_are_not_lost_without_a_word(page: Page, server: str) -> None:
+    bundled(page, server, "engrave")
+    page.locator("#f-name").fill("mine")
+    page.locator("#example").focus()
+    page.locator("#example").select_option("flank_wall")
+    dialog = page.get_by_role("dialog", name="Drop your changes?")
+    expect(dialog).to_contain_text("1 changed field would be lost")
+    expect(dialog.get_by_role("button", name="Keep them")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(page.locator("#example")).to_have_value("engrave")
+    expect(page.locator("#f-name")).to_have_value("mine")
+    page.locator("input[name=process]:checked").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")  # keeps them
+    expect(page.locator("input[name=process]:checked")).to_have_value("milling")
+    expect(page.locator("input[name=process]:checked")).to_be_focused()
+    expect(page.locator("#f-name")).to_have_value("mine")
+    page.locator("#cell").select_option("kr60_mill")
+    expect(dialog).to_have_count(0)  # no field of the cell was changed
+    page.locator("#example").select_option("flank_wall")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator("#source")).to_have_text("from the bundled problem flank_wall")
+    page.locator("#example").select_option("engrave")
+    expect(page.locator("#source")).to_have_text("from the bundled problem engrave")

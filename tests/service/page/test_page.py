@@ -14,8 +14,10 @@ import pytest
 from planner import pipeline
 from planner.problem import Mesh
 from planner.service.page import examples
+from planner.service.page.paths import bars
 from planner.service.page.routes import ROOT, STATIC
 from planner.service.page.shapes import shapes, thinned
+from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
 from tests.service.support import TABLE, InProcess
 
@@ -146,9 +148,12 @@ def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:
 def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:
     answer = here.post(path="/ui/preview")
     assert answer.status_code == 200
-    (block,) = answer.json()["shapes"]
+    way, block = answer.json()["shapes"]
     vertices = np.array(block["vertices"]).reshape(-1, 3)
     assert np.ptp(vertices, axis=0).tolist() == [100.0, 100.0, 100.0]
+    assert (way["name"], way["kind"]) == ("poses, left", "path")
+    bars = np.array(way["vertices"]).reshape(-1, 8, 3)
+    assert bars.mean(axis=1).tolist() == [[0.0, y, 400.0] for y in range(-40, 41, 20)]
     assert (
         here.http.post(
             "/ui/preview", files=[("problem", ("p", "a: 1")), ("files", ("t.csv", TABLE))]
@@ -161,10 +166,27 @@ def test_the_picture_of_a_part_is_as_large_as_the_part() -> None:
     problem = pipeline.load("cone_spif")
     assert problem.part is not None
     assert problem.part.formed is not None
-    body = next(body for body in shapes(problem) if body["kind"] == "part")
+    body = next(body for body in shapes(problem)[0] if body["kind"] == "part")
     wanted = problem.part.formed.mesh.vertices * 1e3
     got = np.array(body["vertices"]).reshape(-1, 3)
     np.testing.assert_allclose(np.ptp(got, axis=0), np.ptp(wanted, axis=0), rtol=0.02)
+
+
+def test_a_fault_of_a_table_shows_before_planning(here: InProcess) -> None:
+    files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE[:-30]))]
+    answer = here.http.post("/ui/preview", files=files)
+    assert answer.status_code == 200
+    assert not answer.json()["ok"]
+    assert [issue["code"] for issue in answer.json()["issues"]] == ["targets.file"]
+
+
+def test_a_way_is_drawn_as_bars_of_its_length() -> None:
+    """Against the volume of square bars, 2 mm wide."""
+    import trimesh
+
+    made = bars(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.1, 0.2, 0.1]]), 0.002)
+    body = trimesh.Trimesh(made.vertices, made.faces, process=False)
+    assert abs(body.volume) == pytest.approx((0.1 + np.hypot(0.2, 0.1)) * 0.002**2)
 
 
 def test_a_large_mesh_is_thinned_and_keeps_its_shape() -> None:

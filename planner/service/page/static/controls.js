@@ -2,7 +2,7 @@
 import { h } from "./dom.js";
 import { labelOf, number, unitOf } from "./words.js";
 
-const AXES = { xyz_mm: ["x", "y", "z"], rpy_deg: ["roll", "pitch", "yaw"], size_mm: ["x", "y", "z"], opening_mm: ["x", "y"], centre_mm: ["x", "y"], kerf_range_mm: ["from", "to"], turn_deg: ["from", "to"], slide_mm: ["from", "to"], u: ["from", "to"], v: ["from", "to"], lead: ["x", "y", "z"], last: ["x", "y", "z"], start_mm: ["x", "y", "z"], cog_mm: ["x", "y", "z"], roll_pitch_deg: ["roll", "pitch"] };
+const AXES = { xyz_mm: ["x", "y", "z"], rpy_deg: ["roll", "pitch", "yaw"], size_mm: ["x", "y", "z"], opening_mm: ["x", "y"], centre_mm: ["x", "y"], kerf_range_mm: ["from", "to"], turn_deg: ["from", "to"], slide_mm: ["from", "to"], u: ["from", "to"], v: ["from", "to"], lead: ["x", "y", "z"], last: ["x", "y", "z"], start_mm: ["x", "y", "z"], cog_mm: ["x", "y", "z"], offsets: ["x", "y", "z"], roll_pitch_deg: ["roll", "pitch"] };
 
 export function rangeOf(schema) {
   const low = schema.minimum ?? schema.exclusiveMinimum;
@@ -131,40 +131,38 @@ export function table(field, value, set) {
   return input;
 }
 
+// A few of the words that are known, in order, none twice: one choice for each, and one more while there is room.
+export function slots(field, schema, options, value, set) {
+  const chosen = Array.isArray(value) ? value : [];
+  const most = Math.min(schema.maxItems ?? schema.prefixItems?.length ?? options.length, Math.max(options.length, chosen.length));
+  const count = Math.min(chosen.length + 1, most);
+  return h("span", { class: "slots", role: "group", "aria-label": labelOf(field.name) }, Array.from({ length: Math.max(count, 1) }, (_, i) => {
+    const left = options.filter((one) => one === chosen[i] || !chosen.includes(one));
+    const words = left.includes(chosen[i]) || chosen[i] === undefined ? left : [chosen[i], ...left];
+    const own = { id: i ? `${field.id}-${i}` : field.id, none: i < (schema.minItems ?? 0) ? "choose" : chosen[i] === undefined && i ? "add one" : "none" };
+    const pick = select(own, words.map((one) => [String(one), options.includes(one) ? plainWord(one) : `${one} (unknown)`, one]), chosen[i], (v) => {
+      const all = [...chosen];
+      if (v === undefined || v === null) all.splice(i, 1);
+      else all[i] = v;
+      set(all.length ? all : field.empty);
+    });
+    pick.setAttribute("aria-label", `${labelOf(field.name)} ${i + 1}`);
+    return pick;
+  }));
+}
+
 // Names with commas between them.
-export function names(field, schema, value, set, suggestions = []) {
-  const known = schema.items?.enum ?? suggestions;
+export function names(field, schema, value, set) {
   const input = h("input", {
     id: field.id,
     type: "text",
     spellcheck: false,
     autocomplete: "off",
     value: (value ?? []).join(", "),
-    placeholder: known.join(", "),
+    placeholder: "names, with commas between them",
     oninput: () => {
       const all = input.value.split(",").map((one) => one.trim()).filter(Boolean);
       set(all.length ? all : field.empty);
-    },
-  });
-  return input;
-}
-
-// What has no form of its own, as JSON.
-export function data(field, value, set) {
-  const input = h("textarea", {
-    id: field.id,
-    rows: 4,
-    spellcheck: false,
-    value: value === undefined ? "" : JSON.stringify(value, null, 1),
-    oninput: () => {
-      if (!input.value.trim()) return set(field.empty);
-      try {
-        const made = JSON.parse(input.value);
-        input.classList.remove("invalid");
-        set(made);
-      } catch {
-        input.classList.add("invalid");
-      }
     },
   });
   return input;

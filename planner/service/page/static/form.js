@@ -1,6 +1,7 @@
 // A form made from the JSON schema of problem files. Every value has a place, [data-path], where its issues show.
 import * as controls from "./controls.js";
 import { h, icon } from "./dom.js";
+import { mapField } from "./maps.js";
 import { at, put } from "./schema.js";
 import { labelOf } from "./words.js";
 
@@ -82,16 +83,18 @@ export class Form {
     return [...main, rest];
   }
 
-  field(given, path, required) {
+  field(given, path, required, own = {}) {
     const name = path[path.length - 1];
     const { schema, nullable, choices } = this.schema.read(given);
     const value = this.value(path);
     const id = `f-${path.join("-")}`;
-    const field = { id, name: String(name), required: required && !nullable, empty: required && !nullable ? null : undefined };
+    const field = { id, name: String(name), required: required && !nullable, empty: required && !nullable ? null : undefined, ...own };
     const set = (v) => this.set(path, v);
     if (choices) return this.union(field, schema, choices, path, value, required, nullable);
     if (schema.type === "object" && schema.properties) return this.group(field, schema, path, value, required, nullable);
     if (schema.type === "array" && !schema.prefixItems && this.isList(schema)) return this.list(field, schema, path, value, nullable);
+    const kinds = this.schema.mapOf(schema);
+    if (kinds) return mapField(this, field, schema, kinds, path, value, !required);
     const control = this.control(field, schema, value, set, path, nullable);
     return this.wrap(field, path, schema, control, schema.type === "boolean" && !nullable);
   }
@@ -114,9 +117,13 @@ export class Form {
       return controls.table({ ...field, flat: items.type !== "array" }, value ?? schema.default, set);
     }
     if (schema.type === "array" && schema.prefixItems && this.schema.isNumbers(schema)) return controls.tuple(field, schema, value, set);
-    if (schema.type === "array") return controls.names(field, schema, value, set, known?.entries?.map(([key]) => key));
+    if (schema.type === "array") {
+      const options = this.schema.itemsOf(schema).enum ?? known?.entries?.map(([key]) => key);
+      if (options) return controls.slots(field, schema, options, value ?? schema.default, (v) => this.reshape(path, v));
+      return controls.names(field, schema, value, set);
+    }
     if (schema.type === "string") return controls.textInput(field, schema, value, set, known?.entries?.map(([key]) => key));
-    return controls.data(field, value, set);
+    throw new Error(`${path.join(".")}: the form has no part for ${schema.type}`);
   }
 
   file(field, value, path) {
@@ -144,7 +151,7 @@ export class Form {
     const place = h(
       "div",
       { class: `field${inline ? " inline" : ""}`, data: { path: path.join(".") } },
-      h("label", { htmlFor: field.id }, labelOf(field.name), field.required ? h("span", { class: "must", title: "must be given" }, " *") : null),
+      h("label", { htmlFor: field.id }, field.label ?? labelOf(field.name), field.required ? h("span", { class: "must", title: "must be given" }, " *") : null),
       h("div", { class: "control" }, names),
       h("p", { class: "help", id: `${field.id}-help` }, help),
       h("p", { class: "was", hidden: true }),

@@ -1,5 +1,6 @@
 // Makes a job: where to begin, cell, part, operations; the part and what is wrong with it show at once.
 import { json, post, Refused, upload } from "./api.js";
+import { ask } from "./ask.js";
 import { drawCells, takeCell } from "./cell.js";
 import { banner, tell } from "./common.js";
 import { $, announce, h, icon, later, show } from "./dom.js";
@@ -11,8 +12,9 @@ import { differences, put, Schema } from "./schema.js";
 import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
 import { Viewer } from "./viewer.js";
 
+const BY_ARM = ["arms", "arm", "held_by", "signals", "tools", "io"];
 const asked = new URLSearchParams(location.search);
-const state = { problem: {}, origin: {}, files: new Map(), process: "", example: "", shown: "" };
+const state = { problem: {}, origin: {}, files: new Map(), given: new Map(), cell: {}, process: "", example: "", shown: "" };
 const viewer = new Viewer($("canvas"), $("labels"));
 let form = null;
 let examples = {};
@@ -39,25 +41,52 @@ async function begin() {
     wire_material: { strict: true, entries: titled("wire") },
   };
   const arms = () => ({ entries: (state.problem.cell?.arms ?? []).map((arm) => [arm.name]) });
-  form = new Form(new Schema(schema), state, changed, (name) => (name === "arms" || name === "arm" || name === "held_by" ? arms() : lists[name]));
+  form = new Form(new Schema(schema), state, changed, (name) => (BY_ARM.includes(name) ? arms() : lists[name]));
   form.drawn = () => afterwards();
   if (!viewer.works) $("view-empty").textContent = "This browser draws no 3D (WebGL 2); sizes are shown all the same.";
   drawProcesses("", chooseProcess);
   if (asked.has("job")) take(await fromJob(asked.get("job")));
-  else if (asked.has("example")) await chooseExample(asked.get("example"));
+  else if (asked.has("example")) await begun(asked.get("example"));
   else if (asked.has("process")) await chooseProcess(asked.get("process"));
 }
 
+// What was changed and not sent, in words; nothing where all is as it came.
+function unsent() {
+  const fields = differences(state.origin, state.problem).length;
+  const files = [...state.files].filter(([name, file]) => state.given.get(name) !== file).length;
+  const said = [fields && `${fields} changed field${fields > 1 ? "s" : ""}`, files && `${files} file${files > 1 ? "s" : ""} that you chose`];
+  return said.filter(Boolean).join(" and ");
+}
+
+// Whether another start may take the place of this one.
+async function mayLeave(yes) {
+  const lost = unsent();
+  return !lost || (await ask(`${lost.charAt(0).toUpperCase()}${lost.slice(1)} would be lost; nothing of it has been sent yet.`, yes));
+}
+
+// The choices as they are, after one that was taken back.
+function back() {
+  drawProcesses(state.process, chooseProcess);
+  $("example").value = state.example;
+  document.querySelector("input[name=process]:checked")?.focus();
+}
+
 async function chooseProcess(name) {
+  if (!(await mayLeave("Drop them and begin anew"))) return back();
   state.process = name;
   drawProcesses(name, chooseProcess);
   const some = drawExamples(examples, name, "", chooseExample);
-  const first = some.find(([, one]) => one.feasible && one.processes[0] === name) ?? some[0];
-  if (first) await chooseExample(first[0]).catch(tell);
+  const first = some.find(([, one]) => one.feasible && one.processes.length === 1) ?? some[0]; // the plainest
+  if (first) await begun(first[0]).catch(tell);
 }
 
 async function chooseExample(name) {
   if (!name) return;
+  if (await mayLeave(`Drop them and begin with ${name}`)) return begun(name);
+  $("example").value = state.example;
+}
+
+async function begun(name) {
   const own = ++choices; // an earlier choice whose files come later is past
   try {
     const found = await fromExample(name);
@@ -70,7 +99,7 @@ async function chooseExample(name) {
 }
 
 function take({ problem, files, source }) {
-  Object.assign(state, { problem, origin: structuredClone(problem), files, shown: "" });
+  Object.assign(state, { problem, origin: structuredClone(problem), files, given: new Map(files), cell: structuredClone(problem.cell), shown: "" });
   const process = problem.operations?.[0]?.process ?? state.process;
   if (process !== state.process && !examples[state.example]?.processes.includes(state.process)) state.process = process;
   drawProcesses(state.process, chooseProcess);
@@ -107,8 +136,11 @@ function afterwards() {
 
 const fieldOf = (issue) => fieldOfFile(state.problem, issue);
 
-function chooseCell(name) {
+async function chooseCell(name) {
+  const lost = differences(state.cell, state.problem.cell).length;
+  if (lost && !(await ask(`${lost} changed field${lost > 1 ? "s" : ""} of this cell would be lost.`, `Drop and take ${name}`))) return afterwards();
   takeCell(state.problem, cells[name]);
+  state.cell = structuredClone(cells[name]);
   draw();
   changed(["cell"]);
   announce(`Cell ${name}`);
@@ -155,7 +187,8 @@ function present(bodies, box, note, stock = null) {
   $("size").textContent = size;
   $("view-title").textContent = part.length ? "Part" : "Stock";
   $("canvas").setAttribute("aria-label", `3D view of the ${part.length ? "part" : "stock"}, ${size}${stock ? `; stock ${sizeText(stock)}` : ""}`);
-  $("legend").replaceChildren(...(stock ? [h("i", { class: "swatch stock" }), `stock ${sizeText(stock)}`] : []));
+  const ways = bodies.some((body) => body.kind === "path");
+  $("legend").replaceChildren(...(ways ? [h("i", { class: "swatch path" }), "way of the tool "] : []), ...(stock ? [h("i", { class: "swatch stock" }), `stock ${sizeText(stock)}`] : []));
 }
 
 async function check() {
@@ -211,6 +244,7 @@ async function addFiles(list) {
 }
 
 async function openProblem(list) {
+  if (!(await mayLeave("Drop them and open the file"))) return;
   state.example = "";
   choices += 1;
   try {
@@ -239,6 +273,7 @@ async function start() {
   say("busy", "Sending …");
   try {
     const made = await (await post("/v1/jobs", { body: upload(state.problem, wanted(state)) })).json();
+    state.sent = true;
     location.assign(`/ui/jobs/${made.id}`);
   } catch (error) {
     if (error instanceof Refused) tellIssues(error.issues, false);
@@ -273,6 +308,7 @@ for (const name of ["dragover", "drop"])
     if (name === "drop" && form && !$("rest").hidden) addFiles([...event.dataTransfer.files]);
     else if (name === "drop" && form) openProblem([...event.dataTransfer.files]);
   });
+addEventListener("beforeunload", (event) => !state.sent && unsent() && event.preventDefault());
 addEventListener("dragleave", () => $("drop").classList.remove("over"));
 
 await begin().catch(tell);

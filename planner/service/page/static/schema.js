@@ -87,6 +87,20 @@ export class Schema {
     return null;
   }
 
+  // {key, value} schemas of an object whose fields the user names; null for others.
+  mapOf(schema) {
+    if (schema.type !== "object" || schema.properties) return null;
+    const [pattern, value] = Object.entries(schema.patternProperties ?? {})[0] ?? [undefined, schema.additionalProperties];
+    if (!value || typeof value !== "object") return null;
+    const named = this.plain(schema.propertyNames ?? {});
+    return { key: pattern ? { ...named, pattern } : named, value };
+  }
+
+  // What the items of a list are, where all are of one kind.
+  itemsOf(schema) {
+    return this.plain(schema.items ?? schema.prefixItems?.[0] ?? {});
+  }
+
   titleOf(schema) {
     const one = this.plain(schema);
     if ("const" in one) return String(one.const);

@@ -44,7 +44,7 @@ export class Viewer {
     for (const body of this.bodies) this.drop(body);
     this.bodies = bodies.map((body) => this.load(body));
     const wanted = bodies.filter((body) => body.kind === "part");
-    this.box = joined((wanted.length ? wanted : bodies).map((body) => boxOf(body.vertices)));
+    this.box = joined((wanted.length ? wanted : bodies.filter((body) => body.kind === "stock")).map((body) => boxOf(body.vertices)));
     this.whole = joined(bodies.map((body) => boxOf(body.vertices)));
     this.stock = joined(bodies.filter((body) => body.kind === "stock").map((body) => boxOf(body.vertices))) ?? this.whole;
     if (this.lines) this.drop(this.lines);
@@ -151,7 +151,7 @@ export class Viewer {
     this.stroke("grid", this.colours.grid, 0.9);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1, 1);
-    for (const body of this.bodies) if (body.kind !== "stock") this.fill(body, this.colours.part, 1);
+    for (const body of this.bodies) if (body.kind !== "stock") this.fill(body, body.kind === "path" ? this.colours.measure : this.colours.part, 1);
     gl.disable(gl.POLYGON_OFFSET_FILL);
     this.stroke("part", this.colours.measure, 0.9);
     gl.depthMask(false);

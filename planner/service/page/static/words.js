@@ -17,7 +17,9 @@ const UNITS = [
 ];
 const ACRONYMS = { tcp: "TCP", naca: "NACA", dxf: "DXF", gcode: "G‑code", io: "I/O", cog: "centre of mass", xyz: "Position", rpy: "Roll, pitch, yaw", u: "u", v: "v" };
 
-export const unitOf = (name) => UNITS.find(([suffix]) => name.endsWith(suffix))?.[1] ?? "";
+const UNIT_UNSAID = { offsets: "mm" };
+
+export const unitOf = (name) => UNIT_UNSAID[name] ?? UNITS.find(([suffix]) => name.endsWith(suffix))?.[1] ?? "";
 
 export function labelOf(name) {
   const suffix = UNITS.find(([end]) => name.endsWith(end))?.[0] ?? "";
