@@ -173,7 +173,7 @@ def test_the_picture_of_a_part_is_as_large_as_the_part() -> None:
 
 
 def test_a_fault_of_a_table_shows_before_planning(here: InProcess) -> None:
-    files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE[:-30]))]
+    files = [("problem", ("p.yaml", small_problem.PROBLEM)), ("files", ("targets.csv", TABLE[:-3]))]
     answer = here.http.post("/ui/preview", files=files)
     assert answer.status_code == 200
     assert not answer.json()["ok"]
