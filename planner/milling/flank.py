@@ -135,9 +135,10 @@ def _off(strip: Strip, radius: float, low: FloatArray, high: FloatArray, about: 
     out = np.empty((len(low), len(LEVELS)))
     for k, share in enumerate(LEVELS):
         line = (1.0 - share) * strip.low + share * strip.high
-        rest = line[rows] - low[:, None]
-        rest -= np.einsum("nwd,nd->nw", rest, way)[..., None] * way[:, None]
-        square = np.einsum("nwd,nwd->nw", rest, rest)
+        # by coordinate, (3, N, W), which is how so many short vectors are worked out fastest
+        rest = np.ascontiguousarray(line.T).take(rows, axis=1) - low.T[..., None]
+        rest -= np.einsum("dnw,dn->nw", rest, way.T) * way.T[..., None]
+        square = np.einsum("dnw,dnw->nw", rest, rest)
         near = rows[np.arange(len(rows)), square.argmin(axis=1)]
         # beyond the ends of the guides there is no surface that a cylinder could be off
         inside = (near > 0) & (near < len(strip.low) - 1)

@@ -112,7 +112,10 @@ class _Way:
         self.places: list[tuple[Row, Row]] = list(zip(claim.tip.tolist(), claim.axis.tolist(), strict=True))
         self.steps: list[Row] = self.step.tolist()
         self.leans: list[Row] = lean.tolist()
-        self.sizes: list[Row] = np.stack([square, leant, angle], axis=1).tolist()
+        half, wide = np.maximum(0.5 * angle, 1e-12), np.maximum(angle, 1e-9)
+        # squares of step and lean; half of the turn, and all of it, each with its sine
+        sizes = [square, leant, half, np.sin(half), wide, np.sin(wide)]
+        self.sizes: list[Row] = np.stack(sizes, axis=1).tolist()
 
     def at(self, stretch: int, share: float) -> float:
         """How far along the way [m] a share of a stretch is."""
@@ -149,22 +152,25 @@ class _Way:
         """Where a sample is nearest to a stretch, not before ``least`` of it. It is looked for by the tip and
         by the axis, of which one may stand still; the better one counts."""
         start, lean_from = self.places[number]
-        lean_to, step = self.places[number + 1][1], self.steps[number]
-        square, leant, angle = self.sizes[number]
-        by_tip = _dot(_less(tip, start), step) / square
+        square, leant, half, sine_of_half, _, _ = self.sizes[number]
+        by_tip = _dot(_less(tip, start), self.steps[number]) / square
         chord = min(max(_dot(_less(axis, lean_from), self.leans[number]) / leant, 0.0), 1.0)
-        half = max(0.5 * angle, 1e-12)
-        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * math.sin(half)) / half
-        wide = max(angle, 1e-9)
-        found = []
-        for guess in (by_tip, by_axis):
-            at = max(min(max(guess, 0.0), 1.0), least)
-            one, two = math.sin((1.0 - at) * wide) / math.sin(wide), math.sin(at * wide) / math.sin(wide)
-            wanted = [one * a + two * b for a, b in zip(lean_from, lean_to, strict=True)]
-            place = [s + at * w for s, w in zip(start, step, strict=True)]
-            apart, turn = _off(tip, axis, place, wanted)
-            found.append(_Near(number, at, apart, turn, self._cost(apart, turn)))
-        return found[1] if found[1].cost < found[0].cost else found[0]
+        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * sine_of_half) / half
+        first, second = (max(min(max(guess, 0.0), 1.0), least) for guess in (by_tip, by_axis))
+        near = self._at(tip, axis, number, first)
+        if second == first:
+            return near
+        other = self._at(tip, axis, number, second)
+        return other if other.cost < near.cost else near
+
+    def _at(self, tip: Row, axis: Row, number: int, share: float) -> _Near:
+        """How far a sample is off a place of a stretch."""
+        start, lean_from = self.places[number]
+        lean_to, step = self.places[number + 1][1], self.steps[number]
+        *_, wide, sine = self.sizes[number]
+        one, two = math.sin((1.0 - share) * wide) / sine, math.sin(share * wide) / sine
+        apart, turn = _off(tip, axis, _sum(start, 1.0, step, share), _sum(lean_from, one, lean_to, two))
+        return _Near(number, share, apart, turn, self._cost(apart, turn))
 
     def _cost(self, apart: float, angle: float) -> float:
         """How far off, of what is allowed."""
@@ -201,6 +207,10 @@ def _off(tip: Row, axis: Row, place: Row, wanted: Row) -> tuple[float, float]:
 
 def _less(a: Row, b: Row) -> Row:
     return [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+
+
+def _sum(a: Row, one: float, b: Row, two: float) -> Row:
+    return [one * a[0] + two * b[0], one * a[1] + two * b[1], one * a[2] + two * b[2]]
 
 
 def _dot(a: Row, b: Row) -> float:
