@@ -65,12 +65,14 @@ def exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict
     aims = [f for f in targets.freedoms if _aim(f) is not None]
     if not aims:
         return {}
-    rows = [("as planned", *_figures(scene, targets, q))]
-    for name, freedoms in (("toward the base all along", _held(scene, targets)), ("free", _free(targets))):
-        other = dataclasses.replace(targets, freedoms=freedoms, exhibits={}, claims=())
-        _, found = find(scene, other)
-        figures = _figures(scene, other, found.q) if isinstance(found, Found) else ("no path", *[""] * 4)
-        rows.append((f"{name}, not optimised", *figures))
+    # first the one whose samples are those of the plan: what the arm reaches there is remembered
+    free = _found(scene, targets, _free(targets))
+    held = _found(scene, targets, _held(scene, targets))
+    rows = [
+        ("as planned", *_figures(scene, targets, q)),
+        ("toward the base all along, not optimised", *held),
+        ("free, not optimised", *free),
+    ]
     columns = tuple(c for c in COLUMNS if c != "[deg]")
     return {
         "aim": {
@@ -80,6 +82,13 @@ def exhibit(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dict
             "rows": rows,
         }
     }
+
+
+def _found(scene: Scene, targets: Targets, freedoms: tuple[Any, ...]) -> tuple[str, ...]:
+    """Figures of the path of targets with other freedoms."""
+    other = dataclasses.replace(targets, freedoms=freedoms, exhibits={}, claims=())
+    _, found = find(scene, other)
+    return _figures(scene, other, found.q) if isinstance(found, Found) else ("no path", *[""] * 4)
 
 
 def _figures(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> tuple[str, ...]:

@@ -74,7 +74,7 @@ class Chain:
 
     def limit_margin(self, q: FloatArray) -> FloatArray:
         """Least distance (...,) [rad] to a joint limit; -inf where q is NaN."""
-        return np.nan_to_num(self.robot.limit_margin(q), nan=-np.inf)
+        return _told(self.robot.limit_margin(q))
 
     def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
         """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
@@ -98,13 +98,13 @@ class Chain:
                     angle = q[..., j] + turn[j]
                     parts[key] = np.minimum(angle - low[j], high[j] - angle)
                 margin = parts[key] if margin is None else np.minimum(margin, parts[key])
-            out.append(np.nan_to_num(np.asarray(margin), nan=-np.inf))
+            out.append(_told(np.asarray(margin)))
         return out
 
     def singularity_margin(self, q: FloatArray) -> FloatArray:
         """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
         wrist, elbow, shoulder = self._singularities(q)
-        return np.nan_to_num(np.minimum(np.minimum(wrist, elbow), shoulder), nan=-np.inf)
+        return _told(np.minimum(np.minimum(wrist, elbow), shoulder))
 
     def singularities(self, q: FloatArray) -> FloatArray:
         """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
@@ -133,6 +133,11 @@ class Chain:
         at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), lever[..., None, :]).swapaxes(-1, -2)
         rates = np.linalg.solve(jac, np.concatenate([angular, at_flange], axis=-2))
         return np.swapaxes(rates, -1, -2)
+
+
+def _told(margin: FloatArray) -> FloatArray:
+    """Margins, -inf where NaN."""
+    return np.where(np.isnan(margin), -np.inf, margin)
 
 
 def wrap(angle: FloatArray, near: FloatArray) -> FloatArray:

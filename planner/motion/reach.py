@@ -202,11 +202,13 @@ def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
     """Margins, turns and penalties of principal angles q (N, S, 6) of one branch."""
     hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
     single = chain.singularity_margin(q)
-    turns = chain.turns
-    limit = np.stack(chain.limit_margins(q, turns), axis=-1)
-    ok = (limit >= hard) & (single >= bend)[..., None]
-    used = np.asarray(ok.any(axis=(0, 1))) | (np.arange(len(turns)) == 0)
-    ok, limit, turns = ok[..., used], limit[..., used], turns[used]
+    turns, bends = chain.turns, single >= bend
+    margins = chain.limit_margins(q, turns)
+    fits = [(margin >= hard) & bends for margin in margins]
+    used = [k for k, fit in enumerate(fits) if k == 0 or bool(fit.any())]
+    limit = np.stack([margins[k] for k in used], axis=-1)
+    ok = np.stack([fits[k] for k in used], axis=-1)
+    turns = turns[used]
     cost = _hinge(limit, hard, SOFT_LIMIT) + _hinge(single, bend, SOFT_SINGULARITY)[..., None]
     return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))
 

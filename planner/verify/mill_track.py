@@ -21,6 +21,8 @@ from planner.verify.speed import during
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Spaced = tuple[FloatArray, FloatArray, IntArray]
+"""Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
 
 WAYS = ("", "_in", "_out")
 """What the moves that mill, the way down onto the block and the way off it add to a segment's name."""
@@ -43,7 +45,7 @@ class Track:
     joined: BoolArray
     label: NDArray[np.str_]
 
-    def spaced(self, step: float) -> tuple[FloatArray, FloatArray, IntArray]:
+    def spaced(self, step: float) -> Spaced:
         """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
         way of tip and shank, which goes straight between samples."""
         if not len(self.rows):
@@ -79,6 +81,7 @@ class Milling:
             if isinstance(claim, MillsSurface | MillsAlong | SparesPart)
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
+        self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
         self._places: dict[tuple[bytes, float], FloatArray] = {}
         self._followed: dict[tuple[int, str], tuple[IntArray, Followed]] = {}
 
@@ -135,6 +138,13 @@ class Milling:
             some = looks(track.tip, track.axis, claim.tolerance)
             self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
         return self._followed.get(key)
+
+    def spaced(self, index: int, arm: str, labels: tuple[str, ...], step: float) -> Spaced:
+        """Places along :meth:`track`, as :meth:`Track.spaced` has them: each face is held against them."""
+        key = (index, arm, labels, step)
+        if key not in self._spaced:
+            self._spaced[key] = self.track(index, arm, labels).spaced(step)
+        return self._spaced[key]
 
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion

@@ -98,12 +98,12 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
     for index, claim in milling.spared:
         issues += _same_cutter(milling, index, claim)
         labels = tuple(name.lower() + way for name in claim.segments for way in WAYS)
-        track = milling.track(index, claim.arm, labels)
-        if not len(track.rows):
+        if not len(milling.track(index, claim.arm, labels).rows):
             continue
         for solid in solids(claim.cutter):
             allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
-            tip, axis, rows = track.spaced(_GOUGE * _step(solid, claim.tolerance))
+            step = _GOUGE * _step(solid, claim.tolerance)
+            tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
             points = claim.vertices[:1]
             if comes_near(claim.vertices, tip, axis, solid):
                 points = milling.places(claim, solid.radius)
