@@ -186,5 +186,6 @@ def _fade(camera: Camera) -> FloatArray:
 
 
 def _halved(image: FloatArray) -> FloatArray:
-    h, w, c = image.shape
-    return np.asarray(image.reshape(h // 2, 2, w // 2, 2, c).mean(axis=(1, 3)))
+    """Means of four pixels each."""
+    above, below = image[0::2], image[1::2]
+    return np.asarray(0.25 * ((above[:, 0::2] + above[:, 1::2]) + (below[:, 0::2] + below[:, 1::2])))

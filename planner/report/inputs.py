@@ -10,6 +10,7 @@ per gap n of two tools ``gap/<n>/time``, ``got``, ``low``, ``high`` [m], each (G
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -262,10 +263,9 @@ def _feed(plan: Plan, starts: list[float]) -> Feed:
 
 def _bands(labels: tuple[str, ...], time: FloatArray) -> tuple[Band, ...]:
     """Runs of equal labels (T,); a label belongs to the way to its instant."""
-    out: list[Band] = []
-    for i in range(1, min(len(labels), len(time))):
-        if out and out[-1].name == labels[i]:
-            out[-1] = dataclasses.replace(out[-1], end=float(time[i]))
-        else:
-            out.append(Band(float(time[i - 1]), float(time[i]), labels[i], segment_kind(labels[i])))
-    return tuple(out)
+    count = min(len(labels), len(time))
+    first = [i for i in range(1, count) if i == 1 or labels[i] != labels[i - 1]]
+    return tuple(
+        Band(float(time[a - 1]), float(time[b - 1]), labels[a], segment_kind(labels[a]))
+        for a, b in itertools.pairwise([*first, count])
+    )

@@ -47,6 +47,7 @@ def _told(claim: SparesPart, track: Track) -> list[Any]:
     milling: Any = SimpleNamespace(
         spared=((0, claim),),
         track=lambda *_: track,
+        spaced=lambda *given: track.spaced(given[-1]),
         mounted=lambda *_: CUTTER,
         _places={},
     )
