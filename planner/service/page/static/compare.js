@@ -42,7 +42,7 @@ function figures(one, two) {
   const change = (name) => {
     const [x, y] = [one.metrics?.[name], two.metrics?.[name]];
     if (x === undefined || y === undefined) return h("td", { class: "n soft" }, "");
-    if (Math.abs(x - y) <= 1e-9 * Math.max(Math.abs(x), 1)) return h("td", { class: "n soft" }, "same");
+    if (value(one, name) === value(two, name)) return h("td", { class: "n soft" }, "same"); // less than is shown
     const better = BETTER[name] ? Math.sign(y - x) === BETTER[name] : null;
     const share = x ? ` (${y > x ? "+" : "−"}${number(Math.abs((100 * (y - x)) / x), 3)} %)` : "";
     return h("td", { class: `n ${better === null ? "" : better ? "good" : "worse"}` }, `${y > x ? "+" : "−"}${number(Math.abs(y - x), 3)} ${unitOf(name)}${share}`, better === null ? null : h("span", { class: "unseen" }, better ? " better" : " worse"));
@@ -52,7 +52,7 @@ function figures(one, two) {
     { class: "card" },
     h("h2", {}, "Figures"),
     h("div", { class: "scroll" }, h("table", { class: "sides" },
-      h("thead", {}, h("tr", {}, h("th", {}, ""), h("th", { class: "n" }, link(one)), h("th", { class: "n" }, link(two)), h("th", { class: "n" }, "Change"))),
+      h("thead", {}, h("tr", {}, h("td", {}), h("th", { class: "n" }, "First: ", link(one)), h("th", { class: "n" }, "Second: ", link(two)), h("th", { class: "n" }, "Change"))),
       h("tbody", {},
         h("tr", {}, h("th", { scope: "row" }, "State"), h("td", { class: "n" }, badge(one.state)), h("td", { class: "n" }, badge(two.state)), h("td", {}, "")),
         names.map((name) => h("tr", {}, h("th", { scope: "row" }, figureName(name)), h("td", { class: "n" }, value(one, name)), h("td", { class: "n" }, value(two, name)), change(name))),

@@ -10,13 +10,14 @@ export const sorted = (issues) => [...issues].sort((a, b) => RANK[severity(a)] -
 export const severity = (issue) => issue.severity ?? "error";
 export const errors = (issues) => issues.filter((issue) => severity(issue) === "error");
 
-// One issue; at: {seek(time), edit(field)} where the page can go there.
+// One issue; at: {seek(time), edit(field)} where the page can go there, {removes(field), remove(field)} for what is none
+// of the form's fields.
 export function issueItem(issue, at = {}) {
   const kind = severity(issue);
   const where = [
     issue.arm && ["arm", issue.arm],
     issue.target ? ["target", issue.target] : issue.index !== undefined && ["target", String(issue.index)],
-    issue.bodies?.length && ["between", issue.bodies.join(" and ")],
+    issue.bodies?.length && [issue.bodies.length > 1 ? "between" : "at", issue.bodies.join(" and ")],
     issue.value !== undefined && ["value", measure(issue.value, issue.unit)],
     issue.limit !== undefined && ["limit", measure(issue.limit, issue.unit)],
     issue.line !== undefined && ["line", String(issue.line)],
@@ -24,7 +25,8 @@ export function issueItem(issue, at = {}) {
   ].filter(Boolean);
   const actions = [
     issue.time !== undefined && at.seek && h("button", { type: "button", class: "small", onclick: () => at.seek(issue) }, icon("play"), `Show at ${clock(issue.time)}`),
-    issue.field && issue.time === undefined && at.edit && h("button", { type: "button", class: "small", onclick: () => at.edit(issue.field) }, at.editText ?? "Go to the field"),
+    issue.field && at.removes?.(issue.field) && h("button", { type: "button", class: "small", onclick: () => at.remove(issue.field) }, icon("bin"), "Remove it"),
+    issue.field && issue.time === undefined && at.edit && !at.removes?.(issue.field) && h("button", { type: "button", class: "small", onclick: () => at.edit(issue.field) }, at.editText ?? "Go to the field"),
   ].filter(Boolean);
   return h(
     "li",
@@ -33,7 +35,7 @@ export function issueItem(issue, at = {}) {
     h(
       "div",
       {},
-      h("p", { class: "message" }, sentence(issue.message)),
+      h("p", { class: "message" }, withoutField(issue)),
       issue.hint ? h("p", { class: "hint" }, h("b", {}, "What to do: "), sentence(issue.hint)) : null,
       h("p", { class: "where" }, h("code", {}, issue.code), issue.field ? h("span", {}, issue.time === undefined ? "field " : "during ", h("b", {}, issue.time === undefined ? fieldName(issue.field) : issue.field)) : null, where.map(([what, value]) => h("span", {}, `${what} `, h("b", {}, value)))),
       actions.length ? h("div", { class: "actions" }, actions) : null,
@@ -45,7 +47,7 @@ export function issueList(issues, at) {
   return h("ul", { class: "issues" }, sorted(issues).map((issue) => issueItem(issue, at)));
 }
 
-const measure = (value, unit) => `${number(value)}${unit ? ` ${unit}` : ""}`;
+const measure = (value, unit) => `${number(value)}${unit ? ` ${unit.replace("^2", "²").replace("^3", "³")}` : ""}`;
 const sentence = (text) => (/^[a-z]+[ ,:]/.test(text ?? "") ? text.charAt(0).toUpperCase() + text.slice(1) : text ?? "");
 export const fieldName = (field) => field.split(".").map((step) => (/^\d+$/.test(step) ? String(+step + 1) : labelOf(step).toLowerCase())).join(" › ");
 

@@ -2,7 +2,7 @@
 import { json } from "./api.js";
 import { badge, banner, tell } from "./common.js";
 import { $, announce, h, show } from "./dom.js";
-import { ago, duration, isOpen, number, processName } from "./words.js";
+import { ago, bytes, duration, isOpen, number, processName } from "./words.js";
 
 const GROUPS = [
   ["All", []],
@@ -80,6 +80,12 @@ function filters() {
   );
 }
 
+async function room() {
+  const { used_mb: used, limit_mb: limit } = await json("/v1/storage");
+  show($("room"), jobs.size > 0);
+  $("room").textContent = `The files of your jobs take ${bytes(1e6 * used)} of ${bytes(1e6 * limit)}; deleted jobs give theirs back.`;
+}
+
 async function choose(i) {
   group = i;
   jobs = new Map();
@@ -101,6 +107,6 @@ async function again() {
 
 $("older").addEventListener("click", () => load(next).catch(tell));
 filters();
-await load().catch(tell);
+await load().then(room).catch(tell);
 setTimeout(again, EVERY);
 

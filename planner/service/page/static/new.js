@@ -8,7 +8,7 @@ import { assign, drawFiles, drawUnits, fieldOfFile, inUnit, partMesh, sizeText, 
 import { Form } from "./form.js";
 import { atFields, errors, fieldName, goTo, issueItem, sorted } from "./issues.js";
 import { boxOf } from "./mesh.js";
-import { differences, put, Schema } from "./schema.js";
+import { at, differences, put, Schema } from "./schema.js";
 import { drawExamples, drawProcesses, fromExample, fromFiles, fromJob } from "./start.js";
 import { Viewer } from "./viewer.js";
 
@@ -76,7 +76,8 @@ async function chooseProcess(name) {
   state.process = name;
   drawProcesses(name, chooseProcess);
   const some = drawExamples(examples, name, "", chooseExample);
-  const first = some.find(([, one]) => one.feasible && one.processes.length === 1) ?? some[0]; // the plainest
+  const pains = ([, one]) => 100 * !one.feasible + 10 * one.processes.length + one.robots.length;
+  const first = [...some].sort((a, b) => pains(a) - pains(b))[0]; // the plainest, so that it is understood at once
   if (first) await begun(first[0]).catch(tell);
 }
 
@@ -157,7 +158,7 @@ function drawChanges() {
   const found = differences(state.origin, state.problem);
   $("changes").replaceChildren(
     ...(found.length
-      ? [h("b", {}, `${found.length} field${found.length > 1 ? "s" : ""} changed: `), ...found.slice(0, 4).flatMap(([path], i) => [i ? ", " : "", h("button", { type: "button", class: "link", onclick: () => goTo(path.join(".")) }, fieldName(path.slice(-2).join(".")))]), found.length > 4 ? " …" : ""]
+      ? [h("b", {}, `${found.length} field${found.length > 1 ? "s" : ""} changed: `), ...found.slice(0, 4).flatMap(([path], i) => [i ? ", " : "", h("button", { type: "button", class: "link", onclick: () => goTo(path.join(".")) }, fieldName(path.slice(typeof path.at(-2) === "number" ? -3 : -2).join(".")))]), found.length > 4 ? " …" : ""]
       : []),
   );
 }
@@ -222,15 +223,30 @@ function say(kind, text) {
 }
 
 function tellIssues(issues, readable, reach = false) {
-  state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue) }));
+  // the page wrote the problem's text itself: its lines say nothing to the user
+  state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue), line: issue.code.startsWith("problem.") ? undefined : issue.line }));
   atFields(state.issues);
   const wrong = errors(issues).length;
   if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}`);
   else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
   else say("ok", reach ? "Ready: the arms reach every target" : "Ready: nothing in the way was found");
-  $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo })));
+  $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo, removes, remove })));
   $("go").disabled = wrong > 0;
   $("reach").disabled = !readable;
+}
+
+// Whether a field is in the problem and not in the form: a key that nobody knows.
+function removes(field) {
+  const path = field.split(".");
+  return !/^\d+$/.test(path.at(-1)) && at(state.problem, path) !== undefined && !document.querySelector(`[data-path="${CSS.escape(field)}"]`);
+}
+
+function remove(field) {
+  put(state.problem, field.split("."), undefined);
+  draw();
+  changed();
+  $("verdict").scrollIntoView({ block: "nearest" });
+  announce(`${fieldName(field)} is removed`);
 }
 
 async function addFiles(list) {

@@ -100,5 +100,6 @@ export function ago(when) {
 export function bytes(size) {
   if (size < 1000) return `${size} B`;
   if (size < 1e6) return `${(size / 1e3).toFixed(size < 1e4 ? 1 : 0)} kB`;
-  return `${(size / 1e6).toFixed(1)} MB`;
+  if (size < 1e9) return `${(size / 1e6).toFixed(1)} MB`;
+  return `${+(size / 1e9).toFixed(1)} GB`;
 }
