@@ -134,10 +134,9 @@ class Jobs:
             select(FILES.c.sha, FILES.c.size)
             .join_from(FILES, JOBS, FILES.c.job == JOBS.c.id)
             .where(JOBS.c.owner == owner)
-            .distinct()
         )
         with self._database.read() as db:
-            return dict(tuple(row) for row in db.execute(query))
+            return dict(row.tuple() for row in db.execute(query).all())
 
     def counts(self) -> dict[str, int]:
         """The number of jobs in each state."""
