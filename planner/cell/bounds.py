@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planner.cell.distance import Solid, extent
 from planner.cell.filters import fixed as is_fixed
 from planner.geometry.rigid import from_parts
+from planner.geometry.vectors import dots, lengths
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -94,16 +95,16 @@ class Bounds:
             np.minimum.at(upper, exact.row, value)
         row, a, b = self._near(centre, limit, upper > settled)
         w, da, db = centre[row, a] - centre[row, b], axis[row, a], axis[row, b]
-        dots = (_dot(da, db), _dot(da, w), _dot(db, w))
+        products = (dots(da, db), dots(da, w), dots(db, w))
         if both:
-            between = _segments(w, da, db, dots, self.inner[0][a], self.inner[0][b])
-            np.minimum.at(upper, row, np.sqrt(_dot(between, between)) - self.inner[1][a] - self.inner[1][b])
+            between = _segments(w, da, db, products, self.inner[0][a], self.inner[0][b])
+            np.minimum.at(upper, row, lengths(between) - self.inner[1][a] - self.inner[1][b])
         lower[upper <= settled] = -np.inf
         live = upper[row] > settled
         row, a, b, w, da, db = row[live], a[live], b[live], w[live], da[live], db[live]
-        dots = dots[0][live], dots[1][live], dots[2][live]
-        between = _segments(w, da, db, dots, self.outer[0][a], self.outer[0][b])
-        gap = np.sqrt(_dot(between, between)) - self.outer[1][a] - self.outer[1][b]
+        products = products[0][live], products[1][live], products[2][live]
+        between = _segments(w, da, db, products, self.outer[0][a], self.outer[0][b])
+        gap = lengths(between) - self.outer[1][a] - self.outer[1][b]
         touch = np.flatnonzero(gap < limit)
         at, first, second = row[touch], a[touch], b[touch]
         one = turns[at, self.part[first]] @ self.frame[first], self.support[first]
@@ -332,21 +333,17 @@ def _separation(
     return np.asarray(np.where(norm > 1e-12, shadow, -np.inf).max(axis=1))
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("mc,mc->m", a, b))
-
-
 def _segments(
     w: FloatArray,
     da: FloatArray,
     db: FloatArray,
-    dots: tuple[FloatArray, FloatArray, FloatArray],
+    products: tuple[FloatArray, FloatArray, FloatArray],
     ha: FloatArray,
     hb: FloatArray,
 ) -> FloatArray:
     """Shortest ways (M, 3) between segments by centre difference w, unit axes and half lengths (Ericson
     2005, section 5.1.9)."""
-    cosine, ca, cb = dots
+    cosine, ca, cb = products
     sine2 = 1.0 - cosine * cosine
     level = sine2 < 1e-9
     s = np.where(level, 0.0, (cosine * cb - ca) / np.where(level, 1.0, sine2))

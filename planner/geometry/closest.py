@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.mesh import TriangleMesh, face_normals
+from planner.geometry.vectors import dots
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,8 +22,8 @@ def closest_on_triangles(points: FloatArray, a: FloatArray, b: FloatArray, c: Fl
     """Barycentric weights (M, 3) of the closest places of triangles ``a``, ``b``, ``c`` (M, 3) to ``points``
     (M, 3): the foot in the plane where it lies inside, else the best of the feet on the three edges."""
     ab, ac, ap = b - a, c - a, points - a
-    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
-    d20, d21 = _dot(ap, ab), _dot(ap, ac)
+    d00, d01, d11 = dots(ab, ab), dots(ab, ac), dots(ac, ac)
+    d20, d21 = dots(ap, ab), dots(ap, ac)
     scale = np.maximum(d00 * d11 - d01 * d01, 1e-300)
     v = (d11 * d20 - d01 * d21) / scale
     w = (d00 * d21 - d01 * d20) / scale
@@ -36,9 +37,9 @@ def closest_on_triangles(points: FloatArray, a: FloatArray, b: FloatArray, c: Fl
         for k in range(3):
             one, two = corners[k], corners[(k + 1) % 3]
             way, rest = two - one, p - one
-            share = np.clip(_dot(rest, way) / np.maximum(_dot(way, way), 1e-300), 0.0, 1.0)
+            share = np.clip(dots(rest, way) / np.maximum(dots(way, way), 1e-300), 0.0, 1.0)
             off = rest - share[:, None] * way
-            square = _dot(off, off)
+            square = dots(off, off)
             better = square < best
             best[better] = square[better]
             edge = np.zeros((int(better.sum()), 3))
@@ -66,7 +67,7 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
     mine = np.repeat(used, many)
     place = np.arange(len(mine)) - np.repeat(np.cumsum(many) - many, many)
     other = order[first[vertex[mine]] + place]
-    near = (_dot(normals[mine // 3], normals[other // 3]) > np.cos(crease)) & (other != mine)
+    near = (dots(normals[mine // 3], normals[other // 3]) > np.cos(crease)) & (other != mine)
     mine, other = mine[near], other[near]
     for axis in range(3):
         total[:, axis] += np.bincount(
@@ -106,7 +107,3 @@ def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArra
         near[:, 1] = far[:, 0] = 0.5 * (start + end)
         owner = np.tile(owner.take(rows), 2)
     return np.concatenate(done), np.concatenate(owners)
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("ij,ij->i", a, b))

@@ -17,6 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import columns, dots
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -118,30 +120,20 @@ def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list
         unit = np.where(length > 1e-3, mean / np.maximum(length, 1e-3), axis[rows[:, 0]])
         middle = 0.5 * (pivot[rows[:, 0]] + pivot[rows[:, -1]])
         half, turn = (0.5 * (of[rows[:, -1]] - of[rows[:, 0]]) for of in (pivot, axis))
-        turn -= dot(turn, unit)[:, None] * unit
+        turn -= dots(turn, unit)[:, None] * unit
         off, lean = pivot[rows] - middle[:, None], axis[rows] - unit[:, None]
         chord = np.sqrt(np.einsum("gkd,gkd->gk", lean, lean).max(axis=1))
         depth = np.abs(np.einsum("gkd,gd->gk", off, unit)).max(axis=1)
         depth += wide * chord + 0.5 * far * chord * chord
         share = np.einsum("gkd,gd->gk", off, half) + far**2 * np.einsum("gkd,gd->gk", lean, turn)
-        share /= np.maximum(dot(half, half) + far**2 * dot(turn, turn), 1e-300)[:, None]
+        share /= np.maximum(dots(half, half) + far**2 * dots(turn, turn), 1e-300)[:, None]
         np.clip(share, -1.0, 1.0, out=share)
         off -= share[..., None] * half[:, None]
         lean -= share[..., None] * turn[:, None]
         lost = np.sqrt(np.einsum("gkd,gkd->gk", off, off).max(axis=1))
         lost += far * np.sqrt(np.einsum("gkd,gkd->gk", lean, lean).max(axis=1))
         lost += depth * np.linalg.norm(turn, axis=1)
-        half -= dot(half, unit)[:, None] * unit
+        half -= dots(half, unit)[:, None] * unit
         out.append(Level(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, lost])))
         size *= PARTS
     return out
-
-
-def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products (M,) of rows of two arrays (M, 3)."""
-    return np.asarray(np.einsum("ij,ij->i", a, b))
-
-
-def columns(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products (M,) of columns of two arrays (3, M), which is how many of them are worked out fastest."""
-    return np.asarray(np.einsum("ij,ij->j", a, b))

@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.round_body import FIRST, PARTS, Round, columns, ladder
+from planner.geometry.round_body import FIRST, PARTS, Round, ladder
+from planner.geometry.vectors import columns
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

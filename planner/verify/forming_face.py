@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.vectors import dots, lengths
 from planner.verify.forming_tree import Tree
 
 FloatArray = NDArray[np.float64]
@@ -125,14 +126,14 @@ class Face:
         outward = np.zeros((len(points), 3))
         np.add.at(outward, i[same], self.normal[owner[same]])
         back = points - foot[first]
-        signed = np.where(_dot(back, outward) >= 0.0, apart, -apart)
+        signed = np.where(dots(back, outward) >= 0.0, apart, -apart)
         signed = np.where(self._beyond(back, owner[first], weights[first]), back[:, 2], signed)
         return Nearest(foot[first], apart, signed, i, owner, weights, foot)
 
     def value(self, found: Nearest, at_corners: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Least and largest value (N,) of what is known at the corners (F, 3) of the given triangles, over
         the nearest places."""
-        values = _dot(found.share, at_corners[self.rows[found.triangle]])
+        values = dots(found.share, at_corners[self.rows[found.triangle]])
         low, high = np.full(len(found.apart), np.inf), np.full(len(found.apart), -np.inf)
         np.minimum.at(low, found.row, values)
         np.maximum.at(high, found.row, values)
@@ -191,7 +192,7 @@ def apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArra
         a, b = triangle[:, k], triangle[:, (k + 1) % 3]
         out = np.minimum(out, between_segments(start, end, a, b))
     normal = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
-    one, two = _dot(start - triangle[:, 0], normal), _dot(end - triangle[:, 0], normal)
+    one, two = dots(start - triangle[:, 0], normal), dots(end - triangle[:, 0], normal)
     cross = np.flatnonzero(one * two < 0.0)
     if len(cross):
         at = start[cross] + (one[cross] / (one - two)[cross])[:, None] * (end - start)[cross]
@@ -204,14 +205,10 @@ def apart(start: FloatArray, end: FloatArray, triangle: FloatArray) -> FloatArra
 def between_segments(p: FloatArray, q: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """Distances (M,) [m] of straight ways p q and a b (M, 3)."""
     u, v, w = q - p, b - a, p - a
-    uu, uv, vv, uw, vw = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, w), _dot(v, w)
+    uu, uv, vv, uw, vw = dots(u, u), dots(u, v), dots(v, v), dots(u, w), dots(v, w)
     down = uu * vv - uv * uv
     s = np.where(down > 1e-14 * uu * vv, (uv * vw - vv * uw) / np.maximum(down, 1e-300), 0.0)
     s = np.clip(s, 0.0, 1.0)
     t = np.clip((uv * s + vw) / np.maximum(vv, 1e-300), 0.0, 1.0)
     s = np.clip((uv * t - uw) / np.maximum(uu, 1e-300), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=1))
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("ij,ij->i", a, b))
+    return lengths(w + s[:, None] * u - t[:, None] * v)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import inverse
+from planner.geometry.vectors import dots, lengths
 from planner.verify.context import Context
 from planner.verify.poses import Poses
 from planner.verify.setups import FORMING_WAYS
@@ -125,9 +126,9 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
         start = centre[first[some]][:, None]
         way = centre[last[some]][:, None] - start
         rest = centre[rows] - start
-        square = np.maximum((way * way).sum(axis=(2, 3)), 1e-30)
-        share = np.clip((rest * way).sum(axis=(2, 3)) / square, 0.0, 1.0)
-        out[some] = np.linalg.norm(rest - share[..., None, None] * way, axis=3).max(axis=(1, 2))
+        square = np.maximum(dots(way, way).sum(axis=2), 1e-30)
+        share = np.clip(dots(rest, way).sum(axis=2) / square, 0.0, 1.0)
+        out[some] = lengths(rest - share[..., None, None] * way).max(axis=(1, 2))
     return out
 
 
@@ -140,10 +141,10 @@ def _bend(way: Track) -> FloatArray:
     for begin in range(1, count - 1, _CHUNK):
         end = min(begin + _CHUNK, count - 1)
         step = np.diff(way.centre[begin - 1 : end + 1], axis=0)
-        along = step / np.maximum(np.linalg.norm(step, axis=2, keepdims=True), 1e-12)
+        along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
-        second -= (second * along[:-1]).sum(axis=2, keepdims=True) * along[:-1]
-        turn[begin:end] = np.linalg.norm(second, axis=2)
+        second -= dots(second, along[:-1])[..., None] * along[:-1]
+        turn[begin:end] = lengths(second)
     turn[1:-1][~(way.joined[1:] & way.joined[:-1])] = 0.0
     a, b = turn[:-1], turn[1:]
     return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.geometry.vectors import dots, lengths
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -62,18 +65,23 @@ class Tree:
 
     def near_points(self, points: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
         """Pairs of points (N, 3) and triangles that may be nearer than ``limit`` (N,) [m]."""
-        return self.near_ways(points, points, limit)
+        return self._near(limit, lambda level, node, which: _off_points(level, node, points[which]))
 
     def near_ways(self, start: FloatArray, end: FloatArray, limit: FloatArray) -> tuple[IntArray, IntArray]:
         """Pairs of straight ways from ``start`` to ``end`` (N, 3) and triangles that may be nearer than
         ``limit`` (N,) [m]."""
-        which = np.arange(len(start))
-        node = np.zeros(len(start), dtype=np.int64)
+        return self._near(limit, lambda level, node, which: _off_ways(level, node, start[which], end[which]))
+
+    def _near(
+        self, limit: FloatArray, off: Callable[[Level, IntArray, IntArray], FloatArray]
+    ) -> tuple[IntArray, IntArray]:
+        which = np.arange(len(limit))
+        node = np.zeros(len(limit), dtype=np.int64)
         for k, level in enumerate(self.levels):
             if k:
                 which = np.repeat(which, BRANCH)
                 node = (BRANCH * node[:, None] + np.arange(BRANCH)).ravel()
-            near = _lower(level, node, start[which], end[which]) < limit[which]
+            near = off(level, node, which) < limit[which]
             which, node = which[near], node[near]
         return which, self.triangle[node]
 
@@ -102,17 +110,30 @@ def _level(corners: FloatArray, cross: FloatArray, slots: IntArray) -> Level:
     return Level(centre, normal, radius + 1e-12, half + 1e-12)
 
 
-def _lower(level: Level, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """A lower bound (M,) [m] of the distance of straight ways from what groups hold; infinite for groups that
-    hold nothing."""
+def _off_points(level: Level, node: IntArray, points: FloatArray) -> FloatArray:
+    """A lower bound (M,) [m] of the distance of points from what groups hold; infinite for groups that hold
+    nothing."""
+    rest = points - level.centre[node]
+    height = dots(rest, level.normal[node])
+    flat = np.sqrt(np.maximum(dots(rest, rest) - height * height, 0.0))
+    return _off(level, node, flat, np.abs(height))
+
+
+def _off_ways(level: Level, node: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """As :func:`_off_points`, of straight ways."""
     normal, centre = level.normal[node], level.centre[node]
     one, two = start - centre, end - centre
-    low, high = np.einsum("nd,nd->n", one, normal), np.einsum("nd,nd->n", two, normal)
+    low, high = dots(one, normal), dots(two, normal)
     height = np.where(low * high > 0.0, np.minimum(np.abs(low), np.abs(high)), 0.0)
     middle = 0.5 * (one + two)
     up = 0.5 * (low + high)
-    flat = np.sqrt(np.maximum(np.einsum("nd,nd->n", middle, middle) - up * up, 0.0))
-    flat -= 0.5 * np.linalg.norm(end - start, axis=1)
-    beside = np.maximum(flat - level.radius[node], 0.0)
+    flat = np.sqrt(np.maximum(dots(middle, middle) - up * up, 0.0)) - 0.5 * lengths(end - start)
+    return _off(level, node, flat, height)
+
+
+def _off(level: Level, node: IntArray, flat: FloatArray, height: FloatArray) -> FloatArray:
+    """Distance (M,) [m] from disks, of what is ``flat`` along them from their middle and ``height`` over."""
+    radius = level.radius[node]
+    beside = np.maximum(flat - radius, 0.0)
     above = np.maximum(height - level.half[node], 0.0)
-    return np.asarray(np.where(level.radius[node] < 0.0, np.inf, np.hypot(above, beside)))
+    return np.where(radius < 0.0, np.inf, np.hypot(above, beside))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-
-import numpy as np
+import math
 
 from planner.issues import Issue
 from planner.verify import rules_krl
@@ -223,7 +222,7 @@ def straight_way(a: MoveStep, b: MoveStep) -> float | None:
         and isinstance(b.target, RobTarget)
         and a.wobj_name == b.wobj_name
     ):
-        return float(np.linalg.norm(a.target.position - b.target.position))
+        return math.dist(a.target.position, b.target.position)
     return None
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.claims import CutsSurface
+from planner.geometry.vectors import dots
 from planner.verify.result import CutFace
 
 FloatArray = NDArray[np.float64]
@@ -113,7 +114,7 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
     flat, turned = grid.reshape(-1, 3), facing.reshape(-1, 3)
     some = slice(None, None, max(1, len(points) // _SIDE_SAMPLES))
     _, near = cKDTree(flat).query(points[some], k=1)
-    if float(_dot(turned[near], normals[some]).sum()) < 0.0:
+    if float(dots(turned[near], normals[some]).sum()) < 0.0:
         side = -1.0
     tree = cKDTree(np.concatenate([flat, _TURN * side * turned], axis=1))
     _, nearest = tree.query(np.concatenate([points, _TURN * normals], axis=1), k=1)
@@ -145,7 +146,7 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
                 place, weights = closest(points[maybe], *ends)
                 distance = np.linalg.norm(points[maybe] - place, axis=1)
                 outward = np.cross(ends[2] - ends[0], ends[1] - ends[0])  # way x wire, as the facings
-                right_way = side * _dot(outward, normals[maybe]) >= -_LEAN * np.linalg.norm(outward, axis=1)
+                right_way = side * dots(outward, normals[maybe]) >= -_LEAN * np.linalg.norm(outward, axis=1)
                 good = (distance < best[maybe] - 1e-12) & right_way
                 better = maybe[good]
                 best[better] = distance[good]
@@ -177,14 +178,14 @@ def deepest(claim: CutsSurface, sweep: Sweep, inside: NDArray[np.bool_]) -> tupl
     facing = _facings(sweep).reshape(-1, 3)
     flat = sweep.points.reshape(-1, 3)
     _, near = cKDTree(flat).query(points, k=1)
-    side = -1.0 if float(_dot(facing[near], normals).sum()) < 0.0 else 1.0
+    side = -1.0 if float(dots(facing[near], normals).sum()) < 0.0 else 1.0
     tree = cKDTree(np.concatenate([points, _TURN * normals], axis=1))
     rows = np.flatnonzero(inside)
     if not len(rows):
         return 0.0, 0
     _, found = tree.query(np.concatenate([flat[rows], _TURN * side * facing[rows]], axis=1), k=1)
     off = flat[rows] - points[found]
-    height = _dot(off, normals[found])
+    height = dots(off, normals[found])
     beside = np.linalg.norm(off - height[:, None] * normals[found], axis=1) > SAMPLE
     depth = 0.5 * claim.kerf.at(sweep.speed.reshape(-1)[rows]) - height
     depth[beside] = -np.inf
@@ -198,9 +199,9 @@ def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> 
     Regions of the triangle as in Ericson, Real-Time Collision Detection (2005), section 5.1.5.
     """
     ab, ac, ap = b - a, c - a, points - a
-    d1, d2 = _dot(ab, ap), _dot(ac, ap)
+    d1, d2 = dots(ab, ap), dots(ac, ap)
     bp, cp = points - b, points - c
-    d3, d4, d5, d6 = _dot(ab, bp), _dot(ac, bp), _dot(ab, cp), _dot(ac, cp)
+    d3, d4, d5, d6 = dots(ab, bp), dots(ac, bp), dots(ab, cp), dots(ac, cp)
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     total = np.where(np.abs(va + vb + vc) > 0.0, va + vb + vc, 1.0)
     v, w = vb / total, vc / total
@@ -288,7 +289,3 @@ def _quartered(corners: FloatArray) -> FloatArray:
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("ij,ij->i", a, b))
