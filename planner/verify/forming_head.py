@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.geometry.vectors import dots, lengths
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 LOOKED = 0.001
 """Where bounds do not settle it, tools are looked at at least whenever they have moved half as far [m]."""
-ROUGH = 0.15
+ROUGH = 0.02
 """Bounds by the nearest place may be too near by this share."""
 _BLOCK = 128
 _QUERIES = 2000
@@ -41,8 +43,8 @@ class HeadWay:
     def of(centre: FloatArray, axis: FloatArray, rise: FloatArray, back: float) -> HeadWay:
         """Of rows (T, ...), those between which nothing up to ``back`` [m] behind the TCP goes farther than
         half of ``LOOKED``, or single steps that are longer."""
-        slide = np.concatenate([[0.0], np.cumsum(_steps(centre) + np.abs(np.diff(rise)))])
-        turn = np.concatenate([[0.0], np.cumsum(_steps(axis))])
+        slide = np.concatenate([[0.0], np.cumsum(lengths(np.diff(centre, axis=0)) + np.abs(np.diff(rise)))])
+        turn = np.concatenate([[0.0], np.cumsum(lengths(np.diff(axis, axis=0)))])
         number = np.floor((slide + back * turn) / (0.5 * LOOKED))
         rows = np.flatnonzero(np.diff(number, prepend=-1.0, append=np.inf)[:-1] != 0)
         return HeadWay(rows, centre[rows], axis[rows], rise[rows], slide[rows], turn[rows])
@@ -110,8 +112,8 @@ class Head:
     def _depth(self, near: FloatArray, way: HeadWay, which: IntArray) -> FloatArray:
         """How deep (M,) [m] points (M, 3) are inside the tool at some of the rows."""
         rest = near - way.places(which, 0.0)
-        behind = -np.einsum("nd,nd->n", rest, way.axis[which])
-        beside = np.sqrt(np.maximum(np.einsum("nd,nd->n", rest, rest) - behind**2, 0.0))
+        behind = -dots(rest, way.axis[which])
+        beside = np.sqrt(np.maximum(dots(rest, rest) - behind**2, 0.0))
         return self._inside(behind, beside)
 
     def _inside(self, behind: FloatArray, beside: FloatArray) -> FloatArray:
@@ -124,7 +126,7 @@ class Head:
             way = np.array([self.back[k + 1], self.radius[k + 1]]) - one
             rest = np.stack([behind, beside], axis=1) - one
             share = np.clip(rest @ way / max(float(way @ way), 1e-30), 0.0, 1.0)
-            off = np.minimum(off, np.linalg.norm(rest - share[:, None] * way, axis=1))
+            off = np.minimum(off, lengths(rest - share[:, None] * way))
         return np.where(inside, off, -off)
 
 
@@ -165,9 +167,3 @@ def _near(tree: cKDTree, way: HeadWay, back: float, size: float) -> IntArray:
         first, last, look = first[split], last[split], look[split]
         first, last = np.concatenate([first, look + 1]), np.concatenate([look, last])
     return np.flatnonzero(np.cumsum(mark[:-1]) > 0)
-
-
-def _steps(points: FloatArray) -> FloatArray:
-    """Lengths (T - 1,) of the steps between points (T, 3)."""
-    step = np.diff(points, axis=0)
-    return np.asarray(np.sqrt(np.einsum("nd,nd->n", step, step)))
