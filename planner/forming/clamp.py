@@ -90,10 +90,8 @@ def _clear(
     r sqrt(1 - (a u)^2) along a direction u, with the axis a."""
     back, radius = _circles(profile)
     out = np.ones(len(place), dtype=np.bool_)
-    if not len(clamp.reach):
-        return out
-    for start in range(0, len(place), _CHUNK):
-        some = slice(start, start + _CHUNK)
+    rows = np.flatnonzero(_near(clamp, place, axis, profile, room))
+    for some in np.split(rows, range(_CHUNK, len(rows), _CHUNK)):
         middle = place[some, None] - back[None, :, None] * axis[some, None]
         aside = np.sqrt(np.maximum(1.0 - (axis[some, :2] @ clamp.outward.T) ** 2, 0.0))
         most = middle[..., :2] @ clamp.outward.T + radius[None, :, None] * aside[:, None]
@@ -102,6 +100,28 @@ def _clear(
         under = middle[..., 2, None] - up[..., None] < clamp.high + room
         out[some] = ~((most > clamp.reach - room) & over & under).any(axis=(1, 2))
     return out
+
+
+def _near(
+    clamp: Clamp, place: FloatArray, axis: FloatArray, profile: FloatArray, room: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Whether cylinders (N,) around heads come as near as ``room`` [m] to a bar of the clamp: whether some
+    part of their axes is far enough out and as high as the bar."""
+    wide = float(profile[:, 1].max())
+    aside = np.sqrt(np.maximum(1.0 - (axis[:, :2] @ clamp.outward.T) ** 2, 0.0))
+    up = np.sqrt(np.maximum(1.0 - axis[:, 2:] ** 2, 0.0))
+    out = place[:, :2] @ clamp.outward.T + wide * aside - (clamp.reach - room)
+    over = place[:, 2:] + wide * up - (clamp.low - room)
+    under = clamp.high + room - place[:, 2:] + wide * up
+    rise = np.broadcast_to(axis[:, 2:], over.shape)
+    first = np.full(out.shape, profile[0, 0])
+    last = np.full(out.shape, profile[-1, 0])
+    # each of the three is positive where b * slope < value, b behind the TCP
+    for value, slope in ((out, axis[:, :2] @ clamp.outward.T), (over, rise), (under, -rise)):
+        bound = value / np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+        last = np.where(slope >= 0.0, np.minimum(last, bound), last)
+        first = np.where(slope < 0.0, np.maximum(first, bound), first)
+    return np.asarray((first <= last).any(axis=1))
 
 
 def _deepest(

@@ -18,6 +18,8 @@ from planner.units import MM
 FINE: Final = 2e-5
 """Between two places that are looked at a point may be deeper in a tool by so much [m] than at either."""
 _PAIRS: Final = 2_000_000
+_RUN: Final = 16
+"""Places in a row that are first looked at as one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,6 +79,8 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
         return None
     tree = cKDTree(points)
     best: Cut | None = None
+    rows = _near(tree, centre, way, along, reach)
+    at, centre, way = at[rows], centre[rows], way[rows]
     chunk = min(max(_PAIRS // len(points), 20), 2000)
     for start in range(0, len(centre), chunk):
         c, a = centre[start : start + chunk], way[start : start + chunk]
@@ -92,6 +96,26 @@ def deepest(place: FloatArray, axis: FloatArray, profile: FloatArray, points: Fl
             k = int(np.argmax(depth))
             best = Cut(float(depth[k]), points[j[k]], int(at[start + i[k]]))
     return best
+
+
+def _near(tree: cKDTree, centre: FloatArray, way: FloatArray, along: FloatArray, reach: float) -> IntArray:
+    """Rows of places in those runs of places that points may be near to: spheres of radius ``reach`` [m],
+    ``along`` (S,) behind the places ``centre`` (N, 3), are grown to hold those of their whole run."""
+    first = np.arange(0, len(centre), _RUN)
+    count = np.diff(np.append(first, len(centre)))
+
+    def spread(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        mean = np.add.reduceat(values, first) / count[:, None]
+        off = np.linalg.norm(values - np.repeat(mean, count, axis=0), axis=1)
+        return mean, np.maximum.reduceat(off, first)
+
+    (middle, moved), (ahead, turned) = spread(centre), spread(way)
+    near = np.zeros(len(first), dtype=np.bool_)
+    for behind in along:
+        grown = reach + moved + abs(behind) * turned
+        found = tree.query(middle - behind * ahead, distance_upper_bound=float(grown.max()))[0]
+        near |= found <= grown
+    return np.flatnonzero(np.repeat(near, count))
 
 
 def _sampled(place: FloatArray, axis: FloatArray, spacing: float) -> tuple[IntArray, FloatArray, FloatArray]:

@@ -82,6 +82,30 @@ def test_depth_of_a_cut_by_closed_form() -> None:
     assert found is not None and found.depth == pytest.approx(0.002, abs=1e-4) and found.index == 0
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_depth_along_a_winding_way_is_that_of_the_capsule(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    place = np.cumsum(rng.normal(0.0, 0.004, (120, 3)), axis=0)
+    axis = np.cumsum(rng.normal(0.0, 0.03, (120, 3)), axis=0) - [0.0, 0.0, 1.0]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    points = place.mean(axis=0) + rng.normal(0.0, 0.08, (60, 3))
+    outline = profile(FormingHead("ball", 0.006, 0.006, 0.0, 0.08))
+    # a ball on a shaft of its own radius is a capsule that is cut off
+    share = np.linspace(0.0, 1.0, 40, endpoint=False)[:, None, None]
+    centre = (place[:-1] + share * np.diff(place, axis=0)).reshape(-1, 3)
+    way = (axis[:-1] + share * np.diff(axis, axis=0)).reshape(-1, 3)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    off = points - centre[:, None]
+    behind = -np.einsum("npd,nd->np", off, way)
+    beside = np.linalg.norm(off + np.maximum(behind, 0.0)[..., None] * way[:, None], axis=-1)
+    depth = float(np.where(behind < 0.08, 0.006 - beside, -1.0).max())
+    found = deepest(place, axis, outline, points)
+    if depth <= 0.0:
+        assert found is None, seed
+    else:
+        assert found is not None and found.depth == pytest.approx(depth, abs=5e-5), seed
+
+
 def _dome() -> tuple[Pass, ContactPath, list[Pass]]:
     part = revolved(DISH, 90)
     tree, _ = tree_of(part)
