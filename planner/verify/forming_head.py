@@ -56,6 +56,15 @@ class HeadWay:
         out[:, 2] -= self.rise[some]
         return out
 
+    def past(self, some: IntArray, back: float, size: float, height: tuple[float, float]) -> FloatArray:
+        """How far (M,) [m] behind the TCP points between two heights z [m] can be at most at some of the
+        rows, of those within ``size`` [m] of the place ``back`` behind it. What is behind the front of a head
+        by so much is no deeper in it: a disk on a flat sheet has nothing of it inside."""
+        axis, place = self.axis[some], self.places(some, back)
+        low, high = (np.clip(z - place[:, 2], -size, size) for z in height)
+        aside = size * np.hypot(axis[:, 0], axis[:, 1])
+        return np.asarray(back + aside - np.minimum(low * axis[:, 2], high * axis[:, 2]))
+
 
 @dataclasses.dataclass(frozen=True)
 class Head:
@@ -86,11 +95,12 @@ class Head:
         that toward a side, or higher."""
         if not len(points):
             return np.zeros(0), np.zeros(0, dtype=np.int64)
-        tree = cKDTree(points)
+        tree, height = cKDTree(points), (float(points[:, 2].min()), float(points[:, 2].max()))
         deep = np.full(len(way.rows), -np.inf)
         looked = np.zeros(len(way.rows), dtype=np.bool_)
         for back, size in self.balls:
             open_ = _near(tree, way, back, size - need)
+            open_ = open_[way.past(open_, back, size, height) - self.back[0] > need]
             looked[open_] = True
             for rows in np.array_split(open_, max(1, len(open_) // _QUERIES)):
                 if not len(rows):

@@ -17,10 +17,11 @@ from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
 from planner.claims_forming import ToolGap
+from planner.geometry.vectors import lengths
 from planner.issues import Issue, TandemError
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
-from planner.verify.looks import LEAST, MOST_BROKEN, STRIDE, lever
+from planner.verify.looks import LEAST, MOST_BROKEN, STRIDE, travel
 from planner.verify.rules_cell import REACH, accepted
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +82,7 @@ def drift(context: Context, found: Intervals) -> FloatArray:
     next instants: with the line between the points to first order, across it to second.
     """
     a, b = (context.motion.tcp[task.arm.name].place for task in context.job.tasks)
-    steps = [np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (a, b)]
+    steps = [lengths(np.diff(p, axis=0)) for p in (a, b)]
     both = np.concatenate([[0.0], np.cumsum(steps[0] + steps[1])])
     out = np.zeros(len(found.first))
     share = np.linspace(0.0, 1.0, MARKS)
@@ -201,10 +202,7 @@ def _nearest(
     limit, reach = accepted(wanted), max(REACH, 1.5 * wanted)
     arms = [task.arm.name for task in context.job.tasks]
     joints = [context.motion.q[arm] for arm in arms]
-    along = []
-    for arm, q in zip(arms, joints, strict=True):
-        way = np.abs(np.diff(q, axis=0)) @ lever(context, index, arm)
-        along.append(np.concatenate([[0.0], np.cumsum(way)]))
+    along = [np.concatenate([[0.0], np.cumsum(travel(context, index, arm))]) for arm in arms]
     short = 0.5 * min(STRIDE, max(wanted, LEAST))
     least = np.inf
     leaves: list[IntArray] = []

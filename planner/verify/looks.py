@@ -54,14 +54,12 @@ class Measured:
 def looks(context: Context, index: int) -> IntArray:
     """Samples of setup ``index`` at which clearance is looked at: no point of an arm, its tool or what it
     holds moves farther than ``STRIDE`` between them."""
-    motion = context.motion
     rows = np.flatnonzero(context.sample_setup == index)
     if not len(rows):
         return rows
     way = np.zeros(len(rows))
     for task in context.job.tasks:
-        reach = lever(context, index, task.arm.name)
-        way[1:] += np.abs(np.diff(motion.q[task.arm.name][rows], axis=0)) @ reach
+        way[1:] += travel(context, index, task.arm.name, rows)
     along = np.cumsum(way)
     count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
     marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
@@ -131,6 +129,13 @@ class _Asked:
         """Indices (K,) of what was measured, and the distances."""
         look = np.flatnonzero(self.done)
         return look, clearance.LeastClearance(self.distance[look], tuple(self.pair[int(i)] for i in look))
+
+
+def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)) -> FloatArray:
+    """How far (M - 1,) [m] any point of an arm goes at most between samples ``rows`` (M,) of a setup."""
+    reach, q = lever(context, index, arm), context.motion.q[arm]
+    # one axis at a time: copies of all take a long motion's memory
+    return np.asarray(sum(reach[axis] * np.abs(np.diff(q[rows, axis])) for axis in range(q.shape[1])))
 
 
 def lever(context: Context, index: int, arm: str) -> FloatArray:

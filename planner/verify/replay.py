@@ -87,7 +87,7 @@ class _Player:
             stage=p["stage"],
             node=p["node"],
             q={name: p[f"q/{name}"] for name in names},
-            tcp={name: Poses.joined(self.tcp[name]) for name in names},
+            tcp={name: Poses.joined(self.tcp.pop(name)) for name in names},
             node_sample=p["node_sample"],
             node_label=tuple(self.labels),
             node_stop=p["node_stop"],

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cell.clearance import LeastClearance
+from planner.geometry.vectors import lengths
 from planner.verify.context import Context
 from planner.verify.forming_state import Forming
+from planner.verify.motion import differences
 from planner.verify.rules_wire import feed_speed
 from planner.verify.wire import Wire
 
@@ -39,13 +41,13 @@ def series(
     out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
     for arm, q in motion.q.items():
         out[f"joints/{arm}"] = q[rows]
-        out[f"speed/{arm}"] = _peaks(motion.speed(arm), rows)
-        out[f"acceleration/{arm}"] = _peaks(motion.acceleration(arm), rows)
-        way = np.linalg.norm(
-            np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]), axis=1
-        )
-        step = np.diff(motion.time, prepend=motion.time[:1] - 1.0)
-        out[f"tcp_speed/{arm}"] = _peaks((way / np.maximum(step, 1e-6))[:, None], rows)[:, 0]
+        # one axis at a time: a long motion has so many samples that a copy of all is felt
+        for name, order in (("speed", 1), ("acceleration", 2)):
+            axes = [_peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(6)]
+            out[f"{name}/{arm}"] = np.concatenate(axes, axis=1)
+        way = lengths(np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]))
+        way /= np.maximum(np.diff(motion.time, prepend=motion.time[:1] - 1.0), 1e-6)
+        out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
     out["targets/time"] = motion.time[motion.node_sample]
     out["targets/label"] = np.asarray(motion.node_label)
     if clearance is not None:

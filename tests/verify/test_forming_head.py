@@ -46,3 +46,18 @@ def test_the_deepest_point_is_found_all_along_the_way(rise: float) -> None:
     for row in np.flatnonzero(exact > 0.5 * LOOKED + 1e-4):
         nearest = rows[np.argmin(np.abs(rows - row))]
         assert found[nearest] >= exact[row] - 0.5 * LOOKED
+
+
+def test_a_disk_flat_on_a_sheet_has_nothing_inside_until_it_dips() -> None:
+    grid = np.stack(np.meshgrid(np.arange(-60, 61, 2), np.arange(-20, 21, 2)), axis=-1).reshape(-1, 2) * 1e-3
+    points = np.column_stack([grid, np.zeros(len(grid))])
+    centre = np.column_stack([np.linspace(-0.04, 0.04, 2001), np.zeros(2001), np.zeros(2001)])
+    axis = np.tile([0.0, 0.0, -1.0], (2001, 1))
+    head = Head.of(PROFILE, 0.0)
+    deep, _ = head.into(points, HeadWay.of(centre, axis, np.zeros(2001), LONG), 5e-5)
+    assert len(deep) == 0
+    centre[1000:, 2] -= 4e-4
+    way = HeadWay.of(centre, axis, np.zeros(2001), LONG)
+    deep, rows = head.into(points, way, 5e-5)
+    assert set(way.rows[way.rows >= 1000]) == set(rows[deep > 5e-5])
+    np.testing.assert_allclose(deep[deep > 5e-5], 4e-4, atol=1e-9)
