@@ -12,6 +12,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
+from planner.verify.mill_rims import RIM_STEP, edges, rim_places
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
@@ -98,15 +99,20 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
     for index, claim in milling.spared:
         issues += _same_cutter(milling, index, claim)
         labels = tuple(name.lower() + way for name in claim.segments for way in WAYS)
-        if not len(milling.track(index, claim.arm, labels).rows):
+        track = milling.track(index, claim.arm, labels)
+        if not len(track.rows):
             continue
-        for solid in solids(claim.cutter):
+        pieces = solids(claim.cutter)
+        for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
             allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
-            step = _GOUGE * _step(solid, claim.tolerance)
+            near = comes_near(claim.vertices, track.tip, track.axis, solid)
+            if sharp and not near:
+                continue
+            step = RIM_STEP * claim.tolerance if sharp else _GOUGE * _step(solid, claim.tolerance)
             tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
             points = claim.vertices[:1]
-            if comes_near(claim.vertices, tip, axis, solid):
-                points = milling.places(claim, solid.radius)
+            if near:
+                points = rim_places(claim, solid, tip, axis) if sharp else milling.places(claim, solid.radius)
             off, place = sweep(points, tip, axis, solid, -allowed)
             k = int(off.argmin())
             if -off[k] - allowed > worst:
