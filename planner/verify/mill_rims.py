@@ -21,8 +21,15 @@ SLICE = 5e-3
 RIM_STEP = 2.0
 """Way between places over the tolerance: an edge at 45 degrees that goes in by the tolerance is so wide, and
 leaves stairs half as deep as the step between two places."""
+LEAST_STEP = 0.1e-3
+"""The same at least [m]."""
 COARSE = 4e-3
 """Size of pieces [m] of which those far from the edge are left out."""
+
+
+def rim_step(tolerance: float) -> float:
+    """Way between places [m] at which edges are looked at."""
+    return max(RIM_STEP * tolerance, LEAST_STEP)
 
 
 def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
@@ -45,7 +52,7 @@ def rim_places(claim: SparesPart, edge: Solid, tip: FloatArray, axis: FloatArray
     corners, _ = small_pieces(claim.vertices[claim.faces], COARSE, MOST)
     middle = corners.mean(axis=1)
     size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    stride = max(int(COARSE / max(RIM_STEP * claim.tolerance, 1e-9)), 1)
+    stride = max(int(COARSE / rim_step(claim.tolerance)), 1)
     some = np.append(np.arange(0, len(tip), stride), len(tip) - 1)
     centre = tip[some] + 0.5 * (edge.start + edge.end) * axis[some]
     reach = float(np.hypot(edge.radius, 0.5 * (edge.end - edge.start))) + SIGHT + COARSE

@@ -12,7 +12,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
-from planner.verify.mill_rims import RIM_STEP, edges, rim_places
+from planner.verify.mill_rims import edges, rim_places, rim_step
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
@@ -108,7 +108,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             near = comes_near(claim.vertices, track.tip, track.axis, solid)
             if sharp and not near:
                 continue
-            step = RIM_STEP * claim.tolerance if sharp else _GOUGE * _step(solid, claim.tolerance)
+            step = rim_step(claim.tolerance) if sharp else _GOUGE * _step(solid, claim.tolerance)
             tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
             points = claim.vertices[:1]
             if near:

@@ -14,7 +14,7 @@ from planner.milling import body
 from planner.problem import Mesh
 from planner.tool_heads import Cutter
 from planner.verify import mill_body
-from planner.verify.mill_rims import RIM_STEP, edges, rim_places
+from planner.verify.mill_rims import edges, rim_places, rim_step
 from tests.milling.small_mill import BALL, PANEL, WALL
 from tests.milling.swept_solids import heights, shell, signed, swept
 from tests.verify.test_rules_milling import Job
@@ -181,7 +181,7 @@ def test_a_sharp_rim_that_goes_a_little_into_a_slope_is_found(slope: float, radi
         vertices = corners + shift[0] * up + shift[1] * level
         face = SparesPart((), "robot", cutter, vertices, np.array([[0, 2, 1], [2, 3, 1]]), 0.0, 0.2e-3)
         turn = rng.uniform(-0.6, 0.6)
-        way = np.arange(0.0, rng.uniform(4e-3, 10e-3), RIM_STEP * face.tolerance)[:, None]
+        way = np.arange(0.0, rng.uniform(4e-3, 10e-3), rim_step(face.tolerance))[:, None]
         start = np.array([0.0, 0.0, (radius * np.sin(a) - deep) / np.cos(a)])
         tip = start + way * (np.cos(turn) * up + np.sin(turn) * level)
         axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1))
