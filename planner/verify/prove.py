@@ -46,6 +46,7 @@ from planner.verify import (
 from planner.verify.context import Context, Outcome
 from planner.verify.forming_state import Forming
 from planner.verify.mill_track import Milling
+from planner.verify.remedies import told
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.wire import Wire
 from planner.verify.wire import wires as all_wires
@@ -292,7 +293,7 @@ class _Run:
         return any(code in self.results and not self.results[code].passed for code in codes)
 
     def add(self, code: str, outcome: Outcome) -> None:
-        self.issues += outcome.issues
+        self.issues += [told(issue) for issue in outcome.issues]
         self.results[code] = RuleResult(
             code, TITLES[code], not outcome.issues, outcome.worst, outcome.limit, outcome.unit, outcome.where
         )

@@ -14,11 +14,13 @@ from planner.catalogue import robot
 from planner.cell.plant import build
 from planner.claims import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.rigid import from_rpy
+from planner.issues import Issue
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Shape, Stock, Tool
 from planner.verify import rules_cell
 from planner.verify.context import Context
 from planner.verify.poses import Poses
-from planner.verify.prove import Prover
+from planner.verify.prove import RULES, Prover
+from planner.verify.remedies import REMEDIES, told
 from tests.verify import small_job
 from tests.verify.mutants import both, change, field, lines, moves, name, put, segment, shifted, timed
 
@@ -80,6 +82,15 @@ def test_joint_speed():
     for k in segment(texts, "approach"):
         texts = timed(texts, k, 0.02)
     assert issues("verify.joint_speed", texts)
+
+
+def test_what_to_do_is_told_where_a_rule_does_not_say_so_itself():
+    assert set(REMEDIES) <= set(RULES)
+    found = issues("verify.tcp_speed", job=small_job.problem(tcp_speed=0.03))
+    assert {issue.hint for issue in found} == {REMEDIES["verify.tcp_speed"]}
+    own = Issue("verify.tcp_speed", "too fast", hint="stop there")
+    assert told(own) == own
+    assert told(Issue("verify.syntax", "what")).hint is None
 
 
 # ---- the wire ----------------------------------------------------------------------------------------
