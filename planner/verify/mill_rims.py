@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from planner.claims_milling import SparesPart
 from planner.geometry.closest import small_pieces
+from planner.geometry.vectors import lengths
 from planner.verify.mill_body import SIGHT, Solid
 from planner.verify.mill_track import FINEST, MOST
 
@@ -49,16 +50,22 @@ def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
 def rim_places(claim: SparesPart, edge: Solid, tip: FloatArray, axis: FloatArray) -> FloatArray:
     """Places (P, 3) of a face near an edge on its way ``tip``, ``axis`` (M, 3), as near to one another as the
     edge is wide where it goes in by the tolerance; one vertex where none is near."""
-    corners, _ = small_pieces(claim.vertices[claim.faces], COARSE, MOST)
-    middle = corners.mean(axis=1)
-    size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
     stride = max(int(COARSE / rim_step(claim.tolerance)), 1)
     some = np.append(np.arange(0, len(tip), stride), len(tip) - 1)
-    centre = tip[some] + 0.5 * (edge.start + edge.end) * axis[some]
+    centre = cKDTree(tip[some] + 0.5 * (edge.start + edge.end) * axis[some])
     reach = float(np.hypot(edge.radius, 0.5 * (edge.end - edge.start))) + SIGHT + COARSE
-    away, _ = cKDTree(centre).query(middle, distance_upper_bound=reach + float(size.max()))
-    near = corners[away - size <= reach]
+    near = _near(claim.vertices[claim.faces], centre, reach)
+    if len(near):
+        near = _near(small_pieces(near, COARSE, MOST)[0], centre, reach)
     if not len(near):
         return claim.vertices[:1]
     pieces, _ = small_pieces(near, max(RIM_STEP * claim.tolerance, FINEST), MOST)
     return np.asarray(pieces.mean(axis=1))
+
+
+def _near(corners: FloatArray, centre: cKDTree, reach: float) -> FloatArray:
+    """The triangles (T, 3, 3) that may come within ``reach`` [m] of some centre."""
+    middle = corners.mean(axis=1)
+    size = lengths(corners - middle[:, None]).max(axis=1)
+    away, _ = centre.query(middle, distance_upper_bound=reach + float(size.max()))
+    return np.asarray(corners[away - size <= reach])
