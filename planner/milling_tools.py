@@ -22,8 +22,6 @@ STEEL: Final = 7800.0
 SPINDLE: Final = 4500.0
 """Densities [kg/m^3]: of cutter, holder and plate, and of a spindle, taken as half steel, half copper and
 air (assumed; state ``mass_kg`` where it is known)."""
-AROUND: Final = 9
-"""Places of the outline of a rounded corner."""
 
 
 def mill(
@@ -77,18 +75,6 @@ def mill(
         edge=_edge(cutter, tcp),
         cutter=cutter,
     )
-
-
-def outline(cutter: Cutter) -> FloatArray:
-    """Outline (K, 2) [m] of the cutter and its shank up to the holder: distance behind the tip along the axis
-    and radius there, ascending."""
-    turn = np.linspace(0.0, 0.5 * np.pi, AROUND if cutter.corner > 0.0 else 1)
-    flat, round_ = cutter.radius - cutter.corner, cutter.corner
-    end = np.stack([round_ * (1.0 - np.cos(turn)), flat + round_ * np.sin(turn)], axis=1)
-    if cutter.corner == 0.0:
-        end = np.array([[0.0, cutter.radius]])
-    behind = [[cutter.flute, cutter.radius], [cutter.flute, cutter.shank], [cutter.overhang, cutter.shank]]
-    return np.concatenate([end, behind])
 
 
 def _check(
