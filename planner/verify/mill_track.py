@@ -83,7 +83,7 @@ class Milling:
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
         self._places: dict[tuple[bytes, float], FloatArray] = {}
-        self._followed: dict[tuple[int, str], tuple[IntArray, Followed]] = {}
+        self._followed: dict[tuple[int, int], tuple[IntArray, Followed]] = {}
 
     @property
     def surfaces(self) -> tuple[tuple[int, MillsSurface], ...]:
@@ -132,7 +132,7 @@ class Milling:
     def followed(self, index: int, claim: MillsAlong) -> tuple[IntArray, Followed] | None:
         """How the claimed way is followed at those samples of its track whose rows come first; None where the
         track has none."""
-        key = (index, claim.segment)
+        key = (index, id(claim))  # claims live as long as this does
         track = self.track(index, claim.arm, (claim.segment.lower(),))
         if key not in self._followed and len(track.rows):
             some = looks(track.tip, track.axis, claim.tolerance)
