@@ -167,7 +167,10 @@ class Forming:
     def _ball(self, way: Track, face: Face) -> Balls:
         """The forming ball on a track, worked out once for claims of the same track and face, which live as
         long as this does."""
-        return self._balls.setdefault((id(way), id(face)), Balls(way, face))
+        key = (id(way), id(face))
+        if key not in self._balls:
+            self._balls[key] = Balls(way, face)
+        return self._balls[key]
 
     def _formed(self, claim: FormsSheet, index: int) -> Formed:
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
