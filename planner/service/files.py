@@ -29,7 +29,7 @@ class Files:
     """The stored files under ``root``, in folders by the first two digits of their hash."""
 
     def __init__(self, root: Path) -> None:
-        self.root = self._root = root
+        self.root = root
         self._incoming = root / "incoming"
         self._incoming.mkdir(parents=True, exist_ok=True)
         self._lock = threading.Lock()
@@ -73,7 +73,7 @@ class Files:
         """Where the file with that hash lies; raises ``ValueError`` for what is no hash."""
         if not _SHA.fullmatch(sha):
             raise ValueError(f"{sha!r} is no SHA-256")
-        return self._root / sha[:2] / sha
+        return self.root / sha[:2] / sha
 
     def has(self, sha: str) -> bool:
         """Whether it is stored."""
@@ -88,7 +88,7 @@ class Files:
         number.
         """
         before, removed = time.time() - GRACE_S, 0
-        for folder in sorted(self._root.iterdir()):
+        for folder in sorted(self.root.iterdir()):
             old = [path for path in folder.iterdir() if _older(path, before)]
             if folder == self._incoming:
                 kept: set[str] = set()
@@ -104,7 +104,7 @@ class Files:
         return removed
 
     def _measured(self) -> int:
-        folders = [folder for folder in self._root.iterdir() if folder != self._incoming and folder.is_dir()]
+        folders = [folder for folder in self.root.iterdir() if folder != self._incoming and folder.is_dir()]
         return sum(_size(path) for folder in folders for path in folder.iterdir())
 
 
