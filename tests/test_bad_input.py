@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -62,14 +61,11 @@ NOT_PROBLEMS = {
 
 
 @pytest.mark.parametrize("name", NOT_PROBLEMS)
-def test_what_is_no_problem_file_is_refused_quickly(tmp_path: Path, name: str) -> None:
+def test_what_is_no_problem_file_is_refused(tmp_path: Path, name: str) -> None:
     content, code = NOT_PROBLEMS[name]
     path = tmp_path / "p.yaml"
     path.write_bytes(content)
-    started = time.perf_counter()
-    found = refused(path)
-    assert time.perf_counter() - started < 20.0
-    assert code in codes(found)
+    assert code in codes(refused(path))
 
 
 def test_paths_that_lead_nowhere(tmp_path: Path) -> None:

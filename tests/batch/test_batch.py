@@ -187,15 +187,15 @@ def _standing(folder: Path) -> tuple[int, bytes]:
 def test_what_is_tried_again(tmp_path: Path) -> None:
     found = items(tmp_path, ["exit-1", "hang-1", "good-1"])
     out = tmp_path / "out"
-    rows, _ = plan(found, out, Settings(timeout_s=0.5))
+    rows, _ = plan(found, out, Settings(timeout_s=3.0))
     assert [row.done.state for row in rows] == ["crashed", "timeout", "verified"]
     assert batch.exit_code(rows) == 1
-    rows, heard = plan(found, out, Settings(timeout_s=0.5, resume=True))
+    rows, heard = plan(found, out, Settings(timeout_s=3.0, resume=True))
     assert [row.kept for row in rows] == [False, True, True]
     assert [e.name for e in heard if isinstance(e, Finished)].count("good-1") == 1
-    rows, _ = plan(found[1:], out, Settings(timeout_s=0.6, resume=True))
+    rows, _ = plan(found[1:], out, Settings(timeout_s=3.5, resume=True))
     assert [row.kept for row in rows] == [False, True]
-    assert rows[0].done.issues[0].limit == 0.6
+    assert rows[0].done.issues[0].limit == 3.5
     rows, _ = plan(found[2:], out)
     assert [row.kept for row in rows] == [False]
     (tmp_path / "targets.csv").write_text((tmp_path / "targets.csv").read_text() + "\n")

@@ -1,5 +1,6 @@
-"""``python -m tests.service.pretend PORT DATA DATABASE``: the service with a team that takes a moment for
-each job and makes up the result."""
+"""``python -m tests.service.pretend PORT DATA DATABASE [COUNT]``: the service with a team that takes a moment
+for each job and makes up the result; with a COUNT, it ends so many jobs, holds the others, and leaves a file
+``held`` beside the data as soon as it holds one."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from planner.batch.job import Event
+from planner.batch.job import Event, Finished
 from planner.service import serve
 from planner.service.limits import Limits
 from planner.service.service import Options
@@ -22,14 +23,24 @@ MOMENTS = random.Random(5)
 class Slow(Team):
     """Takes up to a fifth of a second for a job."""
 
+    most: int | None = None
+    ended = 0
+
     def events(self, timeout_s: float) -> Iterator[Event]:
         if self._open:
             time.sleep(MOMENTS.uniform(0.0, 0.2))
-        yield from super().events(timeout_s)
+        if self.most is not None and self.ended >= self.most:
+            self.hold.set()
+            if self._open:
+                Path(data).with_name("held").touch()
+        for event in super().events(timeout_s):
+            self.ended += isinstance(event, Finished)
+            yield event
 
 
 if __name__ == "__main__":
-    port, data, database = sys.argv[1:]
+    port, data, database, *most = sys.argv[1:]
+    Slow.most = int(most[0]) if most else None
     limits = Limits(open_jobs=10_000, kept_jobs=10_000)
     serve.make_team = lambda options: Slow  # type: ignore[assignment]
     options = Options(

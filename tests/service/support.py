@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,7 @@ class InProcess:
         files = [("problem", ("p.yaml", problem)), ("files", ("targets.csv", TABLE))]
         return self.http.post(path, files=files, **more)
 
-    def ended(self, job: str, timeout_s: float = 20.0, **more: Any) -> dict[str, Any]:
+    def ended(self, job: str, timeout_s: float = 120.0, **more: Any) -> dict[str, Any]:
         """The job when it has ended."""
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
@@ -111,6 +111,15 @@ def named(name: str) -> str:
 def codes(answer: Any) -> list[tuple[str, str | None]]:
     """Code and field of every issue in an answer."""
     return [(issue["code"], issue.get("field")) for issue in answer.json()["issues"]]
+
+
+def until(asked: Callable[[], object], timeout_s: float = 120.0) -> None:
+    """Wait until it is so."""
+    ending = time.monotonic() + timeout_s
+    while not asked():
+        if time.monotonic() > ending:
+            raise TimeoutError(f"not so within {timeout_s:g} s")
+        time.sleep(0.02)
 
 
 def free_port() -> int:
@@ -145,7 +154,7 @@ class Process:
                 cwd=data.parent,
             )
 
-    def wait(self, timeout_s: float = 60.0) -> Process:
+    def wait(self, timeout_s: float = 120.0) -> Process:
         """Until it answers."""
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:

@@ -19,7 +19,7 @@ from planner.issues import TandemError
 from planner.problem import Problem
 from tests import small_problem
 from tests.service import postgres
-from tests.service.support import Process, named
+from tests.service.support import Process, named, until
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -34,8 +34,8 @@ def problems(folder: Path, count: int) -> Iterator[Problem]:
 
 
 def ended(client: Client, jobs: list[str], timeout_s: float) -> list[dict[str, object]]:
-    until = time.monotonic() + timeout_s
-    while time.monotonic() < until:
+    ending = time.monotonic() + timeout_s
+    while time.monotonic() < ending:
         found = [client.job(job) for job in jobs]
         if all(job["state"] not in ("queued", "running") for job in found):
             return found
@@ -48,16 +48,18 @@ def test_jobs_survive_kills_while_they_come_in_and_are_planned(tmp_path: Path, d
     data, moments, accepted = tmp_path / "data", random.Random(11), []
     wanted = list(problems(tmp_path, 12))
 
-    def start(port: int) -> Process:
-        return Process(data, port=port, module="tests.service.pretend", arguments=(str(data), database))
+    def start(port: int, *most: str) -> Process:
+        arguments = (str(data), database, *most)
+        return Process(data, port=port, module="tests.service.pretend", arguments=arguments)
 
-    process = start(0).wait()
+    most = moments.randint(1, 6)  # so many end, and what is begun then runs until the kill
+    process = start(0, str(most)).wait()
     client = Client(process.url)
     client.check(wanted[0], reach=False)  # the reader has started
 
     def send(problem: Problem) -> None:
-        until = time.monotonic() + 240.0
-        while time.monotonic() < until:
+        ending = time.monotonic() + 240.0
+        while time.monotonic() < ending:
             with contextlib.suppress(TandemError):  # it is down
                 accepted.append(client.submit(problem))
                 return
@@ -65,14 +67,13 @@ def test_jobs_survive_kills_while_they_come_in_and_are_planned(tmp_path: Path, d
 
     with ThreadPoolExecutor(2) as pool:
         sent = [pool.submit(send, problem) for problem in wanted]
-        while len(accepted) < 4:
-            time.sleep(0.01)
+        until((tmp_path / "held").exists)
         time.sleep(moments.uniform(0.0, 0.3))
         process.kill()
         process = start(process.port).wait()
     for one in sent:
         one.result()
-    found = ended(client, accepted, 60.0)
+    found = ended(client, accepted, 240.0)
     assert len(accepted) == len(wanted)
     assert {job["state"] for job in found} == {"verified"}
     assert max(int(str(job["attempts"])) for job in found) >= 2  # a kill met a job that ran
