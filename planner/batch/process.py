@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,13 @@ LAST_WORDS = 4000
 
 
 class Process:
-    """One worker, running ``module``; ``jobs`` counts what it has begun.
+    """One worker, running ``module``; ``jobs`` counts what it has begun. It does not inherit the variables
+    ``unset`` of the environment.
 
     To be made by a thread that lives as long as the worker shall: the kernel ends it with that thread.
     """
 
-    def __init__(self, module: str = MODULE) -> None:
+    def __init__(self, module: str = MODULE, unset: Collection[str] = ()) -> None:
         self.jobs = 0
         self._rest = b""
         self._words = tempfile.TemporaryFile()  # noqa: SIM115 (closed by `end`)
@@ -36,7 +37,7 @@ class Process:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._words,
-            env={**dict.fromkeys(THREADS, "1"), **os.environ, "PYTHONPATH": _path()},
+            env=_environment(unset),
             process_group=0,  # Ctrl-C is for the parent, which ends its workers
         )
         os.set_blocking(self.fileno(), False)
@@ -108,6 +109,11 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
+
+
+def _environment(unset: Collection[str]) -> dict[str, str]:
+    kept = {name: value for name, value in os.environ.items() if name not in unset}
+    return {**dict.fromkeys(THREADS, "1"), **kept, "PYTHONPATH": _path()}
 
 
 def _path() -> str:

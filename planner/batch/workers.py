@@ -11,7 +11,7 @@ import contextlib
 import dataclasses
 import selectors
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -51,16 +51,22 @@ class Workers:
 
     All methods belong to one thread. Time-outs, memory and results are looked after while :meth:`events` is
     asked, so ask it all the time. ``memory_mb`` is the limit of jobs that have none of their own, ``module``
-    what the workers run. Without ``reports`` a job that was stopped gets no result folder.
+    what the workers run, ``unset`` variables of the environment that they do not inherit. Without ``reports``
+    a job that was stopped gets no result folder.
     """
 
     def __init__(
-        self, count: int, memory_mb: float | None = None, module: str = MODULE, reports: bool = True
+        self,
+        count: int,
+        memory_mb: float | None = None,
+        module: str = MODULE,
+        reports: bool = True,
+        unset: Collection[str] = (),
     ) -> None:
         if count < 1:
             raise ValueError(f"workers: got {count}; give at least 1")
         self._count, self._limit_mb = count, memory_mb
-        self._module, self._reports = module, reports
+        self._module, self._reports, self._unset = module, reports, unset
         self._idle: list[Process] = []
         self._starting: list[Process] = []
         self._running: dict[str, _Running] = {}
@@ -166,7 +172,7 @@ class Workers:
 
     def _fill(self) -> None:
         for _ in range(self._count - len(self._processes())):
-            process = self._maker.submit(Process, self._module).result()
+            process = self._maker.submit(Process, self._module, self._unset).result()
             self._starting.append(process)
             self._selector.register(process, selectors.EVENT_READ)
 

@@ -25,7 +25,12 @@ from tests import small_problem
 from tests.batch.test_batch import content, items
 from tests.batch.test_workers import FAULTY, ROOT, alive, job
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": str(ROOT),
+    "OMP_NUM_THREADS": "1",
+    "MALLOC_TRIM_THRESHOLD_": "65536",  # as Dask's nanny sets it
+}
 
 
 class Machines:
@@ -96,6 +101,8 @@ def test_jobs_fail_alone_and_are_heard_of(machines: Machines, tmp_path: Path) ->
         assert not team.busy
         team.start(job("good-2"), tmp_path / "good-2")
         assert ended(team, 1)[0]["good-2"].state == "verified"
+        _, planned_in = (tmp_path / "good-2" / "report.html").read_text().split()
+        assert b"MALLOC_TRIM_THRESHOLD_" not in Path(f"/proc/{planned_in}/environ").read_bytes()
     assert any(isinstance(e, Found) and e.issues[0].code == "mesh.unit" for e in heard)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["exit-1", "good-1", "good-2", "hang-1"]
     assert "batch.crashed" in (tmp_path / "exit-1" / "report.html").read_text()
