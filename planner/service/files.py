@@ -36,28 +36,33 @@ class Files:
         self.used = self._measured()
         """What all files take [bytes]; what other hosts store is known after the next sweep."""
 
-    def put(self, stream: BinaryIO) -> Blob:
-        """Store what ``stream`` holds from here on."""
+    def put(self, stream: BinaryIO, known: Blob | None = None) -> Blob:
+        """Store what ``stream`` holds from here on. With ``known``, what :func:`blob_of` said of it, it is
+        not hashed again, and only read if it is new.
+        """
+        if known is not None and self._wanted_again(known.sha):
+            return known
         digest, size = hashlib.sha256(), 0
         handle, name = tempfile.mkstemp(dir=self._incoming)
         try:
             with os.fdopen(handle, "wb") as out:
                 while chunk := stream.read(CHUNK):
-                    digest.update(chunk)
+                    if known is None:
+                        digest.update(chunk)
                     size += len(chunk)
                     out.write(chunk)
                 out.flush()
                 os.fsync(out.fileno())
-            blob = Blob(digest.hexdigest(), size)
+            blob = known or Blob(digest.hexdigest(), size)
+            if size != blob.size:  # no name may stand for other content
+                raise OSError(f"{size} bytes were read of a file of {blob.size}")
             target = self.path(blob.sha)
             with self._lock:
-                new = not target.is_file()
+                new = not self._wanted_again(blob.sha)
                 if new:
                     target.parent.mkdir(exist_ok=True)
                     Path(name).replace(target)
                     self.used += size
-                else:
-                    os.utime(target)  # it is wanted again: the sweep leaves it
             if new:
                 _to_disk(target.parent)
         finally:
@@ -102,6 +107,14 @@ class Files:
         with self._lock:
             self.used = self._measured()
         return removed
+
+    def _wanted_again(self, sha: str) -> bool:
+        """Whether it is stored; the sweep leaves it from now on."""
+        try:
+            os.utime(self.path(sha))
+        except FileNotFoundError:
+            return False
+        return True
 
     def _measured(self) -> int:
         folders = [folder for folder in self.root.iterdir() if folder != self._incoming and folder.is_dir()]

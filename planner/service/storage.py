@@ -45,7 +45,7 @@ class Storage:
         """
         blobs = [blob_of(stream) for stream in streams]
         with self._room(owner, blobs):
-            return [self._files.put(stream) for stream in streams]
+            return [self._files.put(*one) for one in zip(streams, blobs, strict=True)]
 
     def used(self, owner: str) -> int:
         """What a token's files take [bytes]."""

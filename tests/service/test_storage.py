@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import os
 import shutil
 import time
+import types
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from planner.service import files as files_module
 from planner.service import storage
 from planner.service.files import GRACE_S, Files, blob_of
 from planner.service.limits import Limits
@@ -108,6 +111,59 @@ def test_the_service_has_so_much_room_for_all(tmp_path: Path) -> None:
     room.put("bob", [io.BytesIO(b"b" * 300_000), io.BytesIO(b"c" * 300_000)])
 
 
+class Counted(io.BytesIO):
+    """Content that tells how many of its bytes were read."""
+
+    count = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        chunk = super().read(size)
+        self.count += len(chunk)
+        return chunk
+
+
+def test_content_is_hashed_once_and_read_again_only_to_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = Storage(files := Files(tmp_path), lambda owner: {}, Limits(disk_mb=4.0))
+    hashed: list[int] = []
+
+    class Digest:
+        def __init__(self) -> None:
+            self._digest = hashlib.sha256()
+
+        def update(self, chunk: bytes) -> None:
+            hashed.append(len(chunk))
+            self._digest.update(chunk)
+
+        def hexdigest(self) -> str:
+            return self._digest.hexdigest()
+
+    monkeypatch.setattr(files_module, "hashlib", types.SimpleNamespace(sha256=Digest))
+    content = os.urandom(3_000_000)
+    for owner, reads in (("ann", 2), ("ann", 1), ("bob", 1)):  # it is new only once
+        (blob,) = room.put(owner, [stream := Counted(content)])
+        assert (blob.sha, blob.size) == (hashlib.sha256(content).hexdigest(), len(content))
+        assert stream.count == reads * len(content)
+        assert sum(hashed) == len(content)
+        hashed.clear()
+    assert files.read(blob.sha) == content
+    with pytest.raises(RefusedError):
+        room.put("bob", [stream := Counted(b"b" * 2_000_000)])
+    assert stream.count == sum(hashed) == 2_000_000  # nothing of it went to the disk
+    assert [path.name for path in tmp_path.glob("*/*")] == [blob.sha]
+
+
+def test_a_stream_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
+    files = Files(tmp_path)
+    blob = blob_of(io.BytesIO(b"whole"))
+    with pytest.raises(OSError, match="3 bytes were read of a file of 5"):
+        files.put(io.BytesIO(b"who"), blob)
+    assert not files.has(blob.sha)
+    assert files.used == 0
+    assert not list(tmp_path.glob("*/*"))
+
+
 def test_a_disk_that_is_full_or_nearly_is_507(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room = Storage(files := Files(tmp_path), lambda owner: {}, Limits())
     usage = shutil.disk_usage(tmp_path)
@@ -116,7 +172,7 @@ def test_a_disk_that_is_full_or_nearly_is_507(tmp_path: Path, monkeypatch: pytes
         room.put("ann", [io.BytesIO(b"a")])
     monkeypatch.undo()
 
-    def full(stream: object) -> None:
+    def full(stream: object, known: object) -> None:
         raise OSError(errno.ENOSPC, "no space left")
 
     monkeypatch.setattr(files, "put", full)
