@@ -77,9 +77,10 @@ def _placed(
 
 
 def _off(rows: FloatArray, along: FloatArray) -> float:
-    """How far [m] rows (K, P, 3) are off the straight moves from the first to the last of them."""
+    """How far [m] rows (K, P, 3) are off the straight move from the first to the last of them, on which all
+    points of the tool are as far on their ways at a time."""
     start, way = rows[0], rows[-1] - rows[0]
     rest = rows - start
-    square = np.maximum((way * way).sum(axis=1), 1e-18)
-    share = np.clip((rest * way).sum(axis=2) / square, 0.0, 1.0)
-    return float(np.linalg.norm(rest - share[..., None] * way, axis=2).max())
+    square = max(float((way * way).sum()), 1e-18)
+    share = np.clip((rest * way).sum(axis=(1, 2)) / square, 0.0, 1.0)
+    return float(np.linalg.norm(rest - share[:, None, None] * way, axis=2).max())

@@ -1,0 +1,159 @@
+"""How much of its moves a corner between two of them may round off: what a zone may take.
+
+The clock asks it as well as the writers of programs: the speed that changes at a corner changes while that is
+rounded off, so small zones want slow corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import CutsSurface, StraightWire
+from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.geometry.vectors import dots, lengths
+from planner.problem import Tool
+from planner.targets import Targets, works
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+DEVIATION: Final = 0.02
+"""How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
+AIR: Final = 0.5
+"""How far [mm] a straight wire may pass a target in the air: slower turns, and still far within any
+clearance."""
+SURFACE_SHARE: Final = 0.15
+"""Part of a surface's tolerance that rounded corners of a straight wire may take, where it is more."""
+LEVER: Final = 100.0
+"""Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
+long."""
+ACCURACY: Final = 0.01
+"""A controller rounds corners within this of their targets [mm] even without a zone: a tenth of what ABB
+states for path repeatability."""
+ACCURACY_TURN: Final = 1e-4
+"""The same for turning [rad]."""
+ZONE_STEP: Final = 2.0
+"""Sizes of the zones that programs may name are no farther apart than by this factor."""
+_SHARE: Final = 0.5
+
+
+def lever(tool: Tool) -> float:
+    """How far [mm] from its TCP a tool cuts: to the far end of a straight wire, or :data:`LEVER`, also for
+    what is no wire but a solid with corners."""
+    if tool.edge is None or tool.edge.vertices is not None:
+        return LEVER
+    half = np.array([[0.0, 0.0, sign * 0.5 * tool.edge.size[1]] for sign in (-1.0, 1.0)])
+    ends = half @ tool.edge.pose[:3, :3].T + tool.edge.pose[:3, 3] - tool.tcp[:3, 3]
+    return max(LEVER, 1e3 * float(np.linalg.norm(ends, axis=1).max()))
+
+
+def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
+    """What turning about the tool's axes x, y, z (3,) counts as [mm/rad].
+
+    :func:`lever`; but a cutter is a body of revolution that follows a way within an angle: its spin is worth
+    what a solid may move in the air, its lean, where no surface asks for more, what that angle allows.
+    """
+    along = [claim for claim in targets.claims if isinstance(claim, MillsAlong) and claim.arm == arm]
+    if not along:
+        return np.full(3, lever(tool))
+    lean, allowed = LEVER, float(deviations(targets, [along[0].segment])[0])
+    if not any(isinstance(claim, MillsSurface | SparesPart) for claim in targets.claims):
+        lean = min(LEVER, allowed / (SURFACE_SHARE * min(claim.turn for claim in along)))
+    return np.array([lean, lean, LEVER * allowed / AIR])
+
+
+def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
+    """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
+
+    A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
+    it. A cutter may take a share of what its surfaces allow. Whatever follows poses or joins two arms keeps
+    to :data:`DEVIATION` everywhere.
+    """
+    least = np.full(len(labels), DEVIATION)
+    milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
+    if milled:
+        part = np.full(len(labels), max(DEVIATION, 1e3 * SURFACE_SHARE * min(milled)))
+        return np.where(np.array([works(label) for label in labels]), part, least)
+    if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
+        return least
+    surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
+    cutting = np.array([works(label) for label in labels])
+    foam = max(DEVIATION, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
+    return np.where(cutting | np.append(cutting[1:], False), foam, AIR)
+
+
+def room(
+    position: FloatArray,
+    quaternion: FloatArray,
+    duration: FloatArray,
+    stop: BoolArray,
+    levers: FloatArray | float = LEVER,
+    deviation: FloatArray | float = DEVIATION,
+) -> tuple[FloatArray, FloatArray]:
+    """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops.
+
+    ``position`` [mm] and ``quaternion`` of the poses, ``duration`` (M,) [s]; ``deviation`` (M,) [mm] is how
+    far a corner may pass its target. Turning about the tool's axes counts by ``levers`` (3,) [mm/rad].
+    """
+    way, turn = np.diff(position, axis=0), _turns(quaternion)
+    angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(turn), 0.0, 1.0))
+    rate = np.concatenate([way, levers * turn], axis=1) / duration[:, None]
+    taken = np.append(_share(rate, duration, np.broadcast_to(deviation, stop.shape)[:-1]), 0.0)
+    taken[stop] = 0.0
+    return taken * _shorter(lengths(way)), taken * _shorter(angle)
+
+
+def shares(
+    position: FloatArray,
+    quaternion: FloatArray,
+    duration: FloatArray,
+    levers: FloatArray,
+    deviation: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """At least which share (M - 1,) of the shorter one of the moves beside it each corner between M moves is
+    rounded over, on both sides: by the zone that :func:`room` allows, and by what the controller takes
+    without one. Arguments as there."""
+    way, turn = np.diff(position, axis=0), _turns(quaternion)
+    span = duration[:, None]
+    rate = np.concatenate([way, levers * turn], axis=1) / span
+    own = [_share(way / span, duration, ACCURACY), _share(turn / span, duration, ACCURACY_TURN)]
+    return _share(rate, duration, deviation[:-1]) / ZONE_STEP, np.minimum(*own)
+
+
+def _turns(quaternion: FloatArray) -> FloatArray:
+    """Turns (M, 3) [rad] about the tool's own axes from each of M + 1 orientations to the next, by their
+    chords; signs of quaternions do not matter."""
+    a, b = quaternion[:-1], quaternion[1:]
+    w, u, v = a[:, :1], a[:, 1:], b[:, 1:]
+    half = w * v - b[:, :1] * u - np.cross(u, v)
+    return np.asarray(2.0 * half * np.where(dots(a, b) < 0.0, -1.0, 1.0)[:, None])
+
+
+def _share(rate: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
+    """Share (M - 1,) of the shorter one of two moves at ``rate`` (M, D) that the corner between them may take
+    before and behind it, at most one half.
+
+    A corner that is rounded over the time h before and behind it passes the target at h |dv| / 4, dv being
+    the change of velocity across the way (the quadratic Bezier curve with the corner as its control point).
+    """
+    passed = np.minimum(duration[:-1], duration[1:]) * _sideways(rate) / 4.0
+    return np.asarray(np.minimum(_SHARE, deviation / np.maximum(passed, 1e-12)))
+
+
+def _sideways(rate: FloatArray) -> FloatArray:
+    """Change (M - 1,) of speeds (M, D) across the way, which alone leaves it: along the line that halves the
+    corner. At equal speeds it is all of the change."""
+    size = lengths(rate)
+    along = rate / np.maximum(size, 1e-12)[:, None]
+    bent = 0.5 * (size[1:] + size[:-1]) * lengths(np.diff(along, axis=0))
+    stands = np.minimum(size[1:], size[:-1]) < 1e-9
+    return np.where(stands, lengths(np.diff(rate, axis=0)), bent)
+
+
+def _shorter(size: FloatArray) -> FloatArray:
+    """The smaller one of each row and the next."""
+    return np.asarray(np.minimum(size, np.append(size[1:], 0.0)))
