@@ -154,6 +154,10 @@ class Milling:
         if arm not in motion.tcp or not len(rows):
             none = np.zeros((0, 3))
             return Track(rows[:0], none, none, np.zeros(0, bool), np.zeros(0, "<U1"))
-        seen = inverse(context.stock_poses(index, rows)) @ motion.tcp[arm][rows]
+        poses, node = motion.tcp[arm][rows], motion.node[rows]
+        # a segment that begins from rest begins at the written target; samples may miss that moment
+        rests = ~chosen[rows] & motion.node_stop[node] & np.isfinite(motion.node_tcp[arm][node, 0, 0])
+        poses[rests] = motion.node_tcp[arm][node[rests]]
+        seen = inverse(context.stock_poses(index, rows)) @ poses
         joined = (np.diff(rows) == 1) & chosen[rows[1:]]
         return Track(rows, seen[:, :3, 3], -seen[:, :3, 2], joined, names[motion.node[rows]])
