@@ -28,6 +28,8 @@ AIR: Final = 0.5
 clearance."""
 SURFACE_SHARE: Final = 0.15
 """Part of a surface's tolerance that rounded corners of a straight wire may take, where it is more."""
+TIGHT_SHARE: Final = 0.5
+"""The same of a cutter's tolerance that is tighter than :data:`DEVIATION`."""
 LEVER: Final = 100.0
 """Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
 long."""
@@ -36,8 +38,13 @@ ACCURACY: Final = 0.01
 states for path repeatability."""
 ACCURACY_TURN: Final = 1e-4
 """The same for turning [rad]."""
-ZONE_STEP: Final = 2.0
-"""Sizes of the zones that programs may name are no farther apart than by this factor."""
+FINE_ZONES: Final = (
+    *(0.7, 0.5, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.015, 0.01),
+    *(0.007, 0.005, 0.003, 0.002, 0.001),
+)
+"""Sizes of small zones [mm] or [deg] that programs may name."""
+ZONE_STEP: Final = 1.7
+"""Sizes of zones are no farther apart than by this factor, but for those within :data:`ACCURACY`."""
 _SHARE: Final = 0.5
 
 
@@ -76,7 +83,9 @@ def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
     least = np.full(len(labels), DEVIATION)
     milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
     if milled:
-        part = np.full(len(labels), max(DEVIATION, 1e3 * SURFACE_SHARE * min(milled)))
+        tolerance = 1e3 * min(milled)
+        least = np.full(len(labels), min(DEVIATION, TIGHT_SHARE * tolerance))
+        part = max(float(least[0]), SURFACE_SHARE * tolerance)
         return np.where(np.array([works(label) for label in labels]), part, least)
     if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
         return least

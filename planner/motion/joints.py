@@ -102,7 +102,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
     q = np.concatenate([samples.q[arm] for arm in targets.arms], axis=1)
     poses = {arm: scene.chains[arm].pose(samples.q[arm]) for arm in targets.arms}
     places = [poses[arm][:, :3, 3] for arm in targets.arms]
-    straight = _in_work_frames(targets, poses)
+    straight = [pose[:, :3, 3] for pose in in_work_frames(targets, poses).values()]
     way = np.linalg.norm(np.diff(q, axis=0) / speed, axis=1)
     way += sum(np.linalg.norm(np.diff(p, axis=0), axis=1) for p in places)
     cut = guarded(targets, samples)
@@ -134,8 +134,8 @@ def _deviation(
     middle = spline(0.5 * (way[1:] + way[:-1]))
     poses = {arm: scene.chains[arm].pose(middle[:, 6 * k : 6 * k + 6]) for k, arm in enumerate(targets.arms)}
     worst = 0.0
-    for found, place in zip(_in_work_frames(targets, poses), places, strict=True):
-        at = found - place[:-1]
+    for found, place in zip(in_work_frames(targets, poses).values(), places, strict=True):
+        at = found[:, :3, 3] - place[:-1]
         chord = np.diff(place, axis=0)
         along = np.einsum("ij,ij->i", at, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-18)
         away = at - np.clip(along, 0.0, 1.0)[:, None] * chord
@@ -143,14 +143,13 @@ def _deviation(
     return worst
 
 
-def _in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> list[FloatArray]:
-    """Places (K, 3) of the TCPs of world poses {arm: (K, 4, 4)}: in the world, or in a frame that is held."""
+def in_work_frames(targets: Targets, poses: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """TCP poses {arm: (K, 4, 4)} of those in the world: in the world still, or in a frame that is held."""
     held = dict(holders(targets))
-    out = []
+    out = {}
     for arm in targets.arms:
         holder = held[arm]
-        pose = poses[arm] if holder is None else inverse(poses[holder]) @ poses[arm]
-        out.append(pose[..., :3, 3])
+        out[arm] = poses[arm] if holder is None else inverse(poses[holder]) @ poses[arm]
     return out
 
 

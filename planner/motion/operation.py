@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, transit
+from planner.motion import aim, corridor, diagnose, entry, rounding, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, joint_path, tcp_ways
 from planner.motion.paths import find
@@ -183,7 +183,8 @@ def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Clock, float
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     path = joint_path(scene, targets, samples, speed)
     try:
-        ticks = clock(path, Limits(speed, settings.acceleration_fraction * strength, least))
+        rounded = rounding.shares(scene, targets, samples, least)
+        ticks = clock(path, Limits(speed, settings.acceleration_fraction * strength, least, rounded))
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"

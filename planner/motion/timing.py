@@ -23,14 +23,19 @@ from planner.motion.plain_toppra import (
     JointAccelerationConstraint,
     LinearConstraint,
 )
+from planner.motion.rounding import CornerConstraint, Corners, on_grid
 from planner.motion.timing_drake import parameterise_drake
 
 FloatArray = NDArray[np.float64]
 
 RESERVE: Final = 0.97
 RESERVE_ACCELERATION: Final = 0.74
-"""Share of speeds and accelerations that the clock uses: the rest covers grid points and blending at the
-corners."""
+RESERVE_CORNER: Final = 0.9
+"""Shares of speeds and accelerations, and of those at rounded corners, that the clock uses: the rest covers
+grid points and what corners do between targets."""
+ROUNDS: Final = 8
+HARDER: Final = 1.1
+"""So often a piece is timed where corners ask for too much, each time with so much more room than that."""
 
 GRID_PER_KNOT: Final = 2
 SHORTEST: Final = 6e-3
@@ -45,12 +50,13 @@ MANY_GRID: Final = 24
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Joint speeds and accelerations (J,) and the least time (N,) [s] that feeds allow for the move to each
-    target."""
+    """Joint speeds and accelerations (J,), the least time (N,) [s] that feeds allow for the move to each
+    target, and which share (N,) of the shorter move beside it each corner is rounded over."""
 
     speed: FloatArray
     acceleration: FloatArray
     least_time: FloatArray
+    rounded: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,12 +133,26 @@ def _piece(
     bound = top[inner]
     on_knot = np.flatnonzero(np.isin(grid, knots[1:-1]))
     bound[on_knot] = np.minimum(top[inner[on_knot]], top[inner[on_knot] - 1])
-    profile, used = parameterise(
-        spline, grid, bound, RESERVE * limits.speed, RESERVE_ACCELERATION * limits.acceleration
-    )
-    if profile is None:
-        raise TimingError(last)
-    return np.interp(knots, grid, profile.time), profile, used
+    speed, acceleration = RESERVE * limits.speed, RESERVE_ACCELERATION * limits.acceleration
+    corners = Corners.of(spline, knots, limits.rounded[first + 1 : last])
+    weaker = np.ones(len(knots) - 2)
+    held: CornerConstraint | None = None
+    rounds = 0
+    while True:
+        profile, used = parameterise(spline, grid, bound, speed, acceleration, held)
+        if profile is None:
+            raise TimingError(last)
+        time: FloatArray = np.interp(knots, grid, profile.time)
+        asked = corners.asked(np.diff(time), limits.acceleration)
+        rounds += 1
+        if rounds == ROUNDS or not np.any(asked > RESERVE_CORNER):
+            return time, profile, used
+        if held is not None:
+            weaker = np.maximum(weaker, weaker * asked / RESERVE_CORNER * HARDER)
+        held = on_grid(corners, knots, grid, weaker, RESERVE_CORNER * limits.acceleration)
+        mean = steps / np.diff(time)  # a ramp that is faster than its neighbour would brake at the corner
+        bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean[1])
+        bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean[-2])
 
 
 def _grid(breaks: FloatArray, least: int) -> FloatArray:
@@ -144,11 +164,17 @@ def _grid(breaks: FloatArray, least: int) -> FloatArray:
 
 
 def parameterise(
-    spline: CubicSpline, grid: FloatArray, bound: FloatArray, speed: FloatArray, acceleration: FloatArray
+    spline: CubicSpline,
+    grid: FloatArray,
+    bound: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    corners: CornerConstraint | None = None,
 ) -> tuple[Profile | None, str]:
     """Fastest profile over ``grid`` (G,) with path speed below ``bound`` (G,), at rest at both ends.
 
-    ``speed`` and ``acceleration`` (J,) are joint limits. The second value names the solver.
+    ``speed`` and ``acceleration`` (J,) are joint limits, ``corners`` what is to hold besides, which Drake's
+    solver does not know. The second value names the solver.
     """
     with np.errstate(divide="ignore"):
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
@@ -157,7 +183,8 @@ def parameterise(
         np.stack([-acceleration, acceleration], axis=1),
         discretization_scheme=DiscretizationType.Interpolation,
     )
-    solver = TOPPRA([_Bound(limit), held], _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
+    constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, corners]
+    solver = TOPPRA(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
     _, found, _ = solver.compute_parameterization(0.0, 0.0)
     if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
         return Profile(spline, grid, np.asarray(found)), "toppra"

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.corners import FINE_ZONES
 from planner.geometry.rigid import from_quaternion
 from planner.post.krl_format import ANGLE_DECIMALS, abc, rotation
 from planner.post.program import POSITION_DECIMALS, BoolArray, IntArray, Track
@@ -30,9 +31,9 @@ FREE_TURN: Final = 200.0
 """$VEL.ORI [deg/s] of moves whose way sets the time."""
 SPEED_DECIMALS: Final = 8
 TURN_DECIMALS: Final = 5
-DISTANCES: Final = (10.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+DISTANCES: Final = (15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.5, 1.0, *FINE_ZONES)
 """$APO.CDIS [mm]."""
-ANGLES: Final = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+ANGLES: Final = (1.0, *FINE_ZONES)
 """$APO.CORI [deg]."""
 FREE_ANGLE: Final = 180.0
 _MODAL: Final = ("$VEL.CP", "$VEL.ORI1", "$VEL.ORI2", "$APO.CDIS", "$APO.CORI")

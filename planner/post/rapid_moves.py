@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import RobotData
+from planner.corners import FINE_ZONES
 from planner.post.confdata import confdata
 from planner.post.program import BoolArray, IntArray, Track
 from planner.post.rapid_format import UNUSED_AXES
@@ -22,18 +23,17 @@ SPEEDS: Final = (
 )
 """TCP speeds [mm/s] of the predefined speeddata v5 ... v7000."""
 
-OWN_ZONES: Final = {"z3mm": 3.0, "z100um": 0.1, "z30um": 0.03, "z10um": 0.01, "z3um": 0.003, "z1um": 0.001}
+OWN_ZONES: Final = {f"z{size:g}mm": size for size in (10.0, 5.0, 3.0, 2.0)} | {
+    f"z{1e3 * size:g}um": size for size in (1.5, *FINE_ZONES) if size != 0.3
+}
 """Zones of our own by the way of the TCP [mm], for dense targets."""
 
-TURN_ZONES: Final = {
-    f"z_turn_{round(1e3 * size)}": size for size in (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
-}
+TURN_ZONES: Final = {f"z_turn_{1e3 * size:g}": size for size in (1.0, *FINE_ZONES)}
 """Zones of our own for a TCP that stands and turns [deg], named after thousandths of a degree."""
 
 # name and the larger one of a zone's sizes for position and for turning [mm], largest first
-_ZONES: Final = (
-    *(("z10", 15.0), ("z5", 8.0), ("z3mm", 3.0), ("z1", 1.0), ("z0", 0.3)),
-    *list(OWN_ZONES.items())[1:],
+_ZONES: Final = sorted(
+    [("z10", 15.0), ("z5", 8.0), ("z1", 1.0), ("z0", 0.3), *OWN_ZONES.items()], key=lambda zone: -zone[1]
 )
 
 

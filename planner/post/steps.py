@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from planner import corners
 from planner.catalogue import robot
 from planner.geometry.rigid import to_quaternion
 from planner.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.post import corners, handshake_drift
+from planner.post import handshake_drift
 from planner.post.handshake import meeting_rows, refusals, stretched
 from planner.post.loads import carries
 from planner.post.program import (
@@ -380,7 +381,7 @@ def _track(
         quaternion[stations],
         duration,
         stop,
-        corners.lever(arm.tool),
+        corners.levers(plan.targets, arm.name, arm.tool),
         corners.deviations(plan.targets, labels),
     )
     return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

@@ -15,6 +15,7 @@ from planner.motion.search import Found, search, speed_limits
 from planner.motion.timing import Limits, Profile, clock, least_times, parameterise
 from planner.motion.timing_drake import parameterise_drake
 from planner.problem import Settings
+from planner.verify import time_law
 from tests.motion.scenes import HIGH, one_arm, s_curve
 
 
@@ -35,7 +36,7 @@ def test_limits_hold_densely_and_drake_agrees(seed: int) -> None:
     found, used = parameterise(spline, grid, bound, speed, strength)
     assert used == "toppra"
     assert found is not None
-    fast, hard = found.peaks(Limits(speed, strength, np.zeros(1)))
+    fast, hard = found.peaks(Limits(speed, strength, np.zeros(1), np.zeros(1)))
     assert fast < 1.005
     assert hard < 1.01
     fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
@@ -68,7 +69,7 @@ def test_stops_are_at_rest_and_feeds_hold() -> None:
     path = joint_path(scene, targets, samples, speed)
     assert [(p.first, p.last) for p in path.pieces] == [(0, 25), (25, 59)]
     least = np.where(targets.travel > 0, targets.travel / feed, 0.0)
-    ticks = clock(path, Limits(speed, 0.8 * scene.chains["arm"].robot.acceleration, least))
+    ticks = clock(path, Limits(speed, 0.8 * scene.chains["arm"].robot.acceleration, least, np.full(60, 0.5)))
     moves = np.diff(ticks.time)
     assert (moves > 0).all()
     assert (targets.travel[1:] / moves <= feed[1:] * (1 + 1e-9)).all()
@@ -86,7 +87,7 @@ def test_all_smooth_paths_are_timed_with_jumps_of_the_feed() -> None:
         rng = np.random.default_rng(seed)
         least = np.append(0.0, 10.0 ** rng.uniform(-3.0, -1.3, 39))
         piece = Piece(0, 39, spline, spline.x)
-        limits = Limits(np.full(12, 3.0), np.full(12, 20.0), least)
+        limits = Limits(np.full(12, 3.0), np.full(12, 20.0), least, np.full(40, 0.5))
         ticks = clock(JointPath(40, (piece,), 0.0), limits)
         assert (np.diff(ticks.time) >= least[1:] - 1e-9).all()
         assert ticks.peak_speed <= 1.0
@@ -111,5 +112,33 @@ def test_no_move_is_shorter_than_controllers_plan() -> None:
     spline = CubicSpline(s, np.stack([s, 0.3 * s**2], axis=1))
     path = JointPath(30, (Piece(0, 29, spline, s),), 0.0)
     still = least_times(np.zeros(30), np.ones(30), {}, 0.25)
-    found = clock(path, Limits(np.full(2, 2.0), np.full(2, 8.0), still))
+    found = clock(path, Limits(np.full(2, 2.0), np.full(2, 8.0), still, np.full(30, 0.5)))
     assert np.diff(found.time).min() >= 6e-3
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_corners_ask_for_no_more_than_the_joints_have(seed: int) -> None:
+    """Jagged ways, each corner rounded over a share of its own: replayed by the proof's own law of time and
+    differentiated, every acceleration is within the limits."""
+    rng = np.random.default_rng(seed)
+    smooth = random_path(seed, 40, 6)
+    values = smooth(smooth.x) + rng.normal(0.0, 0.02, (40, 6))
+    spline = CubicSpline(smooth.x, values)
+    rounded = 10.0 ** rng.uniform(-2.0, np.log10(0.5), 40)
+    least = np.append(0.0, rng.uniform(0.005, 0.2, 39))
+    limits = Limits(np.full(6, 3.0), np.full(6, 20.0), least, rounded)
+    ticks = clock(JointPath(40, (Piece(0, 39, spline, spline.x),), 0.0), limits)
+    moves = np.diff(values, axis=0)
+    stop = np.zeros(40, dtype=bool)
+    stop[[0, -1]] = True
+    share = np.tile(rounded[:, None], (1, 2))
+    duration = np.diff(ticks.time)
+    shorter = np.minimum(duration[:-1], duration[1:])  # the law takes shares of each move by itself
+    share[1:-1] = rounded[1:-1, None] * shorter[:, None] / np.stack([duration[:-1], duration[1:]], axis=1)
+    law = time_law.make(duration, np.diff(spline.x), stop, share, np.zeros(40))
+    at = np.linspace(0.0, ticks.time[-1], 400_001)
+    node, rest = time_law.offsets(law, moves, at)
+    found = values[node] + rest
+    hard = np.diff(found, 2, axis=0) / np.diff(at)[0] ** 2
+    inner = (at[1:-1] > ticks.time[1]) & (at[1:-1] < ticks.time[-2])  # between the ramps
+    assert 10.0 < np.abs(hard[inner]).max() < 20.0

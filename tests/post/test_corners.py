@@ -8,9 +8,11 @@ import re
 import numpy as np
 import pytest
 
+from planner import corners
 from planner.bow import bow
 from planner.claims import CutsSurface, KerfCurve, StraightWire
-from planner.post import corners
+from planner.claims_milling import MillsAlong, SparesPart
+from planner.post import krl_moves, rapid_moves
 from planner.post.write import programs
 from tests.post import synthetic
 from tests.post.reading import moves, numbers
@@ -46,8 +48,78 @@ def test_zones_take_at_most_half_a_segment():
     assert {row[6][:6] for row in rows[30:-1]} == {"z_turn"}
 
 
+def passed(before, after, share):
+    """How far the quadratic Bezier curve that rounds a corner off over ``share`` of the shorter one of two
+    moves on each side, in time, stays off the corner: by its points."""
+    (way0, time0), (way1, time1) = before, after
+    window = share * min(time0, time1)
+    t = np.linspace(0.0, 1.0, 20_001)[:, None]
+    curve = -((1.0 - t) ** 2) * window * np.asarray(way0) / time0 + t**2 * window * np.asarray(way1) / time1
+    return float(np.linalg.norm(curve, axis=1).min())
+
+
+def test_corners_stay_within_what_is_allowed_by_the_points_of_their_curves():
+    """Random corners and times: never farther off than allowed, and exactly so at equal speeds."""
+    rng = np.random.default_rng(4)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
+    for trial in range(200):
+        ways = rng.normal(size=(2, 3)) * rng.uniform(0.1, 10.0, (2, 1))
+        even = trial % 2 == 0
+        if even:
+            ways[1] *= np.linalg.norm(ways[0]) / np.linalg.norm(ways[1])
+        times = np.ones(2) if even else rng.uniform(0.05, 1.0, 2)
+        position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
+        reach, _ = corners.room(position, still, times, np.array([False, True]))
+        share = reach[0] / np.linalg.norm(ways, axis=1).min()
+        off = passed((ways[0], times[0]), (ways[1], times[1]), share)
+        assert off <= corners.DEVIATION * (1.0 + 1e-6)
+        if even and share < 0.5:
+            assert off == pytest.approx(corners.DEVIATION, rel=1e-3)
+
+
+def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
+    """Along one line, and turning about one axis beside it, nothing leaves the way."""
+    place = np.cumsum(np.array([0.0, 1.0, 1.5, 4.0, 4.0, 0.5]))
+    position = np.stack([place, 2.0 * place, 0.0 * place], axis=1)
+    angle = 0.01 * place
+    turned = np.stack([np.cos(0.5 * angle), 0.0 * angle, 0.0 * angle, np.sin(0.5 * angle)], axis=1)
+    turned[2::2] *= -1.0  # the same orientations
+    time = np.array([0.1, 0.05, 0.08, 0.03, 0.2])
+    reach, turn = corners.room(position, turned, time, np.arange(5) == 4)
+    step = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    assert reach[:4] == pytest.approx(0.5 * np.minimum(step[:-1], step[1:]))
+    assert turn[:4] == pytest.approx(
+        0.005 * np.minimum(*np.abs(np.diff(place))[[[0, 1, 2, 3], [1, 2, 3, 4]]])
+    )
+
+
+def test_a_cutter_may_spin_as_its_way_asks():
+    """Its spin is worth 4 mm/rad, its lean 100 where a surface is claimed, else what its angle allows."""
+    way = MillsAlong("mill/a", "left", np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), 2e-4, 0.01)
+    job = synthetic.problem(("left",))
+    labels = ["approach", "mill/a", "mill/a", "retreat"]
+    made = synthetic.operation(job, {"left": synthetic.sweep(4)}, labels, actions=(), coupled=False).targets
+    alone = dataclasses.replace(made, claims=(way,))
+    allowed = 0.15 * 0.2  # mm: a share of its tolerance
+    lean = allowed / (0.15 * 0.01)
+    spin = 100.0 * allowed / 0.5
+    assert corners.levers(alone, "left", synthetic.tool()) == pytest.approx([lean, lean, spin])
+    spared = SparesPart(("mill/a",), "left", None, np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.0, 2e-4)
+    both = dataclasses.replace(made, claims=(way, spared))
+    assert corners.levers(both, "left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
+    assert corners.levers(made, "left", synthetic.tool()) == pytest.approx([100.0] * 3)
+
+
+def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
+    rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_moves.OWN_ZONES.values()])
+    for sizes in (rapid, rapid_moves.TURN_ZONES.values(), krl_moves.DISTANCES, krl_moves.ANGLES):
+        found = np.sort(np.array(list(sizes)))
+        coarse = found[1:] > corners.ACCURACY
+        assert (found[1:] / found[:-1] <= corners.ZONE_STEP + 1e-9)[coarse].all()
+
+
 def test_a_rounded_corner_passes_its_target_closely():
-    """Along an arc any zone is good; at a sharp corner the zone shrinks (Bezier: zone * turn / 4)."""
+    """Along an arc any zone is good; at a sharp corner the zone shrinks."""
     count = 81
     angle = np.linspace(0.0, 1.0, count)
     position = np.stack([300.0 * np.sin(angle), 300.0 * np.cos(angle), 0.0 * angle], axis=1)
@@ -58,9 +130,10 @@ def test_a_rounded_corner_passes_its_target_closely():
     steps = np.diff(position, axis=0)
     half = 0.5 * np.minimum(*np.linalg.norm([steps[:-1], steps[1:]], axis=2))
     assert np.allclose(reach[:38], half[:38], rtol=1e-12)
-    velocity = np.linalg.norm(steps[40] - steps[39])
-    shorter = min(np.linalg.norm(steps[39]), np.linalg.norm(steps[40]))
-    assert reach[39] == pytest.approx(4 * corners.DEVIATION / velocity * shorter)
+    share = reach[39] / min(np.linalg.norm(steps[39]), np.linalg.norm(steps[40]))
+    assert 0.0 < share < 0.02
+    off = passed((steps[39], 1.0), (steps[40], 1.0), share)
+    assert 0.1 * corners.DEVIATION < off <= corners.DEVIATION
     assert reach[-1] == 0.0 and not turn.any()
 
 
@@ -81,13 +154,11 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert (reach[:19] <= 0.5 * np.minimum(step[:-1], step[1:]) + 1e-12).all()
     assert reach_turn[9] == 0.0  # before the corner nothing turns
-    # rounded off over the time h a corner is passed at h |dv| / 4, also by the wire's end, 325 mm away
-    speed = np.linalg.norm(np.diff(way, axis=0)[[9, 10]] / duration[[9, 10], None], axis=1)
-    change = speed.sum() + 325.0 * 0.5 * np.pi / 40.0
-    h = reach[9] / step[9] * duration[9]
-    assert (
-        0.5 * corners.DEVIATION <= h * change / 4.0 <= 1.03 * corners.DEVIATION
-    )  # turning is taken by its chord
+    # the wire's end, 325 mm away, is at a corner too: from the way of the TCP into that of the turn
+    leave = np.append(way[11] - way[10], 325.0 * np.sqrt(2.0))  # turning is taken by its chord
+    come = np.append(way[10] - way[9], 0.0)
+    off = passed((come, duration[9]), (leave, duration[10]), reach[9] / step[9])
+    assert 0.1 * corners.DEVIATION <= off <= corners.DEVIATION
 
 
 def test_turning_counts_at_the_end_of_the_wire():

@@ -1,0 +1,120 @@
+"""What corners between moves ask of the clock.
+
+A controller gives each move a speed of its own and rounds off the corners, so joint speeds change within what
+a corner takes of the moves beside it. Where a zone is small, or a corner sharp, they change faster there than
+on the spline that the clock follows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from planner import corners
+from planner.geometry.rigid import to_quaternion
+from planner.motion.joints import Dense, in_work_frames
+from planner.motion.plain_toppra import LinearConstraint
+from planner.motion.scene import Scene
+from planner.targets import Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+WHOLE: Final = 0.5
+"""Share of a move that a corner takes at most: corners at both its ends meet in the middle."""
+LEAST: Final = 1e-4
+"""Least share of a move that a corner counts with."""
+MOST_RAMP: Final = 2.0
+"""A move from or to a stop ends or begins at most so many times as fast as it is on average."""
+
+
+def shares(scene: Scene, targets: Targets, samples: Dense, least: FloatArray) -> FloatArray:
+    """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
+    moves whose times are in proportion to ``least`` (N,)."""
+    rows = np.flatnonzero(samples.share == 1.0)
+    poses = {arm: scene.chains[arm].pose(samples.q[arm][rows]) for arm in targets.arms}
+    deviation = corners.deviations(targets, targets.segment[1:])
+    zone, own = np.full((2, targets.count), WHOLE)
+    for arm, pose in in_work_frames(targets, poses).items():
+        levers: FloatArray = np.full(3, corners.LEVER)
+        if scene.model is not None:
+            levers = corners.levers(targets, arm, scene.model.cell.arm(arm).tool)
+        quaternion = to_quaternion(pose[:, :3, :3])
+        found = corners.shares(pose[:, :3, 3] / MM, quaternion, least[1:], levers, deviation)
+        zone[1:-1] = np.minimum(zone[1:-1], found[0])
+        own[1:-1] = np.minimum(own[1:-1], found[1])
+    return np.asarray(np.maximum(np.maximum(zone, own), LEAST))
+
+
+@dataclasses.dataclass(frozen=True)
+class Corners:
+    """Corners at the inner targets (n,) of a piece: ``before``, ``after`` (n, J) the slopes of the joints
+    over the path just before and behind each, ``step`` (n + 1,) the lengths of the moves, ``taken`` (n,) the
+    share of the shorter one of two that their corner is rounded over on each side."""
+
+    before: FloatArray
+    after: FloatArray
+    step: FloatArray
+    taken: FloatArray
+
+    @staticmethod
+    def of(spline: CubicSpline, knots: FloatArray, taken: FloatArray) -> Corners:
+        """Of a path with targets at the positions ``knots`` (n + 2,), among the breaks of the spline."""
+        breaks, values = spline.x, spline(spline.x)
+        slope = np.diff(values, axis=0) / np.diff(breaks)[:, None]
+        at = np.searchsorted(breaks, knots[1:-1])
+        return Corners(slope[at - 1], slope[at], np.diff(knots), taken)
+
+    def asked(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last
+        ``duration`` (n + 1,) [s]."""
+        mean = self.step / duration
+        comes, goes = mean.copy(), mean.copy()  # a ramp ends and begins as fast as its neighbour is
+        if len(mean) > 1:
+            comes[0] = np.clip(mean[1], mean[0], MOST_RAMP * mean[0])
+            goes[-1] = np.clip(mean[-2], mean[-1], MOST_RAMP * mean[-1])
+        change = self.after * goes[1:, None] - self.before * comes[:-1, None]
+        window = 2.0 * self.taken * np.minimum(duration[:-1], duration[1:])
+        return np.asarray(np.abs(change / window[:, None] / acceleration).max(axis=1))
+
+    def demand(self) -> tuple[FloatArray, FloatArray]:
+        """``slope`` and ``bend`` (n, J): at the path's acceleration u and squared speed x a corner asks for
+        the joint accelerations slope u + bend x."""
+        shorter = np.minimum(self.step[:-1], self.step[1:])
+        window = (2.0 * self.taken * shorter)[:, None]
+        middle = 0.5 * (self.step[:-1] + self.step[1:])[:, None]
+        return 0.5 * (self.before + self.after) * middle / window, (self.after - self.before) / window
+
+
+class CornerConstraint(LinearConstraint):  # type: ignore[misc]
+    """Accelerations within ``acceleration`` (J,) at corners: ``slope`` u + ``bend`` x, (G, J) each at the
+    grid points; rows of zeros ask for nothing."""
+
+    def __init__(self, slope: FloatArray, bend: FloatArray, acceleration: FloatArray) -> None:
+        super().__init__()
+        self._slope, self._bend = slope, bend
+        eye = np.eye(len(acceleration))
+        self._rows, self._most = np.concatenate([eye, -eye]), np.concatenate([acceleration, acceleration])
+        self.identical = True
+
+    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._most, None, None
+
+
+def on_grid(
+    corners: Corners, knots: FloatArray, grid: FloatArray, weaker: FloatArray, acceleration: FloatArray
+) -> CornerConstraint:
+    """What the corners ask for at the grid points (G,): each half of a move by the corner next to it, and
+    nothing in moves from and to stops, which are ramps. ``weaker`` (n,) divides the limits of the corners."""
+    slope, bend = corners.demand()
+    inner = knots[1:-1]
+    middle = 0.5 * (inner[1:] + inner[:-1])
+    near = np.searchsorted(middle, grid)
+    apart = (grid >= inner[0]) & (grid <= inner[-1])
+    scale = np.where(apart, weaker[near], 0.0)[:, None]
+    return CornerConstraint(slope[near] * scale, bend[near] * scale, acceleration)
