@@ -56,7 +56,7 @@ def corner_normals(mesh: TriangleMesh, crease: float) -> FloatArray:
     corner = mesh.vertices[mesh.faces]
     edge = np.roll(corner, -1, axis=1) - corner
     edge = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)
-    angle = np.arccos(np.clip(-np.einsum("fcd,fcd->fc", edge, np.roll(edge, 1, axis=1)), -1.0, 1.0)).ravel()
+    angle = np.arccos(np.clip(-dots(edge, np.roll(edge, 1, axis=1)), -1.0, 1.0)).ravel()
     vertex = mesh.faces.ravel()
     order = np.argsort(vertex, kind="stable")
     count = np.bincount(vertex, minlength=len(mesh.vertices))
@@ -88,7 +88,7 @@ def small_pieces(corners: FloatArray, size: float, most: int) -> tuple[FloatArra
         edges = np.empty_like(corners)
         np.subtract(corners[:, 1:], corners[:, :2], out=edges[:, :2])
         np.subtract(corners[:, 0], corners[:, 2], out=edges[:, 2])
-        one, two, three = np.ascontiguousarray(np.einsum("tcd,tcd->tc", edges, edges).T)
+        one, two, three = np.ascontiguousarray(dots(edges, edges).T)
         most_of_two = np.maximum(one, two)
         # the first one of equals
         longest = np.where(three > most_of_two, 2, (two > one).astype(np.int64))

@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.files import is_file
+from planner.geometry.vectors import dots
 from planner.issues import Issue, TandemError
 
 FloatArray = NDArray[np.float64]
@@ -158,7 +159,7 @@ def vertex_normals(mesh: TriangleMesh) -> FloatArray:
     corner = mesh.vertices[mesh.faces]
     edge = np.roll(corner, -1, axis=1) - corner
     edge = edge / np.maximum(np.linalg.norm(edge, axis=2, keepdims=True), 1e-300)
-    angle = np.arccos(np.clip(-np.einsum("fcd,fcd->fc", edge, np.roll(edge, 1, axis=1)), -1.0, 1.0))
+    angle = np.arccos(np.clip(-dots(edge, np.roll(edge, 1, axis=1)), -1.0, 1.0))
     weighted = angle[..., None] * face_normals(mesh)[:, None, :]
     total = np.zeros_like(mesh.vertices)
     np.add.at(total, mesh.faces.reshape(-1), weighted.reshape(-1, 3))
@@ -190,7 +191,7 @@ def offset(
     direction = vertex_normals(mesh) if normals is None else normals
     shift = np.broadcast_to(np.asarray(distance, dtype=np.float64), len(mesh.vertices))
     moved = TriangleMesh(mesh.vertices + shift[:, None] * direction, mesh.faces)
-    turned = np.einsum("fd,fd->f", face_normals(mesh), face_normals(moved)) <= 0.0
+    turned = dots(face_normals(mesh), face_normals(moved)) <= 0.0
     if turned.any():
         most = 1e3 * float(np.abs(shift).max())
         at = 1e3 * mesh.vertices[mesh.faces[turned][0]].mean(axis=0)

@@ -122,7 +122,7 @@ def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list
         half, turn = (0.5 * (of[rows[:, -1]] - of[rows[:, 0]]) for of in (pivot, axis))
         turn -= dots(turn, unit)[:, None] * unit
         off, lean = pivot[rows] - middle[:, None], axis[rows] - unit[:, None]
-        chord = np.sqrt(np.einsum("gkd,gkd->gk", lean, lean).max(axis=1))
+        chord = np.sqrt(dots(lean, lean).max(axis=1))
         depth = np.abs(np.einsum("gkd,gd->gk", off, unit)).max(axis=1)
         depth += wide * chord + 0.5 * far * chord * chord
         share = np.einsum("gkd,gd->gk", off, half) + far**2 * np.einsum("gkd,gd->gk", lean, turn)
@@ -130,8 +130,8 @@ def ladder(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> list
         np.clip(share, -1.0, 1.0, out=share)
         off -= share[..., None] * half[:, None]
         lean -= share[..., None] * turn[:, None]
-        lost = np.sqrt(np.einsum("gkd,gkd->gk", off, off).max(axis=1))
-        lost += far * np.sqrt(np.einsum("gkd,gkd->gk", lean, lean).max(axis=1))
+        lost = np.sqrt(dots(off, off).max(axis=1))
+        lost += far * np.sqrt(dots(lean, lean).max(axis=1))
         lost += depth * np.linalg.norm(turn, axis=1)
         half -= dots(half, unit)[:, None] * unit
         out.append(Level(size, np.vstack([middle.T, unit.T, half.T, turn.T, depth, lost])))
