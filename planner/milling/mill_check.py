@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.milling import body
 from planner.milling.job import Done, Face, Job
@@ -175,7 +176,7 @@ def largest_that_fits(
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
     way = points[some][None] - points[some][:, None]
     height = np.einsum("ijd,id->ij", way, normal)
-    square = np.einsum("ijd,ijd->ij", way, way)
+    square = dots(way, way)
     # facets are chords: places that are near to one another see corners where the face is round
     level = np.abs(way @ along) < LEVEL if along is not None else np.ones(height.shape, dtype=bool)
     real = level & (height > 0.02 * np.sqrt(square)) & (square > np.square(APART * radius))

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
 from planner.tool_heads import Cutter
 
 FloatArray = NDArray[np.float64]
@@ -17,7 +18,7 @@ UPRIGHT: Final = 1e-3
 
 def leant(normal: FloatArray, feed: FloatArray, lead: float, tilt: float) -> FloatArray:
     """Axes (N, 3): normals leant forward along the feed by ``lead`` and to its left by ``tilt`` [rad]."""
-    along = _unit(feed - np.einsum("nd,nd->n", feed, normal)[:, None] * normal)
+    along = _unit(feed - dots(feed, normal)[:, None] * normal)
     left = np.cross(normal, along)
     return _unit(normal + np.tan(lead) * along + np.tan(tilt) * left)
 
@@ -30,7 +31,7 @@ def tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cutt
     has no circle, a cylinder no tube. The tube's middle is r above the contact along the normal, and the
     circle's middle is beside that, to the side to which the normal leans off the axis.
     """
-    across = normal - np.einsum("nd,nd->n", normal, axis)[:, None] * axis
+    across = normal - dots(normal, axis)[:, None] * axis
     lean = np.linalg.norm(across, axis=1, keepdims=True)
     side = np.where(lean > UPRIGHT, across / np.maximum(lean, 1e-15), 0.0)
     circle = cutter.radius - cutter.corner

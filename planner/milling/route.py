@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
 from planner.issues import Issue, TandemError
 from planner.milling.operation import Milling, SafeSide
 from planner.milling.values import Run
@@ -130,7 +131,7 @@ def _stops(tip: FloatArray) -> NDArray[np.bool_]:
     long = np.flatnonzero(length > STILL)
     if len(long) > 1:
         way = step[long] / length[long, None]
-        cosine = np.einsum("nd,nd->n", way[1:], way[:-1])
+        cosine = dots(way[1:], way[:-1])
         out[long[1:][cosine < np.cos(SHARP)]] = True
     moving = length > STILL
     out[1:-1] |= moving[1:] != moving[:-1]  # before and after turns in place

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -68,9 +70,9 @@ def _placed(
     before, after = axis[end - 1], axis[end]
     tips[between] = tip[end - 1] + part * (tip[end] - tip[end - 1])
     # the part of the later axis that is square to the earlier one, and the angle from the one to the other
-    square = after - np.einsum("nd,nd->n", before, after)[:, None] * before
+    square = after - dots(before, after)[:, None] * before
     size = np.linalg.norm(square, axis=1, keepdims=True)
-    turn = np.arctan2(size, np.einsum("nd,nd->n", before, after)[:, None])
+    turn = np.arctan2(size, dots(before, after)[:, None])
     square = square / np.maximum(size, 1e-15)
     axes[between] = np.cos(part * turn) * before + np.sin(part * turn) * square
     return np.append(0, to), np.concatenate([tip[:1], tips]), np.concatenate([axis[:1], axes])
