@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planner.geometry.vectors import lengths
 from planner.report.solids import Solid
 
 FloatArray = NDArray[np.float64]
@@ -132,7 +133,7 @@ def _shade(
     side = view + np.cross(view, [0.0, 0.0, 1.0])
     half = light + view
     ways = np.stack([view, light, side / np.linalg.norm(side), half / np.linalg.norm(half), [0.0, 0.0, 1.0]])
-    length = np.maximum(np.sqrt(np.einsum("nc,nc->n", normal, normal)), 1e-12)
+    length = np.maximum(lengths(normal), 1e-12)
     seen = (normal @ ways.T.astype(np.float32)) / length[:, None]
     seen *= np.where(seen[:, :1] < 0.0, np.float32(-1.0), np.float32(1.0))
     key, fill, shine = (np.maximum(seen[:, k], 0.0) for k in (1, 2, 3))
