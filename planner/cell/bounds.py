@@ -126,7 +126,7 @@ class Bounds:
         near[first, second] = (reach[first] + reach[second] + limit) ** 2
         which = np.flatnonzero(rows)
         some = centre[which]
-        square = np.einsum("rsc,rsc->rs", some, some)
+        square = dots(some, some)
         apart = square[:, :, None] + square[:, None, :] - 2.0 * (some @ np.swapaxes(some, 1, 2))
         row, code = np.divmod(np.flatnonzero(apart < near), count * count)
         return which[row], code // count, code % count
@@ -322,7 +322,7 @@ def _separation(
     lines = np.concatenate(
         [np.swapaxes(one[0], 1, 2), np.swapaxes(two[0], 1, 2), w[:, None], gap[:, None]], axis=1
     )
-    norm = np.sqrt(np.einsum("mlc,mlc->ml", lines, lines))
+    norm = lengths(lines)
     lines = lines / np.maximum(norm, 1e-12)[..., None]
     shadow = np.abs(np.einsum("mlc,mc->ml", lines, w))
     for frame, support in (one, two):
@@ -368,4 +368,4 @@ def _slope(points: FloatArray, along: FloatArray, half: FloatArray) -> FloatArra
     out = np.maximum(over, 0.0)
     inside = over.max(axis=1) <= 0.0
     out[inside] = np.eye(3)[over[inside].argmax(axis=1)]
-    return np.asarray(np.einsum("mc,mc->m", out * np.sign(points), along))
+    return dots(out * np.sign(points), along)
