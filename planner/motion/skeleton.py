@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
 from planner.motion.collide import Others
 from planner.motion.diagnose import clear
 from planner.motion.joints import Dense, dense
@@ -228,7 +229,7 @@ def _way(targets: Targets) -> FloatArray:
         ]
         if len(spins) == 1 and np.any(spins[0]):  # what turns about the free axis alone is no turn
             axis = pose[:, :3, :3] @ (spins[0] / np.linalg.norm(spins[0]))
-            angle = np.arccos(np.clip(np.einsum("ni,ni->n", axis[1:], axis[:-1]), -1.0, 1.0))
+            angle = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
         step += angle / STEP_TURN
     return np.append(0.0, np.cumsum(step))
 
