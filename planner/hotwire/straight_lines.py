@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -146,5 +148,5 @@ def distance_to_polyline(points: FloatArray, polyline: FloatArray) -> FloatArray
         gap = points[chunk, None] - base
         share = np.clip(np.einsum("nmi,mi->nm", gap, way) / square, 0.0, 1.0)
         gap -= share[..., None] * way
-        out[chunk] = np.sqrt(np.einsum("nmi,nmi->nm", gap, gap).min(axis=1))
+        out[chunk] = np.sqrt(dots(gap, gap).min(axis=1))
     return out
