@@ -16,6 +16,7 @@ import shapely
 
 from planner.forming.inserting import insert
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass
+from planner.geometry.vectors import dots
 from planner.tool_heads import FormingHead
 
 MARGIN: Final = 4e-4
@@ -141,7 +142,7 @@ def _bends(ring: FloatArray, at: FloatArray, along: FloatArray) -> tuple[IntArra
 
     one, two, mine = on(along[move]), on(along[move + 1]), on(place)
     way, rest = two - one, mine - one
-    part = np.clip(np.einsum("md,md->m", rest, way) / np.maximum((way**2).sum(axis=1), 1e-18), 0.0, 1.0)
+    part = np.clip(dots(rest, way) / np.maximum((way**2).sum(axis=1), 1e-18), 0.0, 1.0)
     off = np.linalg.norm(rest - part[:, None] * way, axis=1)
     worst = np.zeros(len(number))
     np.maximum.at(worst, move, off)

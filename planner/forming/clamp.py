@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.forming.tilt import leaned
 from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.problem import Stock
 from planner.units import MM
@@ -42,7 +43,7 @@ def clamp_of(stock: Stock) -> Clamp:
     outward = np.array([-bar.pose[:2, 1] for bar in bars]).reshape(-1, 2)
     middle = np.array([bar.pose[:3, 3] for bar in bars]).reshape(-1, 3)
     size = np.array([bar.size for bar in bars]).reshape(-1, 3)
-    reach = np.einsum("kd,kd->k", middle[:, :2], outward) - 0.5 * size[:, 1]
+    reach = dots(middle[:, :2], outward) - 0.5 * size[:, 1]
     return Clamp(outward, reach, middle[:, 2] - 0.5 * size[:, 2], middle[:, 2] + 0.5 * size[:, 2])
 
 

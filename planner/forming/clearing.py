@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from planner.forming.tilt import leaned
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass
 from planner.geometry.closest import small_pieces
+from planner.geometry.vectors import dots
 from planner.issues import Issue, Severity
 from planner.units import DEG, MM
 
@@ -73,7 +74,7 @@ class FarFace:
             i, j = found["i"], found["j"]
             kept = (self._level[j] > above[some][i] + _ABOVE) & (found["v"] > 2.0 * SPACING)
             i, j, far = i[kept], j[kept], found["v"][kept]
-            ahead = -np.einsum("md,md->m", self._points[j] - touch[some][i], line[some][i])
+            ahead = -dots(self._points[j] - touch[some][i], line[some][i])
             fits = ahead > 1e-3 * far
             if fits.any():
                 best = min(best, float((far[fits] ** 2 / (2.0 * ahead[fits])).min()))

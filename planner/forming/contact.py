@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
 from planner.geometry.mesh import TriangleMesh, face_normals
+from planner.geometry.vectors import dots
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -61,7 +62,7 @@ class Face:
         self.normals = face_normals(mesh)
         self.smooth = corner_normals(mesh, CREASE)
         self._corners = mesh.vertices[mesh.faces]
-        self._offset = np.einsum("fd,fd->f", self._corners[:, 0], self.normals)
+        self._offset = dots(self._corners[:, 0], self.normals)
         edge = np.linalg.norm(np.roll(self._corners, -1, axis=1) - self._corners, axis=2).max(axis=1)
         # small and large faces apart, so that the large ones do not widen the search among the small ones
         self._trees: list[tuple[cKDTree, IntArray, FloatArray]] = []
@@ -156,7 +157,7 @@ class Face:
         clear[active] = False
         offset = centre - wanted
         apart = np.linalg.norm(offset, axis=1)
-        clear &= np.einsum("nd,nd->n", offset, normal) > 0.0
+        clear &= dots(offset, normal) > 0.0
         along = np.where(apart[:, None] > 0.0, offset / np.maximum(apart, 1e-300)[:, None], normal)
         point = wanted.copy()
         moved = np.flatnonzero((centre != first).any(axis=1))
@@ -192,7 +193,7 @@ class Face:
             some = centres[start : start + 4000]
             kept = []
             for i, f in self._pairs(some, np.full(len(some), reach)):
-                height = np.einsum("nd,nd->n", some[i], self.normals[f]) - self._offset[f]
+                height = dots(some[i], self.normals[f]) - self._offset[f]
                 near = np.abs(height) < reach  # the plane is as far off as that at least
                 i, f, height = i[near], f[near], height[near]
                 weights = closest_on_triangles(some[i], *self._ends(f))
@@ -215,7 +216,7 @@ class Face:
             if like is not None:
                 tie = apart <= best[start + i] + TOUCH
                 i, apart, foot, way = i[tie], apart[tie], foot[tie], way[tie]
-                first = _first_least(i, -np.einsum("nd,nd->n", way, like[start + i]))
+                first = _first_least(i, -dots(way, like[start + i]))
             place[start + i[first]], away[start + i[first]] = foot[first], way[first]
         return best, place, away
 

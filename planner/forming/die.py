@@ -15,6 +15,7 @@ from planner.forming.values import FloatArray, Pass
 from planner.geometry.closest import small_pieces
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.nearness import Nearness
+from planner.geometry.vectors import dots
 from planner.issues import Issue, Severity
 from planner.units import DEG, MM
 
@@ -56,7 +57,7 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
     if depth.max() <= BEYOND:
         distance, face = Nearness(far, SPACING).distance(points)
         normals = face_normals(far)[face]
-        ahead = one.side * np.einsum("nd,nd->n", points - far.vertices[far.faces[face, 0]], normals)
+        ahead = one.side * dots(points - far.vertices[far.faces[face, 0]], normals)
         depth = np.where(ahead > 0.0, distance, 0.0)
     k = int(np.argmax(depth))
     if depth[k] <= tolerance:

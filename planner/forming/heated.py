@@ -12,6 +12,7 @@ from planner.forming.steady import steady_below, steady_normals
 from planner.forming.tilt import leaned, nozzle_below_flat
 from planner.forming.values import ContactPath, FloatArray, Pass
 from planner.forming_tools import profile
+from planner.geometry.vectors import dots
 from planner.tool_heads import FormingHead
 from planner.units import DEG
 
@@ -44,7 +45,7 @@ def heated(
         if clamp is not None:
             lean = clear_lean(clamp, place, normal, lean, profile(nozzle))
         axis = leaned(normal, steady_below(lean, contact.centre))
-        turn = np.arccos(np.clip(np.einsum("nd,nd->n", axis[1:], axis[:-1]), -1.0, 1.0))
+        turn = np.arccos(np.clip(dots(axis[1:], axis[:-1]), -1.0, 1.0))
         row, share = shares(np.concatenate([[1.0], np.ceil(turn / TURN)]).astype(np.int64))
         if not len(row) or left == 0:
             break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.forming.values import ContactPath, FloatArray, IntArray
+from planner.geometry.vectors import dots
 
 _STILL = 1e-12
 
@@ -52,7 +53,7 @@ def mixed(one: FloatArray, two: FloatArray, share: FloatArray) -> FloatArray:
 
 def turned(one: FloatArray, two: FloatArray, share: FloatArray) -> FloatArray:
     """Unit vectors (M, 3) turned evenly from ``one`` to ``two`` (M, 3) by ``share`` (M,) of the angle."""
-    angle = np.arccos(np.clip(np.einsum("md,md->m", one, two), -1.0, 1.0))
+    angle = np.arccos(np.clip(dots(one, two), -1.0, 1.0))
     sine = np.sin(angle)
     straight = sine < 1e-9
     base = np.where(straight, 1.0, sine)

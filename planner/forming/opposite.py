@@ -21,6 +21,7 @@ from planner.forming.steady import steady_below, steady_normals
 from planner.forming.tilt import axes, below_flat, leaned, off_upright
 from planner.forming.touching import Lean, Touching
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass, ToolPath
+from planner.geometry.vectors import dots
 from planner.tool_heads import FormingHead
 from planner.units import DEG, MM
 
@@ -207,7 +208,7 @@ def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
 
 def _angle(one: FloatArray, two: FloatArray) -> FloatArray:
     """Angles (N,) [rad] between unit vectors (N, 3)."""
-    return np.asarray(np.arccos(np.clip(np.einsum("nd,nd->n", one, two), -1.0, 1.0)))
+    return np.asarray(np.arccos(np.clip(dots(one, two), -1.0, 1.0)))
 
 
 def _draw_back(place: FloatArray, air: BoolArray, one: Pass, thickness: float, radius: float) -> None:

@@ -14,6 +14,7 @@ from planner.forming.contact import Face
 from planner.forming.path_options import PathOptions
 from planner.forming.paths_tool import Creases, refuse
 from planner.forming.spiral import Curve
+from planner.geometry.vectors import dots
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -92,7 +93,7 @@ def places(curve: Curve, face: Face, at: FloatArray) -> tuple[FloatArray, FloatA
         place, on, weights = face.nearest(point[rows])
         point[rows] = place
         own = face.normal_at(on, weights)
-        smooth = np.einsum("nd,nd->n", own, normal[rows]) > np.cos(_CORNER)
+        smooth = dots(own, normal[rows]) > np.cos(_CORNER)
         normal[rows] = np.where(smooth[:, None], own, normal[rows])
     return point, normal
 
@@ -159,7 +160,7 @@ def _turns(point: FloatArray, gap: BoolArray) -> tuple[FloatArray, FloatArray]:
     turn = np.zeros(len(point))
     rows = np.flatnonzero(good)
     way = move[rows] / length[rows, None]
-    cosine = np.einsum("md,md->m", way[1:], way[:-1])
+    cosine = dots(way[1:], way[:-1])
     sine = np.linalg.norm(np.cross(way[1:], way[:-1]), axis=1)
     bent = np.arctan2(sine, cosine)
     broken = np.cumsum(gap)[rows[1:]] != np.cumsum(gap)[rows[:-1]]
@@ -221,7 +222,7 @@ def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targ
 
 def _off_line(points: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
     way, rest = two - one, points - one
-    share = np.einsum("nd,nd->n", rest, way) / np.maximum(np.einsum("nd,nd->n", way, way), 1e-300)
+    share = dots(rest, way) / np.maximum(dots(way, way), 1e-300)
     return np.asarray(np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1))
 
 

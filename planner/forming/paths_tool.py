@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from planner.forming.contact import CREASE, TOUCH, Contact, Face
 from planner.forming.paths_slices import Loop
+from planner.geometry.vectors import dots
 from planner.issues import Issue, TandemError
 
 FloatArray = NDArray[np.float64]
@@ -37,9 +38,9 @@ class Creases:
         twin = np.flatnonzero(key[order][1:] == key[order][:-1])
         first, second = order[twin], order[twin + 1]
         f, g = owner[first], owner[second]
-        turn = np.arccos(np.clip(np.einsum("ed,ed->e", normals[f], normals[g]), -1.0, 1.0))
+        turn = np.arccos(np.clip(dots(normals[f], normals[g]), -1.0, 1.0))
         middle = mesh.vertices[mesh.faces].mean(axis=1)
-        concave = np.einsum("ed,ed->e", middle[g] - middle[f], normals[f]) > 0.0
+        concave = dots(middle[g] - middle[f], normals[f]) > 0.0
         # what the facets of a smooth face turn by, at each vertex
         self._turn = np.zeros(len(mesh.vertices))
         flat = turn < CREASE
@@ -64,9 +65,9 @@ class Creases:
         lean = np.zeros(len(mesh.vertices))
         for k in range(3):
             corner = mesh.faces[:, k]
-            cosine = np.einsum("fd,fd->f", mean[corner], normals)
+            cosine = dots(mean[corner], normals)
             np.maximum.at(lean, corner, np.arccos(np.clip(cosine, -1.0, 1.0)))
-        tip = (lean > 0.5 * CREASE) & (np.einsum("vd,vd->v", mean, pull) > 0.0)
+        tip = (lean > 0.5 * CREASE) & (dots(mean, pull) > 0.0)
         spots.append(mesh.vertices[tip])
         reach.append(lean[tip])
         self._spots = np.concatenate(spots)

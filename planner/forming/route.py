@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.forming.job import Job, segment
 from planner.forming.values import Pass, ToolPath
+from planner.geometry.vectors import dots
 from planner.units import DEG
 
 FloatArray = NDArray[np.float64]
@@ -106,7 +107,7 @@ def _corners(points: FloatArray, angle: float) -> NDArray[np.bool_]:
     out = np.zeros(len(points), dtype=bool)
     if len(long) > 1:
         way = step[long] / length[long, None]
-        sharp = np.einsum("nd,nd->n", way[1:], way[:-1]) < np.cos(angle)
+        sharp = dots(way[1:], way[:-1]) < np.cos(angle)
         out[long[1:][sharp]] = True
     return out
 

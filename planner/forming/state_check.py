@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.forming.state import State
 from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.units import MM
 
@@ -138,7 +139,7 @@ def _sampled(place: FloatArray, axis: FloatArray, spacing: float) -> tuple[IntAr
 
 def _depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> FloatArray:
     """How deep (M,) [m] places at ``offset`` (M, 3) from the TCP are inside a tool; below 0 outside."""
-    behind = -np.einsum("md,md->m", offset, axis)
+    behind = -dots(offset, axis)
     radius = np.linalg.norm(offset + behind[:, None] * axis, axis=1)
     allowed = np.interp(behind, profile[:, 0], profile[:, 1], left=-1.0, right=-1.0)
     depth = np.minimum(allowed - radius, 1.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.forming.values import FloatArray
+from planner.geometry.vectors import dots
 
 
 def leaned(normal: FloatArray, angle: FloatArray) -> FloatArray:
@@ -48,7 +49,7 @@ def off_upright(line: FloatArray, normal: FloatArray) -> FloatArray:
     flat = np.linalg.norm(normal[:, :2], axis=1)
     way = normal[:, :2] / np.maximum(flat, 1e-12)[:, None]
     # in the frame of the arc: out along it in plan, beside it, and up
-    along = np.einsum("nd,nd->n", line[:, :2], way)
+    along = dots(line[:, :2], way)
     beside = np.abs(way[:, 0] * line[:, 1] - way[:, 1] * line[:, 0])
     steep = np.clip(np.arctan2(along, line[:, 2]), 0.0, np.arctan2(flat, normal[:, 2]))
     cosine = along * np.sin(steep) + line[:, 2] * np.cos(steep)
@@ -60,8 +61,8 @@ def off_upright(line: FloatArray, normal: FloatArray) -> FloatArray:
 def turned_at_most(one: FloatArray, two: FloatArray, most: float | FloatArray) -> FloatArray:
     """Unit vectors ``two`` (N, 3) where they are within ``most`` [rad], one angle or (N,), of unit vectors
     ``one`` (N, 3), else those so far from ``one`` toward them."""
-    angle = np.arccos(np.clip(np.einsum("nd,nd->n", one, two), -1.0, 1.0))
-    across = two - np.einsum("nd,nd->n", one, two)[:, None] * one
+    angle = np.arccos(np.clip(dots(one, two), -1.0, 1.0))
+    across = two - dots(one, two)[:, None] * one
     length = np.linalg.norm(across, axis=1, keepdims=True)
     across = across / np.maximum(length, 1e-12)
     part = np.minimum(angle, most)[:, None]

@@ -19,6 +19,7 @@ from planner.forming.thickness import by_corner
 from planner.forming.tilt import turned_at_most
 from planner.forming.values import FloatArray, Pass
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.vectors import dots
 from planner.units import DEG
 
 NEAR: Final = 2e-5
@@ -58,16 +59,15 @@ class Touching:
         row, face, weights, place, apart = self._face.touched(centres, NEAR)
         first = np.searchsorted(row, np.arange(len(centres)))[row]
         normal = _rolled(centres[row] - place, self._face.normal_at(face, weights))
-        gap = np.einsum("nk,nk->n", weights, self._gap[face])
-        turn = np.arccos(np.clip(np.einsum("nd,nd->n", normal, normal[first]), -1.0, 1.0))
+        gap = dots(weights, self._gap[face])
+        turn = np.arccos(np.clip(dots(normal, normal[first]), -1.0, 1.0))
         count = 1.0 - (apart - apart[first]) * np.maximum(turn, TURNED) / (TURNED * NEAR)
         use = count > 0.0
         least = np.full(len(centres), np.inf)
         np.minimum.at(least, row[use], gap[use])
         use &= gap <= least[row] + self._jump
-        row, count, normal, gap, apart = (
-            part[use] for part in (row, count, normal, gap, apart - apart[first])
-        )
+        row = row[use]
+        count, normal, gap, apart = (part[use] for part in (count, normal, gap, apart - apart[first]))
         tied = apart <= TIED
         low, high = np.full(len(centres), np.inf), np.full(len(centres), -np.inf)
         np.minimum.at(low, row[tied], gap[tied])
@@ -87,5 +87,5 @@ def _rolled(way: FloatArray, normal: FloatArray) -> FloatArray:
     to the ball's centre, this: there the ball rolls from one facet to the next."""
     length = np.linalg.norm(way, axis=1, keepdims=True)
     way = np.where(length > 0.0, way / np.maximum(length, 1e-300), normal)
-    off = np.arccos(np.clip(np.einsum("nd,nd->n", way, normal), -1.0, 1.0))
+    off = np.arccos(np.clip(dots(way, normal), -1.0, 1.0))
     return turned_at_most(way, normal, off * np.clip(2.0 - off / ROLLED, 0.0, 1.0))
