@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import RobotData
+from planner.geometry.vectors import dots
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,8 +45,8 @@ def solve(robot: RobotData, flange: FloatArray, branch: IntArray) -> FloatArray:
     e0 = np.stack([c1 * c23, s1 * c23, -s23], axis=-1)
     e1 = np.stack([-s1, c1, np.zeros_like(c1)], axis=-1)
     e2 = np.stack([c1 * s23, s1 * s23, c23], axis=-1)
-    z0, z1, z2 = (np.einsum("bi,bi->b", e, rotation[:, :, 2]) for e in (e0, e1, e2))
-    x2, y2 = (np.einsum("bi,bi->b", e2, rotation[:, :, k]) for k in (0, 1))
+    z0, z1, z2 = (dots(e, rotation[:, :, 2]) for e in (e0, e1, e2))
+    x2, y2 = (dots(e2, rotation[:, :, k]) for k in (0, 1))
     sign = np.where(negative ^ (p.signs[4] < 0), -1.0, 1.0)
     t5 = sign * np.arctan2(np.hypot(z0, z1), z2)
     t4 = np.arctan2(sign * z1, sign * z0)

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from planner.claims_forming import FormsSheet
 from planner.geometry.closest import small_pieces
+from planner.geometry.vectors import dots
 from planner.units import MM
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.result import CutFace
@@ -103,7 +104,7 @@ def _swept(one: Formed, points: FloatArray) -> FloatArray:
     best = np.full(len(points), np.inf)
     for column in near.T:
         along, rest = b[column] - a[column], points - a[column]
-        share = np.einsum("nd,nd->n", rest, along) / np.maximum(np.einsum("nd,nd->n", along, along), 1e-30)
+        share = dots(rest, along) / np.maximum(dots(along, along), 1e-30)
         apart = np.linalg.norm(rest - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
         best = np.minimum(best, apart)
     return best

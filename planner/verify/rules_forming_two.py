@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.claims_forming import FollowsOpposite, SupportsBorder
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
@@ -68,7 +69,7 @@ def _between(way: Track, first: IntArray, last: IntArray) -> tuple[FloatArray, F
     one = way.centre[first, 0] - way.centre[first, 1]
     two = way.centre[last, 0] - way.centre[last, 1]
     turn = two - one
-    share = -np.einsum("nd,nd->n", one, turn) / np.maximum(np.einsum("nd,nd->n", turn, turn), 1e-30)
+    share = -dots(one, turn) / np.maximum(dots(turn, turn), 1e-30)
     least = np.linalg.norm(one + np.clip(share, 0.0, 1.0)[:, None] * turn, axis=1)
     return least, np.maximum(np.linalg.norm(one, axis=1), np.linalg.norm(two, axis=1))
 
@@ -132,16 +133,16 @@ def _off_crease(centre: FloatArray, line: FloatArray, found: Nearest, up: float)
     first = np.searchsorted(found.row, np.arange(len(centre)))
     one = first
     for _ in range(2):  # the farthest from any one, and the farthest from that
-        cosine = np.einsum("nd,nd->n", way, way[one[found.row]])
+        cosine = dots(way, way[one[found.row]])
         order = np.lexsort((cosine, found.row))
         one, other = order[first], one
     a, b = way[one], way[other]
     out = np.full(len(centre), np.inf)
-    rows = np.flatnonzero(np.einsum("nd,nd->n", a, b) < np.cos(CREASE))
+    rows = np.flatnonzero(dots(a, b) < np.cos(CREASE))
     a, b, p = a[rows], b[rows], line[rows]
     c = np.broadcast_to(np.array([0.0, 0.0, up]), a.shape)
-    turn = np.sign(np.einsum("nd,nd->n", np.cross(a, b), c))
-    sides = [turn * np.einsum("nd,nd->n", np.cross(i, j), p) for i, j in ((a, b), (b, c), (c, a))]
+    turn = np.sign(dots(np.cross(a, b), c))
+    sides = [turn * dots(np.cross(i, j), p) for i, j in ((a, b), (b, c), (c, a))]
     inside = (np.min(sides, axis=0) >= 0.0) & (turn != 0.0)
     out[rows] = np.where(
         inside, 0.0, np.min([_off_arc(p, i, j) for i, j in ((a, b), (b, c), (c, a))], axis=0)
@@ -159,13 +160,13 @@ def _turning(way: Track, knots: IntArray) -> IntArray:
 
 def _off_arc(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
     """Angles (N,) [rad] of unit vectors to the nearest direction on the shorter arcs between two others."""
-    ends = [np.arccos(np.clip(np.einsum("nd,nd->n", line, end), -1.0, 1.0)) for end in (one, two)]
+    ends = [np.arccos(np.clip(dots(line, end), -1.0, 1.0)) for end in (one, two)]
     pole = np.cross(one, two)
     length = np.linalg.norm(pole, axis=1)
     pole /= np.maximum(length, 1e-12)[:, None]
-    beside = np.arcsin(np.clip(np.abs(np.einsum("nd,nd->n", line, pole)), 0.0, 1.0))
-    after = np.einsum("nd,nd->n", np.cross(one, line), pole) >= 0.0
-    before = np.einsum("nd,nd->n", np.cross(line, two), pole) >= 0.0
+    beside = np.arcsin(np.clip(np.abs(dots(line, pole)), 0.0, 1.0))
+    after = dots(np.cross(one, line), pole) >= 0.0
+    before = dots(np.cross(line, two), pole) >= 0.0
     within = after & before & (length > 1e-9)
     nearest = np.minimum(ends[0], ends[1])
     return np.asarray(np.where(within, np.minimum(beside, nearest), nearest))
@@ -269,13 +270,13 @@ def _off_border(points: FloatArray, border: FloatArray) -> tuple[FloatArray, np.
     b = np.roll(border, -1, axis=0)
     off, inside = np.empty(len(points)), np.zeros(len(points), dtype=np.bool_)
     along = b - a
-    square = np.maximum(np.einsum("kd,kd->k", along, along), 1e-30)
+    square = np.maximum(dots(along, along), 1e-30)
     marks, owner = _marks(a, b)
     near = np.asarray(cKDTree(marks).query(points, k=min(_MARKS, len(marks)))[1]).reshape(len(points), -1)
     off[:] = np.inf
     for column in owner[near].T:
         rest = points - a[column]
-        share = np.clip(np.einsum("nd,nd->n", rest, along[column]) / square[column], 0.0, 1.0)
+        share = np.clip(dots(rest, along[column]) / square[column], 0.0, 1.0)
         off = np.minimum(off, np.linalg.norm(rest - share[:, None] * along[column], axis=1))
     for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(a) // 2_000_000)):
         y = points[rows, 1, None]

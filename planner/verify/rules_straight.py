@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from planner.claims import FollowsRulings, KerfWithin, StraightWire
 from planner.geometry.rigid import inverse
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.problem import Stock, Tool
 from planner.verify.context import Context, Outcome, mm
@@ -205,7 +206,7 @@ def _outside(
     here = normal[k]
     past = np.where(share <= 0.0, k - 1, np.where(share >= 1.0, k + 1, k))
     past = past % count if closed else np.clip(past, 0, count - 1)
-    return np.asarray(np.einsum("ti,ti->t", out, here + normal[past]) >= -1e-12)
+    return np.asarray(dots(out, here + normal[past]) >= -1e-12)
 
 
 def _off_guide(
@@ -228,7 +229,7 @@ def _off_guide(
         across = relative - on_wire[..., None] * along[part, None]
         a, b = across[:, :-1], across[:, 1:]
         edge = b - a
-        share = -np.einsum("tmi,tmi->tm", a, edge) / np.maximum(np.einsum("tmi,tmi->tm", edge, edge), 1e-30)
+        share = -dots(a, edge) / np.maximum(dots(edge, edge), 1e-30)
         share = np.clip(share, 0.0, 1.0)
         distance = np.linalg.norm(a + share[..., None] * edge, axis=2)
         row, k = np.arange(len(a)), np.argmin(distance, axis=1)
@@ -260,7 +261,7 @@ def _missed(points: FloatArray, joined: NDArray[np.bool_], guide: FloatArray, wi
         off = relative - np.einsum("nti,ti->nt", relative, way)[..., None] * way[None]
         a, b = off[:, :-1], off[:, 1:]
         edge = b - a
-        share = -np.einsum("nti,nti->nt", a, edge) / np.maximum(np.einsum("nti,nti->nt", edge, edge), 1e-30)
+        share = -dots(a, edge) / np.maximum(dots(edge, edge), 1e-30)
         distance = np.linalg.norm(a + np.clip(share, 0.0, 1.0)[..., None] * edge, axis=2)
         far[low : low + chunk] = np.where(joined, distance, np.inf).min(axis=1)
     return float((far > within).mean() * along[-1]) if (far > within).any() else 0.0

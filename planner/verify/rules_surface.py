@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
@@ -176,6 +177,6 @@ def _standing_out(points: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
     forward = points[3:-1] - points[1:-3]
     normal = np.cross(tangent, forward)
     normal /= np.maximum(np.linalg.norm(normal, axis=2, keepdims=True), 1e-15)
-    off = np.abs(np.einsum("tpi,tpi->tp", points[2:-2] - guess, normal))
+    off = np.abs(dots(points[2:-2] - guess, normal))
     out[2:-2] = np.where(inside[2:-2], off, 0.0).max(axis=1)
     return out

@@ -160,7 +160,7 @@ def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> 
                 on_first = share[:, 2] < _EDGE if triangle == (0, 1, 2) else share[:, 0] < _EDGE
                 on_second = share[:, 0] < _EDGE if triangle == (0, 1, 2) else share[:, 1] < _EDGE
                 border[better] = (first & on_first) | (second & on_second)
-    along = np.einsum("ij,ij->i", foot - points, normals)
+    along = dots(foot - points, normals)
     signed = np.where(along < 0.0, -best, best)
     # a foot on the border may still be straight under the point; a slanted one means that the wire passed by
     slanted = np.abs(along) < 0.9 * best - 1e-6

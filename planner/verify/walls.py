@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.claims import CutsSurface
+from planner.geometry.vectors import dots
 from planner.verify.surface import closest
 
 FloatArray = NDArray[np.float64]
@@ -52,7 +53,7 @@ class Walls:
         normal = np.einsum("nk,nki->ni", same, self.normal[near])
         row = np.arange(len(points))
         first = np.argmin(found, axis=1)
-        outward = np.einsum("ni,ni->n", points - places[row, first], normal) >= 0.0
+        outward = dots(points - places[row, first], normal) >= 0.0
         tri, share = near[row, first], weights[row, first]
         # an edge is met where the corner across it has no weight
         edge = np.roll(share < 1e-9, -2, axis=1) & self.border[tri]
