@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from planner.geometry.rigid import inverse
+from planner.geometry.vectors import dots
 from planner.motion.scene import Scene, holders
 from planner.targets import Targets, segment_kind
 
@@ -137,7 +138,7 @@ def _deviation(
     for found, place in zip(in_work_frames(targets, poses).values(), places, strict=True):
         at = found[:, :3, 3] - place[:-1]
         chord = np.diff(place, axis=0)
-        along = np.einsum("ij,ij->i", at, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-18)
+        along = dots(at, chord) / np.maximum(dots(chord, chord), 1e-18)
         away = at - np.clip(along, 0.0, 1.0)[:, None] * chord
         worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
     return worst

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planner.catalogue import RobotData
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse, log_rotation
+from planner.geometry.vectors import dots
 from planner.verify import krl_status, time_law
 from planner.verify.arm_ik import branch_of, continued, solve
 from planner.verify.job import TaskText
@@ -210,7 +211,7 @@ def _sideways(speed: FloatArray) -> FloatArray:
     turns back."""
     before, after = speed[:-1], speed[1:]
     size = np.maximum(np.linalg.norm(speed, axis=1), 1e-12)
-    along = np.einsum("ij,ij->i", before, after)
+    along = dots(before, after)
     whole = np.linalg.norm(after - before, axis=1)
     cross = np.linalg.norm(np.cross(before, after), axis=1)
     across = cross / np.minimum(size[:-1], size[1:])
