@@ -562,4 +562,4 @@ def full_speed(rng, texts):
 
 @mutator("verify.zone_size")
 def wide_corner(rng, texts):
-    return edit(rng, texts, pick(rng, MOVES), r"^\$APO\.CDIS=[12]\.0", lambda row: "$APO.CDIS=10.0")
+    return edit(rng, texts, pick(rng, MOVES), r"^\$APO\.CDIS=[1-3]\.\d", lambda row: "$APO.CDIS=10.0")
