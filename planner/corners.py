@@ -45,6 +45,11 @@ FINE_ZONES: Final = (
 """Sizes of small zones [mm] or [deg] that programs may name."""
 ZONE_STEP: Final = 1.7
 """Sizes of zones are no farther apart than by this factor, but for those within :data:`ACCURACY`."""
+LARGEST: Final = 15.0
+LARGEST_TURN: Final = 1.0
+"""Sizes of the largest zones [mm] and [deg] that programs name."""
+STANDS: Final = 0.01
+"""A TCP stands in a move that goes no farther than this [mm]: corners beside it are sized by angle."""
 _SHARE: Final = 0.5
 
 
@@ -103,7 +108,8 @@ def room(
     levers: FloatArray | float = LEVER,
     deviation: FloatArray | float = DEVIATION,
 ) -> tuple[FloatArray, FloatArray]:
-    """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops.
+    """Largest zones (M,) [mm] and (M,) [rad] at the ends of M moves between M + 1 poses; 0 at stops, and
+    those in mm where the TCP stands in one of the moves beside them.
 
     ``position`` [mm] and ``quaternion`` of the poses, ``duration`` (M,) [s]; ``deviation`` (M,) [mm] is how
     far a corner may pass its target. Turning about the tool's axes counts by ``levers`` (3,) [mm/rad].
@@ -111,9 +117,10 @@ def room(
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     angle = 2.0 * np.arcsin(np.clip(0.5 * lengths(turn), 0.0, 1.0))
     rate = np.concatenate([way, levers * turn], axis=1) / duration[:, None]
-    taken = np.append(_share(rate, duration, np.broadcast_to(deviation, stop.shape)[:-1]), 0.0)
+    taken = np.append(_share(_sideways(rate), duration, np.broadcast_to(deviation, stop.shape)[:-1]), 0.0)
     taken[stop] = 0.0
-    return taken * _shorter(lengths(way)), taken * _shorter(angle)
+    shorter = _shorter(lengths(way))
+    return np.where(shorter > STANDS, taken * shorter, 0.0), taken * _shorter(angle)
 
 
 def shares(
@@ -125,12 +132,23 @@ def shares(
 ) -> tuple[FloatArray, FloatArray]:
     """At least which share (M - 1,) of the shorter one of the moves beside it each corner between M moves is
     rounded over, on both sides: by the zone that :func:`room` allows, and by what the controller takes
-    without one. Arguments as there."""
+    without one. Arguments as there.
+
+    No zone is larger than those that programs name; one that would be smaller rounds nothing, nor does one of
+    an angle where the TCP moves on one side.
+    """
     way, turn = np.diff(position, axis=0), _turns(quaternion)
     span = duration[:, None]
     rate = np.concatenate([way, levers * turn], axis=1) / span
-    own = [_share(way / span, duration, ACCURACY), _share(turn / span, duration, ACCURACY_TURN)]
-    return _share(rate, duration, deviation[:-1]) / ZONE_STEP, np.minimum(*own)
+    own = [(way / span, ACCURACY), (turn / span, ACCURACY_TURN)]
+    without = np.minimum(*(_share(_sideways_at_most(speed), duration, within) for speed, within in own))
+    zone = _share(_sideways(rate), duration, deviation[:-1])
+    far, angle = lengths(way), np.rad2deg(lengths(turn))
+    stands = np.maximum(far[1:], far[:-1]) <= STANDS
+    whole = np.where(stands, _shorter(angle)[:-1], _shorter(np.where(far > STANDS, far, 0.0))[:-1])
+    size = np.minimum(zone * whole / ZONE_STEP, np.where(stands, LARGEST_TURN, LARGEST))
+    named = size >= FINE_ZONES[-1]
+    return np.where(named, size / np.maximum(whole, FINE_ZONES[-1]), 0.0), without
 
 
 def _turns(quaternion: FloatArray) -> FloatArray:
@@ -142,14 +160,14 @@ def _turns(quaternion: FloatArray) -> FloatArray:
     return np.asarray(2.0 * half * np.where(dots(a, b) < 0.0, -1.0, 1.0)[:, None])
 
 
-def _share(rate: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
-    """Share (M - 1,) of the shorter one of two moves at ``rate`` (M, D) that the corner between them may take
-    before and behind it, at most one half.
+def _share(sideways: FloatArray, duration: FloatArray, deviation: FloatArray | float) -> FloatArray:
+    """Share (M - 1,) of the shorter one of two moves that the corner between them may take before and behind
+    it, at most one half; ``sideways`` (M - 1,) is the change of speed that leaves the way.
 
     A corner that is rounded over the time h before and behind it passes the target at h |dv| / 4, dv being
     the change of velocity across the way (the quadratic Bezier curve with the corner as its control point).
     """
-    passed = np.minimum(duration[:-1], duration[1:]) * _sideways(rate) / 4.0
+    passed = np.minimum(duration[:-1], duration[1:]) * sideways / 4.0
     return np.asarray(np.minimum(_SHARE, deviation / np.maximum(passed, 1e-12)))
 
 
@@ -161,6 +179,14 @@ def _sideways(rate: FloatArray) -> FloatArray:
     bent = 0.5 * (size[1:] + size[:-1]) * lengths(np.diff(along, axis=0))
     stands = np.minimum(size[1:], size[:-1]) < 1e-9
     return np.where(stands, lengths(np.diff(rate, axis=0)), bent)
+
+
+def _sideways_at_most(rate: FloatArray) -> FloatArray:
+    """The same (M - 1,) as a controller may take it that holds to the faster one of two moves."""
+    size = lengths(rate)
+    along = rate / np.maximum(size, 1e-12)[:, None]
+    bent = np.maximum(size[1:], size[:-1]) * lengths(np.diff(along, axis=0))
+    return np.asarray(np.minimum(bent, lengths(np.diff(rate, axis=0))))
 
 
 def _shorter(size: FloatArray) -> FloatArray:

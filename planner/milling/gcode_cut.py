@@ -18,6 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.milling import gcode
 from planner.milling.gcode_file import GCodeCut
 from planner.milling.gcode_rows import Event
+from planner.milling.route import sharp
 from planner.milling.thin import filled, parted, thinned
 from planner.milling.values import Run, ToolPath
 
@@ -144,6 +145,7 @@ def _run(
     )
     stops = [(int(np.searchsorted(rows, row)), seconds) for row, seconds in waits]
     change = np.append(np.append(False, _differ(thin.feed[1:-1], thin.feed[2:])), False)
+    change &= ~sharp(thin.tip)  # from rest to rest a tool needs no places of its own to change its speed
     by, tip, axis = parted(thin.tip, thin.axis, change, NEAR * tolerance)
     # a long move gets places of its own, or a spin about the tool would have to turn all at once
     to, tip, axis = filled(tip, axis, step)

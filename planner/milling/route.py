@@ -124,6 +124,15 @@ def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name
 def _stops(tip: FloatArray) -> NDArray[np.bool_]:
     """(N,) where the tool stops: at both ends, at sharp corners, at turns in place, and here and there in
     long passes."""
+    out = sharp(tip)
+    for first in range(RUN, len(tip) - RUN // 2, RUN):
+        if not out[first - RUN // 2 : first + RUN // 2].any():
+            out[first] = True
+    return out
+
+
+def sharp(tip: FloatArray) -> NDArray[np.bool_]:
+    """(N,) where a tool stops whatever its job: at both ends, at sharp corners, at turns in place."""
     out = np.zeros(len(tip), dtype=bool)
     out[[0, -1]] = True
     step = np.diff(tip, axis=0)
@@ -135,7 +144,4 @@ def _stops(tip: FloatArray) -> NDArray[np.bool_]:
         out[long[1:][cosine < np.cos(SHARP)]] = True
     moving = length > STILL
     out[1:-1] |= moving[1:] != moving[:-1]  # before and after turns in place
-    for first in range(RUN, len(tip) - RUN // 2, RUN):
-        if not out[first - RUN // 2 : first + RUN // 2].any():
-            out[first] = True
     return out

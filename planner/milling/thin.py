@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.vectors import dots
+from planner.units import DEG
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+LEAN: Final = 6.0 * DEG
+"""Longest turn of an axis between targets: a tool that spins as well takes its axis off the shortest turn, by
+a quarter where moves are half as long."""
 
 
 def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
@@ -31,10 +38,12 @@ def thinned(points: FloatArray, chord: float, step: float) -> IntArray:
 
 def filled(tip: FloatArray, axis: FloatArray, step: float) -> tuple[IntArray, FloatArray, FloatArray]:
     """Tips and axes (M, 3) with evenly laid places between those of ``tip``, ``axis`` (N, 3) that are farther
-    apart than ``step`` [m], and the row (M,) that each of them leads to. Axes turn evenly, the shorter way.
+    apart than ``step`` [m] or :data:`LEAN`, and the row (M,) that each of them leads to. Axes turn evenly,
+    the shorter way.
     """
     way = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    count = np.maximum(np.ceil(way / step - 1e-9).astype(np.int64), 1)
+    lean = np.linalg.norm(np.diff(axis, axis=0), axis=1)
+    count = np.maximum(np.ceil(np.maximum(way / step, lean / LEAN) - 1e-9).astype(np.int64), 1)
     to = np.repeat(np.arange(1, len(tip)), count)
     share = (np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[to - 1]
     return _placed(tip, axis, to, share)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +19,7 @@ from planner.motion.joints import Dense, dense, joint_path, tcp_ways
 from planner.motion.paths import find
 from planner.motion.scene import Scene
 from planner.motion.search import Found, speed_limits
-from planner.motion.timing import Clock, Limits, TimingError, clock, least_times
+from planner.motion.timing import Clock, Limits, TimingError, least_times, settled
 from planner.motion.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
@@ -183,8 +184,9 @@ def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Clock, float
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     path = joint_path(scene, targets, samples, speed)
     try:
-        rounded = rounding.shares(scene, targets, samples, least)
-        ticks = clock(path, Limits(speed, settings.acceleration_fraction * strength, least, rounded))
+        rounded = functools.partial(rounding.shares, scene, targets, samples)
+        limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
+        ticks = settled(path, limits, rounded)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"

@@ -31,11 +31,13 @@ LEAST: Final = 1e-4
 """Least share of a move that a corner counts with."""
 MOST_RAMP: Final = 2.0
 """A move from or to a stop ends or begins at most so many times as fast as it is on average."""
+LOOKS: Final = 65
+"""Moments at which a move from or to a stop is looked at."""
 
 
-def shares(scene: Scene, targets: Targets, samples: Dense, least: FloatArray) -> FloatArray:
+def shares(scene: Scene, targets: Targets, samples: Dense, duration: FloatArray) -> FloatArray:
     """At least which share (N,) of the shorter move beside it the corner at each target is rounded over, for
-    moves whose times are in proportion to ``least`` (N,)."""
+    moves to the targets whose times are in proportion to ``duration`` (N,)."""
     rows = np.flatnonzero(samples.share == 1.0)
     poses = {arm: scene.chains[arm].pose(samples.q[arm][rows]) for arm in targets.arms}
     deviation = corners.deviations(targets, targets.segment[1:])
@@ -45,17 +47,51 @@ def shares(scene: Scene, targets: Targets, samples: Dense, least: FloatArray) ->
         if scene.model is not None:
             levers = corners.levers(targets, arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
-        found = corners.shares(pose[:, :3, 3] / MM, quaternion, least[1:], levers, deviation)
+        found = corners.shares(pose[:, :3, 3] / MM, quaternion, duration[1:], levers, deviation)
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
         own[1:-1] = np.minimum(own[1:-1], found[1])
     return np.asarray(np.maximum(np.maximum(zone, own), LEAST))
 
 
+def from_stop_to_stop(spline: CubicSpline, acceleration: FloatArray) -> float:
+    """Least time [s] of a path that is one move, within the joint accelerations (J,): controllers take such a
+    move by a cubic, whose ends ask for more than a clock that brakes as late as it can."""
+    return float(np.sqrt(_cubic(spline(spline.x), 0.0, acceleration)))
+
+
+def ramps(
+    spline: CubicSpline, knots: FloatArray, duration: FloatArray, acceleration: FloatArray
+) -> tuple[float, float]:
+    """Shares of the joint accelerations (J,) that the first move from a stop and the last one to a stop ask
+    for, if the moves between the positions ``knots`` last ``duration`` (n,) [s]: each is a cubic too, which
+    is as fast at its other end as its neighbour is."""
+    at, mean = np.searchsorted(spline.x, knots), np.diff(knots) / duration
+    values = spline(spline.x)
+    first, last = values[: at[1] + 1], values[at[-2] :][::-1]
+    starts, ends = (
+        float(np.clip(next_to / own, 1.0, MOST_RAMP)) for own, next_to in (mean[:2], mean[:-3:-1])
+    )
+    begins = _cubic(first, starts, acceleration) / duration[0] ** 2
+    return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
+
+
+def _cubic(values: FloatArray, end: float, acceleration: FloatArray) -> float:
+    """The most that a move over the joints ``values`` (K, J), which part it evenly in space, asks for of the
+    accelerations (J,) if it lasts a second: from rest to ``end`` times as fast as it is on average."""
+    way = CubicSpline(np.linspace(0.0, 1.0, len(values)), values)
+    x = np.linspace(0.0, 1.0, LOOKS)
+    c2, c3 = 3.0 - end, end - 2.0
+    share, rate, change = x * x * (c2 + c3 * x), x * (2.0 * c2 + 3.0 * c3 * x), 2.0 * c2 + 6.0 * c3 * x
+    asked = np.abs(way(share, 1) * change[:, None] + way(share, 2) * rate[:, None] ** 2) / acceleration
+    return float(asked.max())
+
+
 @dataclasses.dataclass(frozen=True)
 class Corners:
     """Corners at the inner targets (n,) of a piece: ``before``, ``after`` (n, J) the slopes of the joints
-    over the path just before and behind each, ``step`` (n + 1,) the lengths of the moves, ``taken`` (n,) the
-    share of the shorter one of two that their corner is rounded over on each side."""
+    over the path just before and behind each at an even speed in space, ``step`` (n + 1,) the lengths of the
+    moves, ``taken`` (n,) the share of the shorter one of two that their corner is rounded over on each side.
+    """
 
     before: FloatArray
     after: FloatArray
@@ -64,11 +100,12 @@ class Corners:
 
     @staticmethod
     def of(spline: CubicSpline, knots: FloatArray, taken: FloatArray) -> Corners:
-        """Of a path with targets at the positions ``knots`` (n + 2,), among the breaks of the spline."""
-        breaks, values = spline.x, spline(spline.x)
-        slope = np.diff(values, axis=0) / np.diff(breaks)[:, None]
-        at = np.searchsorted(breaks, knots[1:-1])
-        return Corners(slope[at - 1], slope[at], np.diff(knots), taken)
+        """Of a path with targets at the positions ``knots`` (n + 2,), among the breaks of the spline, which
+        part each move evenly in space: there it goes at an even speed, whatever the joints do."""
+        at = np.searchsorted(spline.x, knots)
+        parts, step = np.diff(at), np.diff(knots)
+        slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
+        return Corners(slope[at[1:-1] - 1], slope[at[1:-1]], step, taken)
 
     def asked(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last

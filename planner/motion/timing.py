@@ -8,7 +8,7 @@ the result says so.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from planner.motion.plain_toppra import (
     JointAccelerationConstraint,
     LinearConstraint,
 )
-from planner.motion.rounding import CornerConstraint, Corners, on_grid
+from planner.motion.rounding import CornerConstraint, Corners, from_stop_to_stop, on_grid, ramps
 from planner.motion.timing_drake import parameterise_drake
 
 FloatArray = NDArray[np.float64]
@@ -36,6 +36,11 @@ grid points and what corners do between targets."""
 ROUNDS: Final = 8
 HARDER: Final = 1.1
 """So often a piece is timed where corners ask for too much, each time with so much more room than that."""
+
+ROOMS: Final = 4
+ROOM: Final = 0.97
+"""So often a path is timed where corners have less room than thought and would ask for more than this share
+of the accelerations."""
 
 GRID_PER_KNOT: Final = 2
 SHORTEST: Final = 6e-3
@@ -61,10 +66,12 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True)
 class Clock:
-    """``time`` (N,) of the targets [s]; ``used`` names the solver of each piece; ``peak_speed`` and
-    ``peak_acceleration`` are the greatest shares of the joint limits on a dense check of the timed path."""
+    """``time`` (N,) of the targets [s]; ``asked`` (N,) the shares of the joint accelerations that the corners
+    at them ask for; ``used`` names the solver of each piece; ``peak_speed`` and ``peak_acceleration`` are the
+    greatest shares of the joint limits on a dense check of the timed path."""
 
     time: FloatArray
+    asked: FloatArray
     used: tuple[str, ...]
     peak_speed: float
     peak_acceleration: float
@@ -78,20 +85,33 @@ class TimingError(ArithmeticError):
         super().__init__(f"no timing for the piece that ends at target {index}")
 
 
+def settled(path: JointPath, limits: Limits, rounded: Callable[[FloatArray], FloatArray]) -> Clock:
+    """The clock of :func:`clock`, again where its own times leave the corners less room than the limits have:
+    ``rounded`` gives the shares (N,) for the times (N,) [s] of the moves to all targets."""
+    for left in reversed(range(ROOMS)):
+        ticks = clock(path, limits)
+        room = np.minimum(rounded(np.diff(ticks.time, prepend=0.0)), limits.rounded)
+        if left == 0 or not np.any(ticks.asked * limits.rounded > ROOM * room):
+            break
+        limits = dataclasses.replace(limits, rounded=room)
+    return ticks
+
+
 def clock(path: JointPath, limits: Limits) -> Clock:
     """Times of all targets, at rest at stops. Raises :class:`TimingError`."""
     least = LEAST_GRID if len(path.pieces) <= MANY_PIECES else MANY_GRID
     pieces = [
         _piece(piece.spline, piece.knots, limits, piece.first, piece.last, least) for piece in path.pieces
     ]
-    time = np.zeros(path.count)
+    time, hardest = np.zeros((2, path.count))
     speeds, accelerations = [0.0], [0.0]
-    for piece, (at, profile, _) in zip(path.pieces, pieces, strict=True):
+    for piece, (at, asked, profile, _) in zip(path.pieces, pieces, strict=True):
+        hardest[piece.first + 1 : piece.last] = asked
         time[piece.first + 1 : piece.last + 1] = time[piece.first] + at[1:]
         fast, hard = profile.peaks(limits)
         speeds.append(fast)
         accelerations.append(hard)
-    return Clock(time, tuple(used for _, _, used in pieces), max(speeds), max(accelerations))
+    return Clock(time, hardest, tuple(used for *_, used in pieces), max(speeds), max(accelerations))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,8 +143,9 @@ class Profile:
 
 def _piece(
     spline: CubicSpline, knots: FloatArray, limits: Limits, first: int, last: int, least: int = LEAST_GRID
-) -> tuple[FloatArray, Profile, str]:
-    """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``."""
+) -> tuple[FloatArray, FloatArray, Profile, str]:
+    """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``, and
+    the shares of the accelerations that the corners at its inner ones ask for."""
     steps = np.diff(knots)
     top = RESERVE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
     grid = _grid(spline.x, least)
@@ -143,16 +164,22 @@ def _piece(
         if profile is None:
             raise TimingError(last)
         time: FloatArray = np.interp(knots, grid, profile.time)
+        if len(steps) == 1:
+            time[1] = max(time[1], from_stop_to_stop(spline, RESERVE_CORNER * limits.acceleration))
         asked = corners.asked(np.diff(time), limits.acceleration)
+        ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
         rounds += 1
-        if rounds == ROUNDS or not np.any(asked > RESERVE_CORNER):
-            return time, profile, used
+        if rounds == ROUNDS or not (np.any(asked > RESERVE_CORNER) or max(ends) > RESERVE_CORNER):
+            return time, asked, profile, used
         if held is not None:
             weaker = np.maximum(weaker, weaker * asked / RESERVE_CORNER * HARDER)
         held = on_grid(corners, knots, grid, weaker, RESERVE_CORNER * limits.acceleration)
         mean = steps / np.diff(time)  # a ramp that is faster than its neighbour would brake at the corner
         bound[grid < knots[1]] = np.minimum(bound[grid < knots[1]], mean[1])
         bound[grid > knots[-2]] = np.minimum(bound[grid > knots[-2]], mean[-2])
+        for ramp, hard in zip((grid <= knots[1], grid >= knots[-2]), ends, strict=True):
+            if hard > RESERVE_CORNER:
+                bound[ramp] *= np.sqrt(RESERVE_CORNER / hard / HARDER)
 
 
 def _grid(breaks: FloatArray, least: int) -> FloatArray:

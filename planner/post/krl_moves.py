@@ -169,7 +169,7 @@ def _ends(moves: Rows, dialect: KrlDialect) -> list[str]:
 
 def _corners(track: Track) -> tuple[FloatArray, FloatArray]:
     """Distances (M,) [mm] and angles (M,) [deg] that the corners may take."""
-    turning = (track.reach <= 0.0) & (track.reach_turn > 0.0)
+    turning = track.reach <= 0.0  # also where a move of some micrometres turns nothing
     distance = _largest(DISTANCES, track.reach)
     angle = _largest(ANGLES, np.rad2deg(track.reach_turn))
     return np.where(turning, DISTANCES[-1], distance), np.where(turning, angle, FREE_ANGLE)

@@ -43,7 +43,7 @@ def test_zones_take_at_most_half_a_segment():
         assert rows[-1][6] == "fine"
         used = {row[6] for row in rows}
         assert set(own) <= used
-        assert len(used) >= 5
+        assert len(used) >= (5 if task == "T_ROB1" else 3)  # the other arm hardly moves: zones by angle
     assert "fine" not in [row[6] for row in rows[:-1]]
     assert {row[6][:6] for row in rows[30:-1]} == {"z_turn"}
 
