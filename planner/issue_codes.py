@@ -302,6 +302,7 @@ CODES: Final[dict[str, str]] = {
     "motion.entry": "an arm has no free way between home and its first or last target",
     "motion.timing": "no clock was found for a piece of the path",
     "motion.feed_min": "the arms cannot make a move as fast as the process wants",
+    "motion.stops": "the arm stops at corners that it would else have to pass very slowly",
     "motion.no_placement": "no place of the stock was found from which the whole job can be done",
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
     "verify.no_programs": "a result folder holds no programs",

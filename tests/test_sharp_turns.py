@@ -10,6 +10,7 @@ import pytest
 
 import planner
 from planner import catalogue
+from planner.issues import Severity
 from tests import small_problem
 
 CELLS = catalogue.data_dir("problems") / "cells"
@@ -100,3 +101,18 @@ def test_axes_far_apart_are_turned_the_shortest_way(tmp_path: Path, cell: tuple[
         i, j, s = v / np.linalg.norm(v)
         lines.append(f"X{2 * k - 30}I{i:.6f}J{j:.6f}K{s:.6f}")
     assert milled(tmp_path, cell, 0.1, "tool_axis: ijk", lines)
+
+
+def test_the_arm_stops_at_corners_that_it_would_crawl_past(tmp_path: Path) -> None:
+    """Reversals every 22 mm at 200 mm/s: their zones are so small that all of the way would be slow. With
+    stops it takes little longer than its feeds ask for, and one note says so."""
+    rows = [(10.0 * i - 70.0, 20.0 * (i % 2), 0.0, 200.0, 0) for i in range(15)]
+    outcome = posed(tmp_path, "irb1200_7_70", rows)
+    assert outcome.verified
+    (operation,) = outcome.plan.operations
+    wanted = (operation.targets.travel / operation.targets.feed).sum()
+    assert wanted < operation.time[-1] < 2.0 * wanted
+    assert operation.targets.stop[2:-1].all()
+    (note,) = [issue for issue in outcome.issues if issue.code == "motion.stops"]
+    assert note.severity == Severity.NOTE
+    assert note.value == 13.0

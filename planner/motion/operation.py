@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, rounding, transit
+from planner.motion import aim, corridor, diagnose, entry, halts, rounding, transit
 from planner.motion.avoid import Avoid
-from planner.motion.joints import Dense, dense, joint_path, tcp_ways
+from planner.motion.joints import Dense, dense, tcp_ways
 from planner.motion.paths import find
 from planner.motion.scene import Scene
 from planner.motion.search import Found, speed_limits
-from planner.motion.timing import Clock, Limits, TimingError, least_times, settled
+from planner.motion.timing import Clock, Limits, TimingError, least_times
 from planner.motion.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
@@ -62,7 +62,9 @@ def plan_operation(
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnose.require_moves(scene, targets, found.path.branch, samples)
-    ticks, deviation, issues = _clock(scene, targets, samples)
+    wanted = targets
+    targets, ticks, deviation = _clock(scene, targets, samples)
+    issues = [*_slow(targets, ticks.time), *halts.told(wanted, targets)]
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
@@ -176,22 +178,22 @@ def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np
     return np.asarray(some.move[lost | ~diagnose.clear(scene, targets, some)])
 
 
-def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Clock, float, list[Issue]]:
+def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Targets, Clock, float]:
+    """The targets with the stops that they have after all, their clock, and how far [m] it is off the way."""
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
     strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
     lengths = tcp_ways(scene, targets, samples)
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
-    path = joint_path(scene, targets, samples, speed)
     try:
         rounded = functools.partial(rounding.shares, scene, targets, samples)
         limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
-        ticks = settled(path, limits, rounded)
+        targets, path, ticks = halts.clocked(scene, targets, samples, limits, rounded)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"
         raise TandemError(Issue("motion.timing", message, index=failure.index, hint=hint)) from failure
-    return ticks, path.deviation, _slow(targets, ticks.time)
+    return targets, ticks, path.deviation
 
 
 def _not_kept(scene: Scene) -> Issue:

@@ -75,6 +75,14 @@ def ramps(
     return begins, _cubic(last, ends, acceleration) / duration[-1] ** 2
 
 
+def _ramp(half: float, duration: float, step: float, neighbour: float) -> tuple[float, float]:
+    """Path speed at ``half`` [s] from the moving end of a ramp, and the way from there to that end: of a move
+    over ``step`` that lasts ``duration`` [s], whose other neighbour goes at the speed ``neighbour``."""
+    rate = float(np.clip(neighbour * duration / step, 1.0, MOST_RAMP))
+    x, c2, c3 = 1.0 - half / duration, 3.0 - rate, rate - 2.0
+    return x * (2.0 * c2 + 3.0 * c3 * x) * step / duration, (1.0 - x * x * (c2 + c3 * x)) * step
+
+
 def _cubic(values: FloatArray, end: float, acceleration: FloatArray) -> float:
     """The most that a move over the joints ``values`` (K, J), which part it evenly in space, asks for of the
     accelerations (J,) if it lasts a second: from rest to ``end`` times as fast as it is on average."""
@@ -109,15 +117,21 @@ class Corners:
 
     def asked(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last
-        ``duration`` (n + 1,) [s]."""
+        ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from the moves beside it, of
+        which those from and to stops are ramps."""
         mean = self.step / duration
-        comes, goes = mean.copy(), mean.copy()  # a ramp ends and begins as fast as its neighbour is
-        if len(mean) > 1:
-            comes[0] = np.clip(mean[1], mean[0], MOST_RAMP * mean[0])
-            goes[-1] = np.clip(mean[-2], mean[-1], MOST_RAMP * mean[-1])
-        change = self.after * goes[1:, None] - self.before * comes[:-1, None]
-        window = 2.0 * self.taken * np.minimum(duration[:-1], duration[1:])
-        return np.asarray(np.abs(change / window[:, None] / acceleration).max(axis=1))
+        half = self.taken * np.minimum(duration[:-1], duration[1:])
+        comes, goes = mean[:-1].copy(), mean[1:].copy()
+        behind, ahead = comes * half, goes * half
+        if len(half):
+            comes[0], behind[0] = _ramp(half[0], duration[0], self.step[0], mean[1])
+            goes[-1], ahead[-1] = _ramp(half[-1], duration[-1], self.step[-1], mean[-2])
+        way = self.before * behind[:, None] + self.after * ahead[:, None]
+        first, last = self.before * comes[:, None], self.after * goes[:, None]
+        span = 2.0 * half[:, None]
+        begins = 6.0 * way / span**2 - (4.0 * first + 2.0 * last) / span
+        ends = (2.0 * first + 4.0 * last) / span - 6.0 * way / span**2
+        return np.asarray((np.maximum(np.abs(begins), np.abs(ends)) / acceleration).max(axis=1))
 
     def demand(self) -> tuple[FloatArray, FloatArray]:
         """``slope`` and ``bend`` (n, J): at the path's acceleration u and squared speed x a corner asks for

@@ -169,8 +169,11 @@ def _piece(
         asked = corners.asked(np.diff(time), limits.acceleration)
         ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
         rounds += 1
-        if rounds == ROUNDS or not (np.any(asked > RESERVE_CORNER) or max(ends) > RESERVE_CORNER):
+        over = max([*ends, *asked]) / RESERVE_CORNER
+        if over <= 1.0:
             return time, asked, profile, used
+        if rounds == ROUNDS:  # all of the piece slower by one factor: accelerations fall with its square
+            return time * np.sqrt(over), asked / over, profile, used
         if held is not None:
             weaker = np.maximum(weaker, weaker * asked / RESERVE_CORNER * HARDER)
         held = on_grid(corners, knots, grid, weaker, RESERVE_CORNER * limits.acceleration)
