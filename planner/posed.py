@@ -21,6 +21,7 @@ from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.schema import Name, Strict
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 from planner.units import DEG, MM
 
@@ -278,12 +279,12 @@ def _number(
     return number
 
 
-def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> str:
+def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> Segment:
     value = row.get("segment") or "cut/path"
     if not isinstance(value, str) or not SEGMENT.fullmatch(value):
         what = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
         raise TandemError(_fault(operation, index, what))
-    return value
+    return Segment.of(value)
 
 
 def _flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:

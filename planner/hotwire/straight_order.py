@@ -12,6 +12,7 @@ from planner.hotwire.straight_operation import SIDES, Straight, SurfaceCut, Trim
 from planner.hotwire.straight_section import depths
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
+from planner.segments import Segment
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -33,9 +34,9 @@ class Wanted:
     cut: SurfaceCut | TrimCut
 
     @property
-    def segment(self) -> str:
-        """Label of the targets on the surface; those of the ways in and out add ``_in`` and ``_out``."""
-        return f"cut/{self.name}"
+    def segment(self) -> Segment:
+        """The segment of the targets on the surface; the ways in and out are its other phases."""
+        return Segment("cut", self.name)
 
 
 def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:

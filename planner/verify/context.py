@@ -175,7 +175,7 @@ class Context:
     def of_segment(self) -> dict[str, int]:
         """Index of the setup that claims a segment."""
         return {
-            claim.segment.lower(): index
+            claim.segment.key: index
             for index, setup in enumerate(self.setup_claims)
             for group in setup.groups
             for claim in group
