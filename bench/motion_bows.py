@@ -17,6 +17,7 @@ from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
 from planner.grippers import gripper_plate
 from planner.materials import foam
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 
 FloatArray = NDArray[np.float64]
@@ -103,7 +104,7 @@ def cut(
         feed_min=np.zeros(rows),
         travel=np.append(0.0, step),
         stop=stop,
-        segment=segment,
+        segment=tuple(map(Segment.read, segment)),
     )
 
 

@@ -56,7 +56,7 @@ def claims(
             low, high = op.kerf_range_mm
             out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
         feed = op.feed_min_mm_s * MM, op.feed(cut.cut)
-        out += [FeedWindow(way, *feed) for way in cut.segment.ways]
+        out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
     stock = setup.stock
     if stock.held_by is not None and stock.mass is not None:
         middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)

@@ -37,8 +37,8 @@ class Motion:
     Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
     {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
     sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
-    ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm has no such
-    target).
+    ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
+    has no such target).
     """
 
     time: FloatArray

@@ -114,7 +114,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             k = int(off.argmin())
             if -off[k] - allowed > worst:
                 worst, limit = float(-off[k]) - allowed, mm(allowed)
-                where = f"{solid.name} in {context.motion.node_label[context.motion.node[rows[place[k]]]]}"
+                where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[place[k]]]]}"
             deep = np.flatnonzero(off < -allowed)
             first = np.unique(place[deep], return_index=True)[1]
             for i in deep[first][:: max(1, len(first) // SHOWN)]:

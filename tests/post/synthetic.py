@@ -15,6 +15,7 @@ from planner.geometry.rigid import from_rpy, inverse
 from planner.grippers import gripper_plate
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock, Tool
+from planner.segments import Segment
 from planner.targets import Action, Targets
 
 HOME = np.deg2rad([0.0, 0.0, 0.0, 0.0, 30.0, 0.0])
@@ -96,7 +97,7 @@ def operation(
         feed_min=np.zeros(count),
         travel=np.zeros(count),
         stop=stops,
-        segment=tuple(segment),
+        segment=tuple(map(Segment.read, segment)),
         coupled=coupled,
         actions=tuple(actions),
     )

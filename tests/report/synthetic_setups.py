@@ -24,6 +24,7 @@ from planner.issues import Issue, Severity
 from planner.materials import foam
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Ruled, Setup, Stock
+from planner.segments import Segment
 from planner.targets import Action, Targets
 
 FIRST = from_rpy([0.22, 0.0, 0.24], [0.0, 0.0, 0.0])
@@ -79,8 +80,8 @@ def _straight(
     cuts = list(dict.fromkeys(label for label in labels if label.startswith("cut")))
     triangle = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0, 0.1]])
     for label in cuts:
-        claims += [CutsSurface(label, triangle, np.array([[0, 1, 2]]), KERF, 3e-4)]
-        claims += [FeedWindow(label, 0.003, 0.006)]
+        claims += [CutsSurface(Segment.read(label), triangle, np.array([[0, 1, 2]]), KERF, 3e-4)]
+        claims += [FeedWindow(Segment.read(label), 0.003, 0.006)]
     if held is not None:
         right = setup.cell.arm("right")
         tcp = held @ inverse(setup.stock.grip)
@@ -104,7 +105,7 @@ def _straight(
         np.where(cutting, 0.003, 0.0),
         travel,
         stop,
-        tuple(labels),
+        tuple(map(Segment.read, labels)),
         actions=actions,
         claims=tuple(claims),
     )

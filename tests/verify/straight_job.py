@@ -27,6 +27,7 @@ from planner.geometry.rigid import from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003
@@ -119,14 +120,14 @@ def claims(margin=MARGIN, kerf=KERF):
     out = {}
     for k, name in enumerate(("top", "back")):
         half = 0.5 * (0.4, 0.3)[k]
-        segment, u = f"cut/{name}", np.linspace(-1.0, 1.0, 41)
+        segment, u = Segment("cut", name), np.linspace(-1.0, 1.0, 41)
         out[name] = (
             StraightWire("left", np.array([-half, 0, 0]), np.array([half, 0, 0]), 0.0002, margin),
             ContactOnlyIn(("cut",), SIGNAL, 5.0),
             CutsSurface(segment, *face(k), kerf, TOLERANCE),
             FollowsRulings(segment, *guides(k, u), kerf, TOLERANCE),
             KerfWithin(segment, kerf, 0.0008, 0.0016),
-            *(FeedWindow(segment + way, 0.003, 0.012) for way in ("", "_in", "_out")),
+            *(FeedWindow(way, 0.003, 0.012) for way in segment.ways),
         )
     return out
 
