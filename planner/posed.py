@@ -59,7 +59,8 @@ class Posed(Strict):
     """Poses from a file.
 
     CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if
-    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys.
+    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys. ``segment`` is a kind, or
+    ``kind/name``, of letters, digits and ``_``, such as ``cut/front``.
     """
 
     name: Name

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import re
 import unicodedata
+from collections.abc import Iterable
 from typing import Final, Literal
 
 Phase = Literal["", "in", "out"]
@@ -90,6 +91,16 @@ def fold(text: str) -> str:
     flat = unicodedata.normalize("NFKD", text)
     kept = "".join(c for c in flat if not unicodedata.combining(c))
     return re.sub(r"[^A-Za-z0-9]+", "_", kept).strip("_").lower()
+
+
+def clash(segments: Iterable[Segment]) -> tuple[Segment, Segment] | None:
+    """The first two of some segments that programs cannot tell apart, or that are the same; else None."""
+    known: dict[str, Segment] = {}
+    for segment in segments:
+        if segment.key in known:
+            return known[segment.key], segment
+        known[segment.key] = segment
+    return None
 
 
 @functools.lru_cache(maxsize=65536)

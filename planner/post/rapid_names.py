@@ -24,13 +24,13 @@ def part_names(parts: Sequence[Part]) -> dict[Part, str]:
     return {part: _name(part.segment, visits, known) for part in parts}
 
 
-def alike(one: Segment, other: Segment, field: str | None = None) -> Issue:
+def alike(one: Segment, other: Segment) -> Issue:
     """Why programs cannot tell two segments apart."""
     message = (
         f"segments {str(one)!r} and {str(other)!r} would both be called {other.key!r} in the programs, which "
         "tell neither case nor runs of underscores and other signs apart"
     )
-    return Issue("post.name", message, field=field, hint="give them names that differ in letters or digits")
+    return Issue("post.name", message, hint="give them names that differ in letters or digits")
 
 
 def procedure(segment: Segment) -> str:
@@ -41,7 +41,13 @@ def procedure(segment: Segment) -> str:
     :class:`TandemError` (``post.name``).
     """
     name, kind = identifier(str(segment)), fold(segment.kind)
-    return f"{kind}{LONG_KIND}{name[len(kind) :]}" if "_" in kind else name
+    if "_" not in kind:
+        return name
+    full = f"{kind}{LONG_KIND}{name[len(kind) :]}"
+    if len(full) > NAME_LENGTH - 4:
+        message = f"segment {str(segment)!r} would be called {full}, which is too long"
+        raise TandemError(Issue("post.name", message, hint=f"allowed: {NAME_LENGTH - 4} characters"))
+    return full
 
 
 def _name(segment: Segment, visits: dict[str, int], known: dict[str, Segment]) -> str:

@@ -36,7 +36,7 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
     worst, where = 0.0, ""
     claims = [c for c in context.feeds if c.segment.kind == MILL]
     for claim in claims:
-        index = context.of_segment[claim.segment.key]
+        index = context.setup_of(claim)
         arm = _arm(milling, claim)
         track = milling.track(index, arm, (claim.segment.key,)) if arm else None
         if track is None or not len(track.joined):

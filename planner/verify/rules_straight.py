@@ -140,7 +140,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         seen = False
         for wire in wires:
             rows = np.flatnonzero(wire.labels == label)
-            if wire.fault or wire.setup != context.of_segment[label] or len(rows) < 2:
+            if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
                 continue
             seen = True
             speed = local(wire.points, context.motion.time[wire.sample])

@@ -28,7 +28,7 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
         parts = []
         for wire, speed in zip(good, speeds, strict=True):
             rows = np.flatnonzero(during(wire.labels == claim.segment.key))
-            if len(rows) and wire.setup == context.of_segment[claim.segment.key]:
+            if len(rows) and wire.setup == context.setup_of(claim):
                 parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
         if parts:
             points, speed, joined = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -91,7 +91,7 @@ def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
     for claim, sweep in zip(context.surfaces, rows, strict=True):
         if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
-        block = context.stock(context.of_segment[claim.segment.key])
+        block = context.stock(context.setup_of(claim))
         deep, _ = deepest(claim, sweep, to_block(sweep.points, block) < 0.0)
         limit = GOUGE * claim.tolerance + FLAT
         if deep > limit:

@@ -182,6 +182,8 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     for wire in wires:
         speed = feed_speed(context, wire)
         for claim in context.feeds:
+            if wire.setup != context.setup_of(claim):
+                continue
             here = wire.labels[1:] == claim.segment.key
             rows = np.flatnonzero(here & np.isfinite(speed[1:])) + 1
             if not len(rows):
