@@ -302,7 +302,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     op = blocks.operation(power_w=40.0, arms=["left", "right"], feed_mm_s=5, feed_min_mm_s=3)
     block = blocks.stock((0.2, 0.2, 0.1), held_by="right", foam=foams()["xps_30"])
     setup, part = blocks.setup(block), blocks.part(square("sq", 0.0, 0.05, 0.05))
-    claims = PROCESSES["straight_wire"].claims(op, setup, part)
+    claims = PROCESSES["straight_wire"].job(op, setup, part).claims()
     kinds = [
         StraightWire,
         ContactOnlyIn,
