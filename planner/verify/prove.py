@@ -24,6 +24,7 @@ from planner.verify import (
     report_series,
     rules_cell,
     rules_data,
+    rules_follow,
     rules_forming,
     rules_forming_sheet,
     rules_forming_two,
@@ -106,7 +107,7 @@ MOTION: _RuleTable = (
     ("verify.joint_acceleration", rules_motion.joint_acceleration),
     ("verify.singularity", rules_motion.singularity),
     ("verify.tcp_speed", rules_motion.tcp_speed),
-    ("verify.follows", rules_motion.follows),
+    ("verify.follows", rules_follow.follows),
     ("verify.order", rules_part.order),
 )
 WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
