@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.milling.job import Job, job
 from planner.milling.operation import Milling
 from planner.problem import Part, Setup
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter, Mill
 
 KEPT: Final = 4
 """So many jobs are kept, the last ones."""
@@ -50,7 +50,8 @@ def job_once(operation: Milling, setup: Setup, part: Part | None) -> Job:
 
 
 def _cutter(operation: Milling, setup: Setup) -> Cutter | None:
-    return setup.cell.arm(operation.arms[0]).tool.cutter
+    tool = setup.cell.arm(operation.arms[0]).tool
+    return tool.cutter if isinstance(tool, Mill) else None
 
 
 def _freeze(value: object) -> None:
