@@ -25,7 +25,7 @@ ROUNDED = 1e-4
 PASSED = 1e-4
 """How much farther than half a kerf and the tolerance the wire may pass a guide line [m]."""
 EDGE = 1e-6
-"""How far a claimed wire may be off the tool's edge [m]."""
+"""How far a claimed wire may be off the bow's own [m]."""
 GUIDE_STEP = 0.002
 """Distance of the places of a guide line that must be passed [m]."""
 FINE = 0.001
@@ -35,7 +35,7 @@ _CHUNK = 400_000
 
 def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire; it
-    is the edge of the tool that is mounted."""
+    is the wire of the bow that is mounted."""
     issues, least, limit = [], np.inf, None
     for wire in wires:
         claim = wire.claim
