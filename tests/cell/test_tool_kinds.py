@@ -155,7 +155,7 @@ def test_a_tool_cuts_as_far_from_its_tcp_as_its_solid_goes() -> None:
 
 def refusal(problem: Problem) -> dict[str, str]:
     with pytest.raises(TandemError) as caught:
-        processes.make_targets(problem, 0)
+        processes.job(problem, 0).targets()
     return {issue.code: issue.message for issue in caught.value.issues}
 
 
@@ -167,7 +167,7 @@ def test_a_straight_wire_is_cut_with_a_bow_alone(kind: str) -> None:
     square = np.array([(-0.08, 0.02), (-0.08, 0.08), (0.08, 0.08), (0.08, 0.02)])
     part = foam_blocks.part(foam_blocks.prism("sq", square, closed=True))
     with pytest.raises(TandemError) as caught:
-        straight.make_targets(foam_blocks.operation(), setup, part)
+        straight.StraightJob(foam_blocks.operation(), setup, part).targets()
     (issue,) = caught.value.issues
     assert issue.code == "bow.missing"
     assert read(kind).name in issue.message
