@@ -69,7 +69,9 @@ def shape_of(chain: Chain) -> ArmShape:
     lengthwise = plane @ w[3]
     sign4 = 1.0 if rest @ lengthwise > 0.0 else -1.0
     lengthwise = sign4 * lengthwise
-    across = np.array([lengthwise[2], 0.0, -lengthwise[0]])  # of Ry(t2 + t3): its x, where its z is lengthwise
+    across = np.array(
+        [lengthwise[2], 0.0, -lengthwise[0]]
+    )  # of Ry(t2 + t3): its x, where its z is lengthwise
     turned = np.stack([across, [0.0, 1.0, 0.0], lengthwise], axis=1)  # Ry(t2 + t3)
     tilt, sign5 = _along(turned.T @ plane @ w[4], np.array([0.0, 1.0, 0.0]))
     t2 = np.arctan2(upper[0], upper[2])
@@ -93,7 +95,9 @@ def shape_of(chain: Chain) -> ArmShape:
         ),
     )
     if not (shape.c2 > EXACT and np.hypot(shape.a2, shape.c3) > EXACT):
-        raise ValueError(f"has an upper arm of {shape.c2:g} m and a forearm of {shape.c3:g} m; both need length")
+        raise ValueError(
+            f"has an upper arm of {shape.c2:g} m and a forearm of {shape.c3:g} m; both need length"
+        )
     return shape
 
 
@@ -127,7 +131,9 @@ def _square(a: FloatArray, b: FloatArray, one: str, other: str) -> None:
 
 def _not_so(one: str, other: str, word: str, off: float) -> str:
     degrees = np.rad2deg(np.arcsin(min(off, 1.0)))
-    return f"has {one} {degrees:.6f} deg off from being {word} {other}; {np.rad2deg(EXACT):.0e} deg is allowed"
+    return (
+        f"has {one} {degrees:.6f} deg off from being {word} {other}; {np.rad2deg(EXACT):.0e} deg is allowed"
+    )
 
 
 def _met(gap: FloatArray, one: str, other: str) -> None:

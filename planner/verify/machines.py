@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 CODE: Final = "verify.robot_model"
 AGREE: Final = 1e-8
 """How far catalogue and URDF may differ, in m, rad and rad/s: files round to 1e-9."""
-_HINT: Final = "install tandem-planner again, or restore the file"
+HINT: Final = "install tandem-planner again, or restore the file"
 _LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
 
 
@@ -39,14 +39,14 @@ class Machine:
 
 
 def of(name: str) -> Machine:
-    """The robot of that name in the catalogue. Raises ``TandemError`` (``verify.robot_model``) for a file that
-    cannot be read, or is none of an arm with a spherical wrist, and as :func:`planner.catalogue.urdf_path`."""
+    """The robot of that name in the catalogue. Raises ``TandemError`` (``verify.robot_model``) for a file
+    that cannot be read or is of no arm with a spherical wrist, and as :func:`planner.catalogue.urdf_path`."""
     path = urdf_path(name)
     try:
         chain, shape = _read(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         message = f"the robot {name}: {path} {error}"
-        raise TandemError(Issue(CODE, message, file=str(path), hint=_HINT)) from None
+        raise TandemError(Issue(CODE, message, file=str(path), hint=HINT)) from None
     return Machine(robot(name), chain, shape)
 
 
@@ -64,13 +64,15 @@ def differences(machine: Machine) -> list[str]:
     for key in _LENGTHS:
         here, there = getattr(shape, key), getattr(planned, key)
         if not abs(here - there) <= AGREE:
-            out.append(f"{key} is {1e3 * here:.6f} mm by the axes of the URDF, {1e3 * there:.6f} in the catalogue")
+            out.append(
+                f"{key} is {1e3 * here:.6f} mm by the axes of the URDF, {1e3 * there:.6f} in the catalogue"
+            )
     turn = np.abs((shape.offsets - planned.offsets + np.pi) % (2.0 * np.pi) - np.pi)
     for i in np.flatnonzero(~(turn <= AGREE)):
         here, there = np.rad2deg([shape.offsets[i], planned.offsets[i]])
         out.append(f"the offset of axis {i + 1} is {here:.6f} deg in the URDF, {there:.6f} in the catalogue")
-    for i in np.flatnonzero(shape.signs != planned.signs):
-        out.append(f"axis {i + 1} turns the other way in the URDF than in the catalogue")
+    turned = np.flatnonzero(shape.signs != planned.signs)
+    out += [f"axis {i + 1} turns the other way in the URDF than in the catalogue" for i in turned]
     for word, here, there in (
         ("lower limit", chain.lower, data.lower),
         ("upper limit", chain.upper, data.upper),
@@ -78,5 +80,7 @@ def differences(machine: Machine) -> list[str]:
     ):
         for i in np.flatnonzero(np.abs(here - there) > AGREE):
             one, other = np.rad2deg([here[i], there[i]])
-            out.append(f"the {word} of axis {i + 1} is {one:.6f} deg in the URDF, {other:.6f} in the catalogue")
+            out.append(
+                f"the {word} of axis {i + 1} is {one:.6f} deg in the URDF, {other:.6f} in the catalogue"
+            )
     return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from typing import Final
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,8 +59,8 @@ class Chain:
         return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
 
     def _follow(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
-        """Fills ``out`` (B, 7 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn about z
-        mixes two of them, a step is one product with a constant."""
+        """Fills ``out`` (B, 7 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn about
+        z mixes two of them, a step is one product with a constant."""
         count = len(q)
         cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))
         axes = np.repeat(self.step[0, :3, :3].T, count, axis=1)
@@ -87,12 +87,12 @@ def read(text: str) -> Chain:
     other joints that move, numbers that are none.
     """
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
         raise ValueError(f"is not XML ({error})") from None
     if root.tag != "robot":
         raise ValueError(f"begins with <{root.tag}>; a URDF begins with <robot>")
-    above: dict[str, ElementTree.Element] = {}
+    above: dict[str, ET.Element] = {}
     for joint in root.iter("joint"):
         if joint.find("child") is None:
             continue  # what transmissions and the like name
@@ -109,9 +109,9 @@ def read(text: str) -> Chain:
     return _chain(way)
 
 
-def _way(above: dict[str, ElementTree.Element]) -> list[ElementTree.Element]:
+def _way(above: dict[str, ET.Element]) -> list[ET.Element]:
     """The joints from the base to the tip."""
-    way: list[ElementTree.Element] = []
+    way: list[ET.Element] = []
     link = TIP
     while link != BASE:
         if link not in above or len(way) > len(above):
@@ -121,7 +121,7 @@ def _way(above: dict[str, ElementTree.Element]) -> list[ElementTree.Element]:
     return way[::-1]
 
 
-def _chain(way: list[ElementTree.Element]) -> Chain:
+def _chain(way: list[ET.Element]) -> Chain:
     links, zero, axes, limits, steps, lays = [], [], [], [], [], []
     pose, step = np.eye(4), np.eye(4)
     for joint in way:
@@ -149,13 +149,16 @@ def _chain(way: list[ElementTree.Element]) -> Chain:
         steps.append(step @ lay)
         lays.append(lay[:3, :3])
         step = lay.T
+    lower, upper, velocity = np.array(limits).T
     return Chain(
-        (*links, TIP),
-        np.array([*zero, pose]),
-        np.array(axes),
-        *np.array(limits).T,
-        np.array([*steps, step]),
-        np.array(lays),
+        links=(*links, TIP),
+        zero=np.array([*zero, pose]),
+        axis=np.array(axes),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        step=np.array([*steps, step]),
+        lay=np.array(lays),
     )
 
 
@@ -168,22 +171,22 @@ def _laid(axis: FloatArray) -> FloatArray:
 
 
 def _rotation(rpy: FloatArray) -> FloatArray:
-    """Rotation (3, 3) by roll, pitch, yaw [rad] about the fixed axes x, y, z in this order, as URDF has it."""
+    """Rotation (3, 3) by roll, pitch, yaw [rad] about the fixed axes x, y, z in this order, as in URDF."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return yaw @ pitch @ roll
+    return np.asarray(yaw @ pitch @ roll)
 
 
-def _limits(joint: ElementTree.Element) -> list[float]:
+def _limits(joint: ET.Element) -> list[float]:
     limit = joint.find("limit")
     if limit is None:
         return [np.nan] * 3
     return [float(_numbers(joint, limit, key, "nan")[0]) for key in ("lower", "upper", "velocity")]
 
 
-def _link(joint: ElementTree.Element, role: str) -> str:
+def _link(joint: ET.Element, role: str) -> str:
     element = joint.find(role)
     name = None if element is None else element.get("link")
     if not name:
@@ -191,7 +194,7 @@ def _link(joint: ElementTree.Element, role: str) -> str:
     return name
 
 
-def _numbers(joint: ElementTree.Element, element: ElementTree.Element, key: str, default: str) -> FloatArray:
+def _numbers(joint: ET.Element, element: ET.Element, key: str, default: str) -> FloatArray:
     """The numbers of an attribute: as many as its default has; NaN only by default."""
     text, count = element.get(key), len(default.split())
     try:
