@@ -16,8 +16,8 @@ from planner.verify.urdf_chain import Chain
 
 FloatArray = NDArray[np.float64]
 
-EXACT: Final = 1e-8
-"""How far [m] axes may be off from meeting, and [rad] from being parallel or square: files round to 1e-9."""
+EXACT: Final = 1e-9
+"""How far [m] axes may be off from meeting, and [rad] from being parallel or square: files round so far."""
 
 _DIGITS: Final = 11
 """Lengths count to so many decimals of a metre: sums of a file's decimals get no noise."""
