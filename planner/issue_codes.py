@@ -25,7 +25,7 @@ CODES: Final[dict[str, str]] = {
     "stock.grip_force": "a gripper does not hold the block firmly enough",
     "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
-    "catalogue.missing_data": "a data file that is part of Tandem is missing",
+    "catalogue.missing_data": "a data file that is part of Tandem is missing or cannot be read",
     "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
     # saved plans
     "output.folder": "the output folder cannot be written, or holds the problem file itself",

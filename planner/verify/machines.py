@@ -45,7 +45,7 @@ def of(name: str) -> Machine:
     try:
         chain, shape = _read(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        message = f"the robot {name}: {path} {error}"
+        message = f"the robot {name}: its URDF {error}"
         raise TandemError(Issue(CODE, message, file=str(path), hint=HINT)) from None
     return Machine(robot(name), chain, shape)
 

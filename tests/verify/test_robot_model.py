@@ -13,6 +13,7 @@ import yaml
 
 from planner import catalogue
 from planner.cell.plant import CellModel, build
+from planner.issues import TandemError
 from planner.verify import rules_kinematics
 from planner.verify.context import Context
 from planner.verify.prove import Prover, prove
@@ -130,6 +131,16 @@ def test_a_file_that_cannot_be_read_ends_not_proven(folder):
     (issue,) = proof.issues
     assert issue.code == "verify.robot_model"
     assert "is not XML" in issue.message
+
+
+def test_drake_is_not_asked_to_plan_with_a_file_that_cannot_be_read(folder):
+    (folder / "irb140.urdf").write_text("<robot", "utf-8")
+    problem = small_job.problem()
+    with pytest.raises(TandemError) as caught:
+        build(problem.cell, problem.stock, np.eye(4))
+    (issue,) = caught.value.issues
+    assert issue.code == "catalogue.missing_data"
+    assert str(folder / "irb140.urdf") in issue.message
 
 
 # ---- every link, against Drake -----------------------------------------------------------------------

@@ -243,4 +243,4 @@ def test_what_is_no_such_robot_is_refused_in_words(case, tmp_path, monkeypatch):
     (issue,) = caught.value.issues
     assert issue.code == "verify.robot_model"
     assert words in issue.message, issue.message
-    assert str(path) in issue.message
+    assert issue.file == str(path)
