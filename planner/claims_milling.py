@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.segments import Segment
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 
 @dataclasses.dataclass(frozen=True)

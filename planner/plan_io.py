@@ -29,7 +29,7 @@ from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.segments import Segment
 from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1

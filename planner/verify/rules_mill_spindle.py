@@ -11,6 +11,7 @@ from planner.claims_milling import MillsAlong
 from planner.issues import Issue
 from planner.problem import Stock
 from planner.segments import Segment
+from planner.tooling import Mill
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_pace import allowed
@@ -37,7 +38,7 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
     claims = [c for c in context.feeds if c.segment.kind == MILL]
     for claim in claims:
         index = context.setup_of(claim)
-        arm = _arm(milling, claim)
+        arm = _arm(milling, index, claim)
         track = milling.track(index, arm, (claim.segment.key,)) if arm else None
         if track is None or not len(track.joined):
             continue
@@ -82,9 +83,9 @@ def spindle(context: Context, milling: Milling) -> Outcome:
     for index, setup in enumerate(context.setups):
         claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]
         for arm in setup.cell.arms:
-            cutter = arm.tool.cutter
-            if cutter is None or arm.name not in motion.tcp:
+            if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
+            cutter = arm.tool.cutter
             labels = tuple(sorted(set(motion.node_label.tolist())))
             track = milling.track(index, arm.name, labels)
             inside = np.flatnonzero(_in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
@@ -141,12 +142,12 @@ def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
     return out
 
 
-def _arm(milling: Milling, claim: FeedWindow) -> str:
-    """The arm that mills a segment, by the claims on it; empty for none."""
+def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:
+    """The arm that mills a segment in a setup, by the claims on it; empty for none."""
     segment = claim.segment.key
-    for _, own in milling.by_setup:
+    for setup, own in milling.by_setup:
         names = (own.segment,) if isinstance(own, MillsAlong) else own.segments
-        if any(segment == way.key for name in names for way in name.ways):
+        if setup == index and any(segment == way.key for name in names for way in name.ways):
             return own.arm
     return ""
 
