@@ -94,7 +94,8 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
 def _surfaces(context: Context, part: Any, sweeps: Sequence[Sweep], milling: Milling, found: _Found) -> None:
     """Surfaces that wires and cutters make."""
     block = np.asarray(context.problem.stock.size)
-    surfaces = stated(part, float(block[2]))
+    whole = {name for name, *_ in file_made.wanted(context)}
+    surfaces = stated(part, float(block[2]), not whole.isdisjoint((file_made.ALL, "edges")))
     at = _stated_place(part, surfaces, block)
     pairs = _paired(surfaces, _made(context, surfaces, sweeps, milling, found), at, found)
     if not pairs:
@@ -197,8 +198,8 @@ def _stated_place(part: Any, surfaces: Sequence[Surface], block: FloatArray) -> 
 def _place(
     surfaces: Sequence[Surface], pairs: Sequence[tuple[Surface, Made]], block: FloatArray, milling: Milling
 ) -> FloatArray:
-    """The place of a part, in the middle of the block, that fits what is made best, over the ways in which its
-    guides may be joined."""
+    """The place of a part, in the middle of the block, that fits what is made best, over the ways in which
+    its guides may be joined."""
     if any(surface.part_of for surface in surfaces):
         surface, one = pairs[0]
         return placing.found_piece(
@@ -211,6 +212,8 @@ def _place(
     for k in range(max(len(surface.samples) for surface, _ in pairs)):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
         at = placing.found(source, target, bound, middle)
+        if all(len(surface.samples) == 1 for surface, _ in pairs):
+            return at
         share = [
             _Tried(surface, one, own.moved(at), at, milling).share
             for (surface, one), own in zip(pairs, source, strict=True)
@@ -248,7 +251,7 @@ class _Tried:
         self.limit = one.tolerance + surface.spare
         self.counts = np.ones(len(places.points), dtype=np.bool_)
         if one.margin > 0.0:
-            rim = surface.rim @ at[:3, :3].T + at[:3, 3]
+            rim = surface.rim() @ at[:3, :3].T + at[:3, 3]
             self.counts = file_made.beside(places.points, rim) > one.margin
         self.good = np.abs(self.off) <= self.limit  # NaN is not good
         self.share = float(self.good[self.counts].mean()) if self.counts.any() else 0.0

@@ -17,7 +17,7 @@ from planner.verify.files.values import UNITS, Said, file_of, metres, radians, r
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-CELLS: Final = 160
+CELLS: Final = 100
 """Cells of a loft along each of its parameters."""
 _NEAR: Final = 1e-5
 """Step of a loft's parameters by which its normals are found."""

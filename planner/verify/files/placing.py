@@ -27,7 +27,7 @@ _LEAN: Final = 0.1
 _SLIDE: Final = 0.03
 """Weight of distances along the surface, which keep steps from sliding."""
 _TRIED: Final = 240
-_SPOTS: Final = 48
+_SPOTS: Final = 32
 _FEW: Final = 6
 _MOST: Final = 30
 
@@ -82,22 +82,24 @@ def found_piece(piece: Samples, whole: Samples) -> FloatArray:
         pose[:3, :3] = _upright(whole.normals[spot]) @ around @ here.T
         pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
         out.append(pose)
-    best = _best(out, (points, normals, weight), goal, some)
+    best = _best(out, (points, normals, weight), goal, some, 3)
     for _ in range(_MOST):
         best = _step(best, (points, normals, weight), goal, np.arange(len(points)))
-    return np.linalg.inv(best)
+    return np.asarray(np.linalg.inv(best), dtype=np.float64)
 
 
 Cloud = tuple[FloatArray, FloatArray, FloatArray]
 """Points and normals (N, 3) with weights (N,)."""
 
 
-def _best(seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray) -> FloatArray:
+def _best(
+    seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray, steps: int = _FEW
+) -> FloatArray:
     """The best of some poses after a few steps each."""
     tried = []
     for seed in seeds:
         pose = seed
-        for _ in range(_FEW):
+        for _ in range(steps):
             pose = _step(pose, cloud, goal, some)
         _, apart = goal.near(_at(pose, cloud[0][some]), cloud[1][some] @ pose[:3, :3].T)
         tried.append((float(cloud[2][some] @ apart**2), pose))

@@ -39,7 +39,7 @@ class Surface:
 
     ``bound`` (K, 3) [m] are places that bound it. ``spare`` [m]: how far the problem allows what is cut to be
     off it besides. ``part_of``: only a piece of it is cut, so what is cut has to lie on it. ``facets``
-    (F, 3, 3) [m] are its triangles in that case; ``rim`` (E, 2, 3) [m] the edges around a face.
+    (F, 3, 3) [m] are its triangles in that case; ``face`` is it, where it is one.
     """
 
     name: str
@@ -49,17 +49,21 @@ class Surface:
     spare: float = 0.0
     part_of: bool = False
     facets: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3, 3)))
-    rim: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 3)))
+    face: Face | None = None
+
+    def rim(self) -> FloatArray:
+        """The edges (E, 2, 3) [m] around a face; none of other surfaces."""
+        return np.zeros((0, 2, 3)) if self.face is None else self.face.vertices[rims(self.face)]
 
 
 NUMBERS: Final = "the problem's numbers"
 
 
-def stated(part: Said, height: float) -> list[Surface]:
-    """The surfaces of a part that is cut from a block ``height`` [m] high. Raises `UnreadError`, which names the
-    file."""
+def stated(part: Said, height: float, edges: bool = True) -> list[Surface]:
+    """The surfaces of a part that is cut from a block ``height`` [m] high; ``edges``: those between front and
+    back as well. Raises `UnreadError`, which names the file."""
     if part.get("front"):
-        return _faces(part["front"], part.get("back"))
+        return _faces(part["front"], part.get("back"), edges)
     if part.get("ruled"):
         return [_ruled(own) for own in part["ruled"]]
     if part.get("wing"):
@@ -105,10 +109,10 @@ def _face(said: Said) -> tuple[Face, str]:
 def _of_face(name: str, file: str, face: Face, spare: float = 0.0) -> Surface:
     found = on_triangles(face.corners, face.number, COUNT)
     bound = face.vertices[np.unique(face.faces)]
-    return Surface(name, file, (found,), bound, spare, rim=face.vertices[rims(face)])
+    return Surface(name, file, (found,), bound, spare, face=face)
 
 
-def _faces(front: Said, back: Said | None) -> list[Surface]:
+def _faces(front: Said, back: Said | None, edges: bool) -> list[Surface]:
     outer, name = _face(front)
     out = [_of_face("front", name, outer)]
     if not back:
@@ -120,9 +124,9 @@ def _faces(front: Said, back: Said | None) -> list[Surface]:
     else:
         inner = behind(outer, metres(back["offset_mm"]))
         out.append(_of_face("back", name, inner))
-    rims = edges_of(outer, inner, moved=not back.get("mesh"))
-    if rims:
-        out.append(_of_rulings("edges", name, rims))
+    found = edges_of(outer, inner, moved=not back.get("mesh")) if edges else []
+    if found:
+        out.append(_of_rulings("edges", name, found))
     return out
 
 
