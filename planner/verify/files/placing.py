@@ -47,8 +47,8 @@ class _Target:
 
 
 def found(source: list[Samples], target: list[Samples], bound: FloatArray, middle: FloatArray) -> FloatArray:
-    """The pose (4, 4) at which ``source`` is nearest to ``target``, each surface counting by its area, with the
-    box around ``bound`` (K, 3) about ``middle`` (3,)."""
+    """The pose (4, 4) at which ``source`` is nearest to ``target``, each surface counting by its area, with
+    the box around ``bound`` (K, 3) about ``middle`` (3,)."""
     points, normals, weight = _together(source)
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target(target, size)
