@@ -17,8 +17,10 @@ from planner.verify.files.values import UNITS, Said, file_of, metres, radians, r
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-CELLS: Final = 100
-"""Cells of a loft along each of its parameters."""
+CELLS: Final = (40, 400)
+"""Fewest and most cells of a loft along each of its parameters."""
+SAG: Final = 1e-5
+"""How far cells may be off the loft [m], where the most of them are enough."""
 _NEAR: Final = 1e-5
 """Step of a loft's parameters by which its normals are found."""
 _ALIKE: Final = 1e-9
@@ -66,19 +68,34 @@ def loft_face(said: Said) -> Face:
     region = said.get("region") or {}
     u0, u1 = (float(v) for v in region.get("u") or (0.0, 1.0))
     v0, v1 = (float(v) for v in region.get("v") or (0.0, 1.0))
-    grid = np.meshgrid(np.linspace(u0, u1, CELLS + 1), np.linspace(v0, v1, CELLS + 1), indexing="ij")
-    u, v = (axis.reshape(-1) for axis in grid)
+    cells = _cells(said, (u0, u1), (v0, v1))
+    u, v = _grid((u0, u1), (v0, v1), cells)
     points = loft_points(said, u, v)
     along = loft_points(said, u + _NEAR, v) - loft_points(said, u - _NEAR, v)
     across = loft_points(said, u, v + _NEAR) - loft_points(said, u, v - _NEAR)
     up = np.cross(along, across)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300)
-    index = np.arange(len(u)).reshape(CELLS + 1, CELLS + 1)
+    index = np.arange(len(u)).reshape(cells + 1, cells + 1)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     if said.get("flip"):
         up, faces = -up, faces[:, ::-1]
     return Face(points, up, faces, np.arange(1, len(faces) + 1))
+
+
+def _grid(u: tuple[float, float], v: tuple[float, float], cells: int) -> tuple[FloatArray, FloatArray]:
+    grid = np.meshgrid(np.linspace(*u, cells + 1), np.linspace(*v, cells + 1), indexing="ij")
+    return grid[0].reshape(-1), grid[1].reshape(-1)
+
+
+def _cells(said: Said, u: tuple[float, float], v: tuple[float, float]) -> int:
+    """How many cells keep within `SAG`: what they are off falls with the square of their size."""
+    least, most = CELLS
+    at = loft_points(said, *_grid(u, v, least)).reshape(least + 1, least + 1, 3)
+    off = [at[1:-1:2] - 0.5 * (at[:-1:2] + at[2::2]), at[:, 1:-1:2] - 0.5 * (at[:, :-1:2] + at[:, 2::2])]
+    off.append(at[1:-1:2, 1:-1:2] - 0.5 * (at[:-1:2, :-1:2] + at[2::2, 2::2]))
+    far = max(float(np.linalg.norm(one, axis=2).max()) for one in off)
+    return int(np.clip(0.5 * least * np.sqrt(far / SAG), least, most))
 
 
 def loft_points(said: Said, u: FloatArray, v: FloatArray) -> FloatArray:
