@@ -7,6 +7,7 @@ import trimesh
 
 from planner.geometry.airfoil import naca
 from planner.geometry.rulings import tessellate
+from planner.verify import file_made
 from planner.verify.files.faults import UnreadError
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import stated
@@ -48,7 +49,7 @@ def held(said, folder, here=HERE, near=NEAR):
         for surface in fits:
             for own in surface.samples:
                 places = own.moved(pose(here))
-                off = trimesh.proximity.closest_point(solids[name], places.points)[1]
+                off = file_made.off_mesh(places.points, solids[name].vertices, solids[name].faces)
                 if off.max() < best:
                     best, nearest, seen = float(off.max()), surface, places
         assert best < near, (name, best)
