@@ -12,7 +12,7 @@ import pytest
 from planner import processes
 from planner.motion import solve
 from planner.post import write
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify.mill_body import signed, solids, sweep
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
@@ -37,7 +37,7 @@ class Job:
 
     def __init__(self, folder: Path, base: dict, tool: dict | None = None, **fields: object) -> None:  # type: ignore[type-arg]
         self.problem = problem(folder, base, tool, **fields)
-        targets = [processes.make_targets(self.problem, 0)]
+        targets = [processes.job(self.problem, 0).targets()]
         self.programs: Programs = dict(write.programs(solve.solve(self.problem, targets), self.problem))
         self.prover = Prover(self.problem, processes.claims(self.problem))
 
