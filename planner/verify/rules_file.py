@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface
-from planner.geometry.rigid import inverse
 from planner.issues import Issue
 from planner.verify import file_made
 from planner.verify.context import Context, Outcome, mm
@@ -26,9 +25,7 @@ from planner.verify.files.faults import UnreadError
 from planner.verify.files.samples import Samples, on_triangles
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import Surface, stated
-from planner.verify.files.tables import read_poses
 from planner.verify.files.values import pose
-from planner.verify.follow_poses import passing
 from planner.verify.forming_state import Forming
 from planner.verify.mill_track import Milling
 from planner.verify.surface import Sweep
@@ -38,8 +35,6 @@ FloatArray = NDArray[np.float64]
 CODE: Final = "verify.part_file"
 FEWEST: Final = 500
 """Places of a file that are looked at, at least."""
-ROWS: Final = 2000
-"""Rows of a table of poses that are looked at, at most."""
 LEAST: Final = 100
 """The same, where the operation leaves a strip along the edge."""
 FITS: Final = 1e-4
@@ -76,7 +71,6 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
     programs make, at places all over it."""
     found = _Found()
     try:
-        _tables(context, found)
         part = context.problem.source.get("part")
         if part and part.get("sheet_mesh"):
             _sheet(context, part, forming, found)
@@ -341,50 +335,3 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
     if share < shares:
         limit = float(allowed.max())
         found.issues.append(_Told(sheet.file, segment, share, shares, limit).issue(sheet.walls, off))
-
-
-def _tables(context: Context, found: _Found) -> None:
-    """Poses of tables, in order."""
-    for number, one in enumerate(context.problem.operations):
-        operation: Any = one
-        if operation.process != "targets" or not hasattr(operation, "file"):
-            continue
-        index = context.problem.setups.index(context.problem.setup_of(number))
-        poses = read_poses(operation.file, operation.arms)
-        for arm, own in poses.items():
-            _follows(context, operation, index, arm, own, found)
-
-
-def _follows(context: Context, operation: Any, index: int, arm: str, own: FloatArray, found: _Found) -> None:
-    """The poses (N, 4, 4) of one arm, up to its free axes."""
-    file = operation.file.name
-    here = context.spans.of_stage[context.motion.node_stage] == index
-    written = context.motion.node_tcp.get(arm)
-    rows = np.flatnonzero(here & np.isfinite(written[:, 0, 0])) if written is not None else np.zeros(0, int)
-    if written is None or not len(rows):
-        found.issues.append(Issue(CODE, f"{file}: arm {arm} never moves", arm=arm))
-        return
-    path = written[rows]
-    if operation.frame == "stock":
-        path = inverse(context.stock_poses(index, context.motion.node_sample[rows])) @ path
-    free = []
-    for axis in operation.free:
-        if arm in axis.arms:
-            twist = np.zeros(6)
-            twist["xyz".index(axis.axis) + (3 if axis.turn_deg is None else 0)] = 1.0
-            free.append(twist)
-    some = np.unique(np.linspace(0, len(own) - 1, ROWS).astype(np.int64))
-    tolerance = operation.position_tol_mm / 1000.0, float(np.deg2rad(operation.angle_tol_deg))
-    passed = passing(path, own[some], tuple(free), tolerance)
-    share = float(passed.met[: passed.looked].mean())
-    found.held(file, passed.looked, share, 1.0)
-    missed = np.flatnonzero(~passed.met[: passed.looked])
-    if len(missed):
-        k = int(missed[0])
-        what = (
-            f"{file}, read once more: {len(missed)} of {passed.looked} poses of {arm} are missed, the first "
-        )
-        what += f"in row {int(some[k]) + 1} by {mm(float(passed.off[k, 0])):.4f} mm and "
-        what += f"{np.rad2deg(float(passed.off[k, 1])):.4f} deg"
-        measure = {"value": mm(float(passed.off[k, 0])), "limit": mm(tolerance[0]), "unit": "mm"}
-        found.issues.append(Issue(CODE, what, arm=arm, index=int(some[k]), **measure))  # type: ignore[arg-type]
