@@ -205,7 +205,8 @@ def slits(seed: int) -> SlitsAllowed:
 @pytest.mark.parametrize("seed", range(16))
 @pytest.mark.parametrize("lead", ["auto", (1.0, 0.0, 0.4), (0.0, 0.0, -1.0)])
 def test_slits_that_the_search_finds_are_allowed(seed: int, lead: str | tuple[float, float, float]) -> None:
-    """The search tries other places and directions, by shapely; the proof's bound must hold for all it finds."""
+    """The search tries other places and directions, by shapely; the proof's bound must hold for all it
+    finds."""
     claim, ruled = slits(seed), plate(seed)
     up = np.array([0.0, 0.0, 1.0])
     seen = 0
@@ -230,8 +231,8 @@ def test_slits_that_the_search_finds_are_allowed(seed: int, lead: str | tuple[fl
 
 
 def test_a_plate_of_even_thickness() -> None:
-    """By hand: a hole of 20 mm in the middle of an outline of 240 x 80 mm is 30 mm from its long sides, and 60 mm
-    from a short one where a lead says so."""
+    """By hand: a hole of 20 mm in the middle of an outline of 240 x 80 mm is 30 mm from its long sides, and
+    60 mm from a short one where a lead says so."""
     angle = 2.0 * np.pi * np.arange(360) / 360
     hole = np.column_stack([0.01 * np.cos(angle), 0.05 + 0.01 * np.sin(angle)])
     rim = [(-0.07, 0.01), (-0.07, 0.09), (0.07, 0.09), (0.07, 0.01)]

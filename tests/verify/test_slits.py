@@ -1,5 +1,5 @@
-"""Slits and leads of planned programs: what the problem states holds them, not what the planner chose. Each fault is
-put into the planner itself, with its own checks switched off."""
+"""Slits and leads of planned programs: what the problem states holds them, not what the planner chose. Each
+fault is put into the planner itself, with its own checks switched off."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def planned(made: Problem) -> Outcome:
 
 
 def test_a_slit_as_long_as_it_has_to_be_is_proven(tmp_path: Path) -> None:
-    """By hand: 20 mm of plate are above the hole; allowed are a quarter more, a fiftieth of the way around the
-    hole, and what a 400th of the block's diagonal adds."""
+    """By hand: 20 mm of plate are above the hole; allowed are a quarter more, a fiftieth of the way around
+    the hole, and what a 400th of the block's diagonal adds."""
     outcome = planned(problem(tmp_path, plate()))
     assert outcome.verified
     rule = next(rule for rule in outcome.proof.rules if rule.code == "verify.slit")
