@@ -23,6 +23,9 @@ PLACES: Final = 36
 """Places of a contour at which slits are tried."""
 WAYS: Final = 36
 """Directions that are tried at each of them."""
+STEEP: Final = 8.0
+"""Half slots of way beside another contour that a slit may take where it crosses it: at 15 degrees or
+more."""
 BEHIND: Final = 1e-6
 """[m] what a slit passes nearer to where it ends is the contour itself."""
 _CHUNK: Final = 2_000_000
@@ -138,6 +141,24 @@ class Section:
         ends = np.concatenate([np.zeros((len(base), 1)), met, np.full((len(base), 1), np.inf)], axis=1)
         pieces = np.diff(np.minimum(ends, length[:, None]), axis=1)
         return np.asarray(np.where(solid, pieces, 0.0).sum(axis=1))
+
+    def beside(self, start: FloatArray, end: FloatArray, half: float, near: float) -> float:
+        """How far [m] a slit from ``start`` to ``end`` (2,), ``half`` [m] wide to either side, runs within
+        ``near`` [m] of another contour beyond what it takes to cross it, at most."""
+        length = float(np.linalg.norm(end - start))
+        count = max(int(np.ceil(length / (0.25 * near))), 2)
+        places = start + ((np.arange(count) + 0.5) / count)[:, None] * (end - start)
+        worst = 0.0
+        for other in np.flatnonzero(np.arange(len(self.areas)) != self.own):
+            a, b = self.a[self.owner == other], self.b[self.owner == other]
+            edge, to = b - a, places[:, None] - a
+            share = (to * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-30)
+            off = np.linalg.norm(to - np.clip(share, 0.0, 1.0)[..., None] * edge, axis=2).min(axis=1)
+            left = [_cross(end - start, corner - start) > 0.0 for corner in (a, b)]
+            over = [_cross(edge, place - a) > 0.0 for place in (start, end)]
+            crossed = int(((left[0] != left[1]) & (over[0] != over[1])).sum())
+            worst = max(worst, float((off < near).mean()) * length - STEEP * half * crossed)
+        return worst
 
     def least(self, lead: FloatArray | None) -> float:
         """The least part [m] that a slit to the contour passes, over places and directions; ``lead`` (3,): in

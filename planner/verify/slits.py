@@ -53,8 +53,8 @@ class Way:
 @dataclasses.dataclass(frozen=True)
 class Slit:
     """The slit to a contour that is cut in ``segment``: the way in and the way out, which is off the plane
-    of the way in by ``apart`` [m] at most; ``used`` [m] of it is in the part. ``lead`` (3,): where it has to
-    come from."""
+    of the way in by ``apart`` [m] at most; ``used`` [m] of it is in the part. ``ends`` of both ways as they are
+    seen in ``section``; ``tolerance`` [m] of the cut; ``lead`` (3,): where it has to come from."""
 
     segment: str
     into: Way
@@ -62,7 +62,25 @@ class Slit:
     apart: float
     used: float
     section: Section
+    ends: tuple[tuple[FloatArray, FloatArray], ...]
+    tolerance: float
     lead: FloatArray | None
+
+    @property
+    def along(self) -> float:
+        """How far [m] it runs beside another contour, taking more than the tolerance from it, beyond what it
+        takes to cross it, at most."""
+        found = [
+            self.section.beside(*ends, way.half, way.half - self.tolerance)
+            for ends, way in zip(self.ends, self.ways, strict=True)
+            if way.half > self.tolerance
+        ]
+        return max(found, default=0.0)
+
+    @property
+    def ways(self) -> tuple[Way, Way]:
+        """In and out."""
+        return self.into, self.out
 
     @property
     def allowed(self) -> float:
@@ -120,20 +138,23 @@ def slits(context: Context, wire: Wire) -> dict[str, Slit]:
                 into, back = ways
                 if into is None or back is None or not section.surrounded:
                     continue
-                found = _slit(section, wire, contour.segment, (into, back), lead.get(contour.segment))
+                found = _slit(section, wire, surface, (into, back), lead.get(contour.segment))
                 out[contour.segment.lower()] = found
     return out
 
 
-def _slit(section: Section, wire: Wire, segment: str, ways: tuple[Way, Way], lead: FloatArray | None) -> Slit:
-    used = 0.0
+def _slit(
+    section: Section, wire: Wire, claim: CutsSurface, ways: tuple[Way, Way], lead: FloatArray | None
+) -> Slit:
+    used, ends = 0.0, []
     for way in ways:
         first, last = (section.at(wire.points[way.rows[k], 0], wire.points[way.rows[k], -1]) for k in (0, -1))
         length = float(np.linalg.norm(last - first))
         step = (last - first) / max(length, 1e-12)
         used = max(used, float(section.through(first[None], step[None], np.array([length]))[0]))
+        ends.append((first, last))
     apart = float(ways[0].aside(wire.points[ways[1].rows][:, [0, -1]]).max())
-    return Slit(segment, *ways, apart, used, section, lead)
+    return Slit(claim.segment, *ways, apart, used, section, tuple(ends), claim.tolerance, lead)
 
 
 def in_slit(slit: Slit, label: str, points: FloatArray, within: FloatArray) -> BoolArray:
