@@ -53,8 +53,11 @@ class Way:
 @dataclasses.dataclass(frozen=True)
 class Slit:
     """The slit to a contour that is cut in ``segment``: the way in and the way out, which is off the plane
-    of the way in by ``apart`` [m] at most; ``used`` [m] of it is in the part. ``ends`` of both ways as they are
-    seen in ``section``; ``tolerance`` [m] of the cut; ``lead`` (3,): where it has to come from."""
+    of the way in by ``apart`` [m] at most; ``used`` [m] of it is in the part.
+
+    ``ends`` of both ways as they are seen in ``section``; ``tolerance`` [m] of the cut; ``lead`` (3,): where
+    it has to come from.
+    """
 
     segment: str
     into: Way

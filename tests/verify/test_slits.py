@@ -16,6 +16,7 @@ import planner
 from planner.hotwire import straight, straight_cut, straight_leads
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines
+from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
 from planner.verify.prove import Prover
@@ -133,6 +134,50 @@ def test_a_way_in_that_is_no_plane(tmp_path: Path, unchecked: pytest.MonkeyPatch
 
     unchecked.setattr(straight_cut, "_closed", other)
     assert "verify.part" in codes(planned(problem(tmp_path, plate())))
+
+
+def beside_another(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """A plate whose hole the planner reaches along the lower side of a window, 0.3 mm beneath it."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    hole = np.column_stack([-0.04 + 0.01 * np.cos(angle), 0.055 + 0.01 * np.sin(angle)])
+    window = [(0.0, 0.0553), (0.02, 0.0553), (0.02, 0.07), (0.0, 0.07)]
+
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, up: Any) -> straight_leads.Start:
+        found = straight_leads.choose(ruled, contours, cut, box, up)
+        if ruled.name != "hole":
+            return found
+        tries = straight_leads._tries(ruled, contours, cut, box)
+        height = 0.5 * (ruled.start + ruled.end)[tries.first, 2] - 0.055
+        k = int(np.argmin(np.abs(height) + np.abs(tries.way @ np.array([1.0, 0.0, 0.0]) - 1.0)))
+        more = float(tries.length[k]), float(tries.through[k])
+        return straight_leads.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
+
+    monkeypatch.setattr(straight_cut, "choose", other)
+    return [
+        blocks.prism("rim", RIM, closed=True),
+        blocks.prism("hole", hole, corner=False, closed=True, hole=True),
+        blocks.prism("window", window, closed=True, hole=True),
+    ]
+
+
+ALONG_X: dict[str, Any] = {
+    "cuts": [{"surface": "hole", "lead": [1, 0, 0]}, {"surface": "window"}, {"surface": "rim"}]
+}
+
+
+def test_a_slit_along_the_border_of_another_hole(tmp_path: Path, unchecked: pytest.MonkeyPatch) -> None:
+    outcome = planned(problem(tmp_path, beside_another(unchecked), **ALONG_X))
+    told = [issue for issue in outcome.proof.issues if "beside another contour" in issue.message]
+    assert [issue.code for issue in told] == ["verify.slit"]
+    assert told[0].value == pytest.approx(20.0, abs=1.5)
+
+
+def test_the_planner_refuses_such_a_slit_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ruled = beside_another(monkeypatch)
+    with pytest.raises(TandemError) as caught:
+        planner.plan(problem(tmp_path, ruled, **ALONG_X))
+    assert "straight.lead" in {issue.code for issue in caught.value.issues}
+    assert any("runs along window" in issue.message for issue in caught.value.issues)
 
 
 LEADS = [
