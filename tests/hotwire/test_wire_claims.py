@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import planner
-from planner import materials
+from planner import foam_file, materials
 from planner.claims import SlitsAllowed
 from planner.claims_kerf import slot
 from planner.claims_wire import rectangle_torsion, stiffness
@@ -22,6 +22,7 @@ from planner.hotwire.straight_leads import choose
 from planner.hotwire.straight_operation import SurfaceCut
 from planner.hotwire.straight_order import wanted
 from planner.hotwire.straight_section import depths
+from planner.issues import TandemError
 from planner.problem import Ruled
 from planner.verify.slit_section import Section
 from planner.verify.slits import LONGER, OF_BLOCK, OF_CONTOUR
@@ -73,6 +74,31 @@ def test_both_readings_of_the_model_agree(name: str) -> None:
     own = slot(None, 55.0, materials.foam(name), 0.0006, 0.7).at(speed)
     planned = kerf.curve(name, kerf.HotWire(0.0006, 0.7), 55.0, 0.1, speed).at(speed)
     assert np.abs(own - planned).max() < 1.5e-6
+
+
+def test_the_slot_in_a_foam_of_ones_own_follows_its_file(tmp_path: Path) -> None:
+    """By hand from the file's text: 30 W over 0.5 m at 4 mm/s in 20 kg/m3 of 1400 J/(kg K), 200 K to melt."""
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "tandem_foam: 1\nname: own\ndensity_kg_m3: 20\nspecific_heat_j_kg_k: 1400\nmelt_temperature_c: 220\n"
+        "kerf: {chi: 1.25, offset_mm: 0.3, spread_mm: 0.1, count: 9, mean_ideal_mm: 2, scatter_mm2: 4, "
+        "power_per_length_w_m: [50, 100], speed_mm_s: [2, 10], thickness_mm: 50, wire_diameter_mm: 0.4}\n"
+    )
+    width = 1.25 * 30.0 / 0.5 / (20.0 * 1400.0 * 200.0) / 0.004 - 0.0003
+    got = slot(None, 30.0, foam_file.read(path), 0.0004, 0.5).at(np.array([0.004, 0.049]))
+    np.testing.assert_allclose(got, [width, 0.0004], rtol=1e-5)
+
+
+def test_what_a_slot_needs_is_asked_for() -> None:
+    bare = materials.Foam("bare", "no tests", 20.0, {})
+    for code, given in (
+        ("stock.foam_missing", (None, 30.0, None, 0.0004, 0.4)),
+        ("kerf.no_data", (None, 30.0, bare, 0.0004, 0.4)),
+        ("kerf.input", (None, 30.0, materials.foam("xps_30"), 0.0, 0.4)),
+    ):
+        with pytest.raises(TandemError) as caught:
+            slot(*given)
+        assert [issue.code for issue in caught.value.issues] == [code]
 
 
 @pytest.mark.parametrize("name", sorted(RAW["foams"]))
