@@ -26,7 +26,8 @@ from planner.geometry.rulings import tessellate
 from planner.hotwire.straight_claimed import Claimed, claimed
 from planner.hotwire.straight_operation import Straight, SurfaceCut
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Ruled, Setup, Shape
+from planner.problem import Part, Ruled, Setup
+from planner.tooling import Bow
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -40,8 +41,8 @@ def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
 
     Raises ``TandemError``: bow.missing, part.missing_surface, stock.foam_missing, kerf.no_data.
     """
-    stock, edge = setup.stock, _edge(op, setup)
-    span, radius = edge.size[1], edge.size[0]
+    stock, bow = setup.stock, _bow(op, setup)
+    span, radius = bow.span, bow.radius
     half = np.array([0.5 * span, 0.0, 0.0])
     kerf = slot(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
     out: list[Claim] = [
@@ -66,19 +67,12 @@ def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     return (*out, *_leads(cuts, tolerance), *_slits(cuts, part, stock.box))
 
 
-def _edge(op: Straight, setup: Setup) -> Shape:
-    """The wire of the bow that is mounted: (radius, length)."""
+def _bow(op: Straight, setup: Setup) -> Bow:
     tool = setup.cell.arm(op.arms[0]).tool
-    if tool.edge is None:
-        raise TandemError(
-            Issue(
-                "bow.missing",
-                f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow",
-                field="cell.arms",
-                arm=op.arms[0],
-            )
-        )
-    return tool.edge
+    if isinstance(tool, Bow):
+        return tool
+    what = f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow"
+    raise TandemError(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
 
 
 def _leads(cuts: list[Claimed], tolerance: float) -> list[LeadsFrom]:
