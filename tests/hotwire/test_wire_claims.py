@@ -3,7 +3,9 @@ figures, with which they share no code."""
 
 from __future__ import annotations
 
+import ast
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,44 @@ RAW = yaml.safe_load((DATA / "materials.yaml").read_text(encoding="utf-8"))
 TESTED = sorted(name for name, entry in RAW["foams"].items() if "kerf" in entry)
 LENGTH, DIAMETER = 0.43, 0.0004
 SPAN = 0.4
+
+
+MADE_BY: dict[str, set[str]] = {
+    "claims_kerf": set(),
+    "claims_wire": set(),
+    "hotwire/straight_claims": {"planner.hotwire.straight_claimed", "planner.hotwire.straight_operation"},
+    "hotwire/straight_claimed": {"planner.hotwire.straight_operation"},
+    "hotwire/elastic_claims": {"planner.hotwire.operation"},
+}
+OUTSIDE = {
+    "planner.claims",
+    "planner.claims_kerf",
+    "planner.claims_wire",
+    "planner.geometry.rulings",
+    "planner.issues",
+    "planner.materials",
+    "planner.problem",
+    "planner.tooling",
+    "planner.units",
+}
+
+
+@pytest.mark.parametrize("module", sorted(MADE_BY))
+def test_what_makes_claims_uses_nothing_that_plans(module: str) -> None:
+    """As the page on the proof says."""
+    root = Path(planner.__file__).parent
+    tree = ast.parse((root / f"{module}.py").read_text(encoding="utf-8"))
+    froms = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    plain = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+    own = {name for name in froms | plain if name.startswith("planner")}
+    assert own <= OUTSIDE | MADE_BY[module]
+    used_by = {
+        path.relative_to(root).with_suffix("").as_posix()
+        for path in root.rglob("*.py")
+        if re.search(rf"\b{Path(module).name}\b", path.read_text(encoding="utf-8"))
+    }
+    entries = {"hotwire/straight", "hotwire/elastic"}  # whose jobs hand the claims over
+    assert used_by <= set(MADE_BY) | entries
 
 
 # ---- the slot ----------------------------------------
