@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner.claims import CutsSurface
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify import file_made
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.file_made import Made
@@ -117,7 +118,7 @@ def _made(
     """What the operations are to make, with the claims and motions of it."""
     out = []
     ruled = [surface.name for surface in surfaces if surface.name not in ("front", "back")]
-    known = {str(claim.segment).lower(): k for k, claim in enumerate(context.surfaces)}
+    known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
     for name, kind, tolerance, share, margin in file_made.wanted(context):
         every = [name]
         if name == file_made.ALL:
@@ -131,9 +132,9 @@ def _made(
                     count = {"value": len(every), "limit": len(ruled)}
                     found.issues.append(Issue(CODE, what, field="part.plate", **count))  # type: ignore[arg-type]
         for own in every:
-            segment = f"{kind}/{own}".lower()
+            segment = Segment(kind, own).key
             form = re.compile(re.escape(segment) + r"(_[a-z]*[0-9]+)?")
-            mills = [c for c in milling.surfaces if form.fullmatch(str(c[1].segments[0]).lower())]
+            mills = [c for c in milling.surfaces if form.fullmatch(c[1].segments[0].key)]
             if kind == "cut" and segment in known:
                 k = known[segment]
                 out.append(Made(own, segment, tolerance, share, context.surfaces[k], sweeps[k]))
