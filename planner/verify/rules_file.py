@@ -38,6 +38,11 @@ FEWEST: Final = 500
 """Places of a file that are looked at, at least."""
 LEAST: Final = 100
 """The same, where the operation leaves a strip along the edge."""
+NOISE: Final = 0.03
+"""So much less than the wanted share may be good of the places: 600 of them tell a share within 3 % (three
+standard deviations at 95 %)."""
+READ: Final = 2e-5
+"""Two readings follow curves within 0.01 mm each [m]."""
 FITS: Final = 1e-4
 """A part that is laid by hand here may stand out of the block by so much [m]."""
 _TARGET: Final = 20_000
@@ -120,29 +125,28 @@ def _made(
             every = ruled
             if file_made.OUTLINES.issuperset(ruled):
                 # outlines have no names in the problem: as many as it states have to be cut
-                form = re.compile(r"(?:outline|hole)_[a-z]+")
-                names = [claim.segment.folded.name for claim in context.surfaces]
-                every = [own for own in names if form.fullmatch(own)]
+                form = re.compile(r"cut/((?:outline|hole)_[a-z]+)")
+                every = [match.group(1) for key in known if (match := form.fullmatch(key))]
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
                     count = {"value": len(every), "limit": len(ruled)}
                     found.issues.append(Issue(CODE, what, field="part.plate", **count))  # type: ignore[arg-type]
         for own in every:
-            segment = Segment(kind, own)
-            form = re.compile(re.escape(segment.folded.name) + r"(_[a-z]*[0-9]+)?")
-            mills = [c for c in milling.surfaces if form.fullmatch(c[1].segments[0].folded.name)]
-            if kind == "cut" and segment.key in known:
-                k = known[segment.key]
-                out.append(Made(own, str(segment), tolerance, share, context.surfaces[k], sweeps[k]))
+            segment = Segment(kind, own).key
+            form = re.compile(re.escape(segment) + r"(_[a-z]*[0-9]+)?")
+            mills = [c for c in milling.surfaces if form.fullmatch(c[1].segments[0].key)]
+            if kind == "cut" and segment in known:
+                k = known[segment]
+                out.append(Made(own, segment, tolerance, share, context.surfaces[k], sweeps[k]))
             elif kind == "mill" and mills:
                 base = own.removesuffix("_lines") if name.endswith("_lines") else own
                 out += [
-                    Made(base, str(segment), tolerance, share, claim, None, index, margin)
+                    Made(base, segment, tolerance, share, claim, None, index, margin)
                     for index, claim in mills
                 ]
             else:
                 what = f"the problem wants {own} made, and nothing is claimed of {segment}"
-                found.issues.append(Issue(CODE, what, field=str(segment)))
+                found.issues.append(Issue(CODE, what, field=segment))
     return out
 
 
@@ -215,7 +219,7 @@ def _place(
             for (surface, one), own in zip(pairs, source, strict=True)
         ]
         tried.append((min(share), at))
-        if tried[-1][0] >= max(one.share for _, one in pairs):
+        if tried[-1][0] >= max(one.share for _, one in pairs) - NOISE:
             break
     return max(tried, key=lambda one: one[0])[1]
 
@@ -244,7 +248,7 @@ class _Tried:
         self.surface, self.one, self.places = surface, one, places
         wire = isinstance(one.claim, CutsSurface)
         self.off = file_made.off_wire(one, places) if wire else file_made.off_cutter(milling, one, places)
-        self.limit = one.tolerance + surface.spare
+        self.limit, self.wanted = one.tolerance + surface.spare + READ, one.share - NOISE
         self.counts = np.ones(len(places.points), dtype=np.bool_)
         if one.margin > 0.0:
             rim = surface.rim() @ at[:3, :3].T + at[:3, 3]
@@ -255,14 +259,14 @@ class _Tried:
     def judge(self, found: _Found) -> None:
         """Tell what is found."""
         surface, one, seen = self.surface, self.one, int(self.counts.sum())
-        found.held(surface.file, seen, self.share, one.share)
+        found.held(surface.file, seen, self.share, self.wanted)
         fewest = LEAST if one.margin > 0.0 else min(FEWEST, len(self.good))
         if seen < fewest:
             what = f"{seen} places of {surface.name} of {surface.file} were looked at, wanted: {fewest}"
             found.issues.append(Issue(CODE, what, field=one.segment, value=seen, limit=fewest))
-        if self.share < one.share:
+        if self.share < self.wanted:
             off = np.where(self.counts, self.off, 0.0)
-            told = _Told(surface.file, one.segment, self.share, one.share, self.limit)
+            told = _Told(surface.file, one.segment, self.share, self.wanted, self.limit)
             found.issues.append(told.issue(self.places, off))
 
 
@@ -304,11 +308,11 @@ def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None
     facets = surface.facets @ at[:3, :3].T + at[:3, 3]
     apart = np.full(len(points), np.nan)
     apart[known] = file_made.off_facets(points[known], facets)
-    limit = one.tolerance + surface.spare
+    limit, wanted = one.tolerance + surface.spare + READ, one.share - NOISE
     share = float((apart <= limit).mean())
-    found.held(surface.file, len(points), share, one.share)
-    if share < one.share:
-        found.issues.append(_Told(surface.file, one.segment, share, one.share, limit).issue(places, apart))
+    found.held(surface.file, len(points), share, wanted)
+    if share < wanted:
+        found.issues.append(_Told(surface.file, one.segment, share, wanted, limit).issue(places, apart))
 
 
 def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None:
@@ -317,7 +321,7 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
     operations: list[Any] = [op for op in context.problem.operations if op.process == "forming"]
     if not operations:
         return
-    shares = min(op.share for op in operations)
+    shares = min(op.share for op in operations) - NOISE
     tolerance = min(op.gouge_tol_mm for op in operations) / 1000.0
     if forming.formed:
         shifted = any(op.strategy == "virgin" for op in operations)
@@ -331,7 +335,7 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
             return
         off = file_made.off_mesh(sheet.walls.points, formed.mesh.vertices, formed.mesh.faces)
         allowed, segment = np.full(len(off), tolerance), "part"
-    good = (off <= allowed) & (off >= -tolerance)
+    good = (off <= allowed + READ) & (off >= -tolerance - READ)
     share = float(good.mean())
     found.held(sheet.file, len(off), share, shares)
     if share < shares:
