@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
+    FormsByTable,
     FormsInOrder,
     FormsSheet,
     SheetState,
@@ -217,6 +218,7 @@ Claim = (
     | FeedWindow
     | FollowsPoses
     | FormsSheet
+    | FormsByTable
     | ToolGap
     | SupportsBorder
     | FollowsOpposite

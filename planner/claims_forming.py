@@ -143,3 +143,38 @@ class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 
     segments: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class FormsByTable:
+    """In ``segment`` the balls of ``arms`` (the forming one first), of ``radii`` [m] about their TCPs, form
+    the face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m] at the level at which the
+    sheet is clamped, from the inside out, as a response table says of the wall at each place.
+
+    ``side`` is +1 where the forming ball is above that face, -1 below. Its lowest (highest) place is
+    ``projection`` [m] beyond the level z ``start`` [m], all along. Where it is, seen along z, is where it
+    would touch the face, whose wall there tells position angle and gap by ``table``, the text of a CSV file;
+    of all that it allows ``prefer`` takes the small "angle" or the large "gap". Under load the tools give way
+    to each other by ``give`` [m] in the sheet's plane. Loops are ``pitch`` [m] apart and go round the way
+    ``turning``, +1 anticlockwise seen from above. Gap and places hold within ``tolerance`` [m]; the tools are
+    square to the sheet within ``lean`` [rad]. ``metal``: what the sheet is of.
+    """
+
+    segment: str
+    arms: tuple[str, str]
+    side: int
+    radii: tuple[float, float]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    start: float
+    end: float
+    thickness: float
+    metal: str
+    table: str
+    prefer: str
+    pitch: float
+    projection: float
+    give: float
+    turning: int
+    tolerance: float
+    lean: float

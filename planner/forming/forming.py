@@ -57,11 +57,7 @@ def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets
 
 def claims(operation: Forming, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
     """What must hold of the job, from the problem alone."""
-    made = job(operation, setup, part)
-    if operation.mode != "adsif":
-        return forming_claims.claims(made)
-    route = _route(made, setup, [(one, lay(made, one)) for one in made.passes])
-    return forming_claims.claims(made, _poses(made, route))
+    return forming_claims.claims(job(operation, setup, part))
 
 
 def _route(made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -97,7 +93,7 @@ def _targets(
         stop=stop,
         segment=route.segment,
         actions=actions,
-        claims=forming_claims.claims(made, placed if op.mode == "adsif" else None),
+        claims=forming_claims.claims(made),
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )

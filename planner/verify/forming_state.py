@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses
-from planner.claims_forming import FormsSheet, SheetState, ToolGap
+from planner.claims import Claim
+from planner.claims_forming import FormsByTable, FormsSheet, SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_track import Pieces, Track, pieces, track
@@ -127,7 +127,7 @@ class Forming:
         return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
 
     def of(self, segment: str) -> Formed | None:
-        """The pass of a segment, None where its tools follow poses without a face."""
+        """The pass of a segment, None where its tools follow a table instead of a face."""
         return next((one for one in self.formed if one.claim.segment.lower() == segment.lower()), None)
 
     @cached_property
@@ -142,10 +142,8 @@ class Forming:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of all moves that claims allow: of faces, and of tools that follow stated poses instead."""
-        led = {claim.arm for _, claim in self.by_setup if isinstance(claim, FollowsPoses)}
-        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet)]
-        names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
+        """Labels of all moves that claims allow."""
+        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
         return frozenset(name.lower() + way for name in names for way in FORMING_WAYS)
 
     def _track(self, segment: str, index: int, arms: tuple[str, ...]) -> Track:

@@ -22,6 +22,7 @@ from planner.verify import (
     formed_part,
     handshake_apart,
     report_series,
+    rules_adsif,
     rules_cell,
     rules_data,
     rules_forming,
@@ -138,6 +139,7 @@ FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
     ("verify.opposite", rules_forming_two.opposite),
     ("verify.sheet", rules_forming_sheet.sheet),
     ("verify.holder", rules_holder.holder),
+    ("verify.adsif", rules_adsif.by_table),
 )
 FORMED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.formed", rules_forming.formed),)
 
