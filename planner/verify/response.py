@@ -1,7 +1,7 @@
-"""The response table of accumulative forming as the proof reads it: which position angle and gap a wall wants.
+"""The response table of accumulative forming as the proof reads it: which position angle and gap walls want.
 
-Rows of a CSV text are gap over thickness, position angle [deg] and wall angle [deg], between cells linear; what
-is no number is unstable. Conditions stand before them, a line each: ``# key: value``.
+Rows of a CSV text are gap over thickness, position angle [deg] and wall angle [deg], linear between cells;
+what is no number is unstable. Conditions stand before them, a line each: ``# key: value``.
 """
 
 from __future__ import annotations

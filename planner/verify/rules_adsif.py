@@ -29,7 +29,7 @@ CHORD = 1e-5
 BACK = 1.5
 """The way goes back toward the inside by so many of what loops are apart at most."""
 STAYS = 1e-4
-"""On its ways in and out a tool that is in the sheet stays where its segment begins and ends, within this [m]."""
+"""On its ways in and out a tool in the sheet stays within this [m] of where its segment begins and ends."""
 ALIKE = 0.02
 """Share by which lengths may differ from those that a table holds for."""
 ROUND = 0.9
