@@ -16,6 +16,7 @@ from planner.claims_forming import (
     FormingFeed,
     FormsByTable,
     FormsInOrder,
+    FormsPart,
     FormsSheet,
     SheetState,
     SinksHolder,
@@ -219,6 +220,7 @@ Claim = (
     | FollowsPoses
     | FormsSheet
     | FormsByTable
+    | FormsPart
     | ToolGap
     | SupportsBorder
     | FollowsOpposite

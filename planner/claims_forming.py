@@ -178,3 +178,43 @@ class FormsByTable:
     turning: int
     tolerance: float
     lean: float
+
+
+@dataclasses.dataclass(frozen=True)
+class FormsPart:
+    """What an operation is to form, as the problem states it: all that other claims say of its passes has to
+    follow from this.
+
+    The part is the lower face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m], in the
+    sheet's frame, whose flat is at z = 0. ``arms`` have tools of ``kinds`` with balls or disks of ``radii``
+    [m] on ``sides`` +1, above, or -1. ``virgin``: inner features first, on the flat sheet; ``order``: the
+    user's own, by number. ``steps``: (stepdown, scallop) [m], one of them given. ``passes`` [rad]: the user's
+    wall angles; None: from ``limit`` on, that of one pass, ``angle_step`` [rad] apart. ``male``: over a die
+    that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
+    ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
+    """
+
+    mode: str
+    arms: tuple[str, ...]
+    sides: tuple[int, ...]
+    kinds: tuple[str, ...]
+    radii: tuple[float, ...]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    thickness: float
+    virgin: bool
+    order: tuple[int, ...] | None
+    squeeze: float
+    feed: float
+    steps: tuple[float | None, float | None]
+    share: float
+    gouge: float
+    gap: float
+    handshake: float
+    pressed: float
+    passes: tuple[float, ...] | None
+    limit: float
+    angle_step: float
+    repeats: int
+    male: bool = False
+    sinking: tuple[str, float] | None = None

@@ -207,6 +207,8 @@ CODES: Final[dict[str, str]] = {
     "verify.sheet": "a forming tool runs into what is formed already, or through the sheet",
     "verify.holder": "the signal of a clamp that sinks is not pulsed with the level that is formed",
     "verify.adsif": "tools that form by a response table are not where it wants them for the wanted face",
+    "verify.forming_part": "what passes form does not make the part, or not in the wanted order and shapes",
+    "verify.forming_claims": "what is claimed of a pass does not follow from the part and the user's numbers",
     "verify.feature_order": "the segments that form a sheet are not those claimed, each once and in order",
     "verify.forming_feed": "a tool moves faster on the sheet than it may",
     "verify.ridge": "a ridge or groove stands out of the cut surface",

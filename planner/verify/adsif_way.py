@@ -15,7 +15,7 @@ from planner.geometry.vectors import dots, lengths
 from planner.verify.context import Context
 from planner.verify.forming_face import Face
 from planner.verify.forming_track import Track, pieces, track
-from planner.verify.overhead import Overhead
+from planner.verify.overhead import Overhead, spread_over
 from planner.verify.response import Wanted
 
 FloatArray = NDArray[np.float64]
@@ -34,8 +34,6 @@ BESIDE = 5e-5
 _NEIGHBOURS = 16
 _LEVELS = 200
 _PLACES = 60_000
-_STEPS = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the plastic number's powers, whose multiples fill a square evenly (Roberts 2018)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,16 +165,6 @@ class Way:
     def _places(self) -> tuple[FloatArray, FloatArray]:
         """Places (P, 3) spread evenly over the walls by area, always the same ones, and how far (P,) [m]
         loops are apart along the wall there."""
-        corners = self.face.corners[self.walls]
-        area = np.cumsum(self.face.area[self.walls])
-        number = np.arange(_PLACES)
-        owner = np.searchsorted(area, (number + 0.5) / _PLACES * area[-1])
-        owner = np.minimum(owner, len(area) - 1)
-        # two irrational steps spread evenly over a square, of which the far half is turned over
-        u, v = np.mod(number * _STEPS[0], 1.0), np.mod(number * _STEPS[1], 1.0)
-        over = u + v > 1.0
-        u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
-        share = np.stack([1.0 - u - v, u, v], axis=1)
-        points = np.einsum("pk,pkd->pd", share, corners[owner])
+        points, owner = spread_over(self.face.corners[self.walls], _PLACES)
         sine = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2)
         return points, self.rise(points[:, 2]) / sine[owner]

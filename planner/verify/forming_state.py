@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim
-from planner.claims_forming import FormsByTable, FormsSheet, SheetState, ToolGap
+from planner.claims_forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_shapes import PartShapes, in_order
 from planner.verify.forming_track import Pieces, Track, pieces, track
 from planner.verify.setups import FORMING_WAYS
 
@@ -113,6 +114,19 @@ class Forming:
             for group in setup.groups
             for claim in group
         )
+
+    @cached_property
+    def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
+        """What each operation that forms is to make, with its passes, and all its claims; None for the part
+        where nothing says what it is."""
+        out: list[tuple[PartShapes | None, tuple[Claim, ...]]] = []
+        for setup in self.context.setup_claims:
+            for group in setup.groups:
+                part = next((claim for claim in group if isinstance(claim, FormsPart)), None)
+                passes = in_order(group)
+                if part is not None or passes:
+                    out.append((None if part is None else PartShapes(part, passes), group))
+        return tuple(out)
 
     @cached_property
     def formed(self) -> tuple[Formed, ...]:

@@ -11,6 +11,9 @@ from planner.geometry.closest import closest_on_triangles
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_STEPS = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the plastic number's powers, whose multiples fill a square evenly (Roberts 2018)."""
+
 
 class Overhead:
     """Triangles ``corners`` (T, 3, 3) [m] of which each place in plan is asked."""
@@ -29,3 +32,16 @@ class Overhead:
         row, triangle = row[order].astype(np.int64), triangle[order].astype(np.int64)
         points = np.column_stack([places[row], np.zeros(len(row))])
         return row, triangle, closest_on_triangles(points, *np.moveaxis(self.plan[triangle], 1, 0))
+
+
+def spread_over(corners: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
+    """Places (``count``, 3) spread evenly by area over triangles (T, 3, 3), always the same ones, and the
+    triangle (``count``,) of each."""
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.cumsum(np.linalg.norm(cross, axis=1))
+    number = np.arange(count)
+    owner = np.minimum(np.searchsorted(area, (number + 0.5) / count * area[-1]), len(area) - 1)
+    u, v = np.mod(number * _STEPS[0], 1.0), np.mod(number * _STEPS[1], 1.0)
+    over = u + v > 1.0
+    u, v = np.where(over, 1.0 - u, u), np.where(over, 1.0 - v, v)
+    return np.einsum("pk,pkd->pd", np.stack([1.0 - u - v, u, v], axis=1), corners[owner]), owner

@@ -26,6 +26,8 @@ from planner.verify import (
     rules_cell,
     rules_data,
     rules_forming,
+    rules_forming_claims,
+    rules_forming_part,
     rules_forming_sheet,
     rules_forming_two,
     rules_frames,
@@ -132,6 +134,8 @@ OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.ridge", rules_surface.ridges),
 )
 FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
+    ("verify.forming_part", rules_forming_part.forming_part),
+    ("verify.forming_claims", rules_forming_claims.forming_claims),
     ("verify.feature_order", rules_forming.feature_order),
     ("verify.forming_feed", rules_forming.feed),
     ("verify.gouge", rules_forming.gouge),

@@ -115,7 +115,10 @@ def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
         return
     points, far, apart = way.passed(place)
     step = way.rise(place[:, 2])
-    allowed = MISSED * apart + CHORD
+    last = way.start - points[:, 2] < way.rise(
+        points[:, 2]
+    )  # loops come from the inside, whole pitches apart
+    allowed = np.where(last, 1.0, MISSED) * apart + CHORD
     k = int(np.argmax(far - allowed))
     if far[k] > allowed[k]:
         at = ", ".join(f"{mm(x):.1f}" for x in points[k] * [1.0, 1.0, float(claim.side)])
