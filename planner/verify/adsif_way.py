@@ -56,8 +56,8 @@ class Way:
         self.track: Track = track(context, claim.segment, index, claim.arms)
         self._up = np.array([1.0, 1.0, float(claim.side)])
         self.start, self.end = claim.side * claim.start, claim.side * claim.end
-        faces = claim.faces if claim.side > 0 else claim.faces[:, ::-1]
-        self.face = Face(claim.vertices * self._up, faces, claim.radii[0])
+        # turned over in z alone, normals still point up
+        self.face = Face(claim.vertices * self._up, claim.faces, claim.radii[0])
 
     @cached_property
     def rows(self) -> IntArray:

@@ -33,7 +33,7 @@ from planner.verify.forming_state import Forming
 from planner.verify.overhead import spread_over
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 CODE = "verify.forming_claims"
 NONE = "no part is to be formed"
@@ -41,8 +41,11 @@ SAME = 1e-9
 GAP, LATER = 0.005, 0.02
 """Shares of the flat sheet's thickness by which a wanted gap may be off what follows from the walls, and
 where shapes came before, whose walls are faceted in another way."""
-GAP_SHARE = 0.01
-"""Share of the face where it may be more: along creases of such shapes."""
+GAP_SHARE, GAP_MOST = 0.15, 0.15
+"""Share of the walls where it may be more, along creases of such shapes, and by how much of the thickness."""
+BAND = 6e-4
+"""Where a shape is as deep as a later pass within this [m] its own wall may begin or end: shapes are known by
+contours, which walls leave tangentially."""
 BORDER = 3e-4
 """How far [m] the way of a support may be off the border, offset by its radius: the outline is faceted."""
 OFF_BORDER = 5e-4
@@ -183,20 +186,26 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     plan = corners.reshape(-1, 3)[:, :2]
     for shape in shapes[:-1]:  # a sheet that was thinned stays so
         least, most = _up_at(shape, plan)
+        near = np.abs(mine.shift(plan) - shape.shift(plan)) < BAND
+        least = np.where(near, np.minimum(least, np.cos(shape.steepest(0.995)) - SAME), least)
+        most = np.where(near, 1.0, most)
         low = np.minimum(low, least.reshape(-1, 3))
         high = np.minimum(high, most.reshape(-1, 3))
     full = part.squeeze * part.thickness
     got = claim.gap[claim.faces]
     off = np.maximum(np.maximum(low * full - got, got - high * full), 0.0).max(axis=1) / part.thickness
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.where(mine.moved, np.linalg.norm(cross, axis=1), 0.0)
+    floor = (np.abs(corners[:, :, 2] - mine.far) < FLAT).all(axis=1)  # which is not formed
+    area = np.where(mine.moved & ~floor, np.linalg.norm(cross, axis=1), 0.0)
     order = np.argsort(-off)
     passed = np.cumsum(area[order])
     spared = GAP_SHARE if len(shapes) > 1 else 0.0
     worst = float(off[order[int(np.searchsorted(passed, spared * passed[-1] + 1e-15))]])
     allowed = LATER if len(shapes) > 1 else GAP
-    if worst <= allowed:
+    most = float(off[area > 0.0].max(initial=0.0))
+    if worst <= allowed and most <= max(GAP, GAP_MOST * (len(shapes) > 1)):
         return worst - allowed + GAP, []
+    worst = max(worst, most)
     what = (
         f"the gap of {claim.segment} is {100 * worst:.2f} % of the sheet's thickness off squeeze * t0 cos(a)"
     )
@@ -329,7 +338,8 @@ def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
             continue  # the flat that sinks is all that there is besides the one feature
         low, high = feature.final.rim.min(axis=0) - REACH, feature.final.rim.max(axis=0) + REACH
         near = ((points >= low) & (points <= high)).all(axis=1)
-        formed = near & (np.abs(moved[:k]) > 1e-4).any(axis=0)
+        by = near & (np.abs(moved[:k]) > 1e-4)
+        formed, carried = by.any(axis=0), by[made.inside[:k, k]].any(axis=0)
         height = made.level + moved[:k].sum(axis=0)
         within = np.abs(moved[k]) > MOVED
         for number, shape in enumerate(feature.shapes):
@@ -341,7 +351,7 @@ def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
                 first = claim is feature.shapes[0].claims[0]
                 down = 0.0 if first else (sunk if claim is shape.claims[0] else shape.far - shape.base)
                 flat = _flat_about(made, k, feature)
-                yield from _told(state, made, points, height, formed, within, down, flat)
+                yield from _told(state, made, points, height, formed & ~within, carried & within, down, flat)
 
 
 def _flat_about(made: PartShapes, k: int, feature: Feature) -> FloatArray:
@@ -364,7 +374,7 @@ def _flat_about(made: PartShapes, k: int, feature: Feature) -> FloatArray:
     return np.column_stack([grid, np.full(len(grid), made.level)])
 
 
-def _within(shape: Shape, places: FloatArray) -> np.ndarray:
+def _within(shape: Shape, places: FloatArray) -> BoolArray:
     """Which places (N, 2) are over what a shape moves, holes in it included."""
     row = shape.over.at(places, SAME)[0]
     out = np.zeros(len(places), dtype=np.bool_)
@@ -377,16 +387,16 @@ def _told(
     made: PartShapes,
     points: FloatArray,
     height: FloatArray,
-    formed: np.ndarray,
-    within: np.ndarray,
+    beside: BoolArray,
+    carried: BoolArray,
     sunk: float,
     flat: FloatArray,
 ) -> Iterator[Issue]:
     """Whether a state has points near all places of what is formed already."""
     rise = np.array([0.0, 0.0, made.part.thickness])
     places = np.column_stack([points, height])
-    still = [places[formed & ~within], flat]
-    inner = places[formed & within]
+    still = [places[beside], flat]
+    inner = places[carried]
     if sunk != 0.0:  # an earlier pass has taken it down already
         still.append(inner + np.array([0.0, 0.0, sunk]))
         inner = inner[:0]

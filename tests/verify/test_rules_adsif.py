@@ -178,8 +178,8 @@ def test_what_the_table_does_not_want_is_caught(made, kind):
 
 
 def test_another_part_is_proven_on_its_other_side(tmp_path):
-    """An oval that goes up, in loops, by the largest gap, for tools that yield."""
-    held = {"prefer": "gap", "force_n": 100.0, "stiffness_n_mm": 5000.0}
+    """An oval that goes up, in loops, for tools that yield."""
+    held = {"force_n": 100.0, "stiffness_n_mm": 5000.0}
     found, texts = planned(tmp_path, oval(), path="contour", adsif=held)
     assert broken(Prover(found, processes.claims(found)).prove(texts, last="verify.adsif")) == set()
     stiff = {
