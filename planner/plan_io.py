@@ -22,12 +22,12 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, KerfCurve
+from planner.claims import Claim, FreeAxis, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1
@@ -46,6 +46,7 @@ _VALUES: Final[dict[str, type]] = {
         Aim,
         Cutter,
         KerfCurve,
+        FreeAxis,
         *get_args(Claim),
     )
 }

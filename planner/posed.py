@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from planner.claims import Claim, FollowsPoses
+from planner import claims as claimed
+from planner.claims import Claim
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
@@ -146,23 +147,27 @@ class PosedJob:
             stop=stop,
             segment=segment,
             coupled=operation.coupled,
-            claims=_claims(operation, poses),
+            claims=self.claims(),
         )
 
     def claims(self) -> tuple[Claim, ...]:
-        """Each TCP follows the file's poses up to its free axes."""
-        operation = self.operation
-        rows = _rows(operation)
-        return _claims(operation, {arm: _poses(rows, arm, operation) for arm in operation.arms})
-
-
-def _claims(operation: Posed, poses: Mapping[str, FloatArray]) -> tuple[Claim, ...]:
-    position, angle = operation.position_tol_mm * MM, operation.angle_tol_deg * DEG
-    out = []
-    for arm, pose in poses.items():
-        free = tuple(_twist(axis) for axis in operation.free if arm in axis.arms)
-        out.append(FollowsPoses(arm, operation.frame, pose, free, position, angle))
-    return tuple(out)
+        """Each TCP passes the poses of the file, as the proof reads it, up to its free axes."""
+        op = self.operation
+        free = tuple(
+            claimed.FreeAxis(
+                tuple(axis.arms),
+                AXES[axis.axis],
+                axis.turn_deg is not None,
+                *(
+                    bound * (DEG if axis.turn_deg else MM)
+                    for bound in axis.turn_deg or axis.slide_mm or (0.0, 0.0)
+                ),
+            )
+            for axis in op.free
+        )
+        feed = None if op.feed_mm_s is None else op.feed_mm_s * MM
+        tolerance = (op.position_tol_mm * MM, op.angle_tol_deg * DEG)
+        return (claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed),)
 
 
 def _travel(poses: Mapping[str, FloatArray]) -> FloatArray:

@@ -22,6 +22,7 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims.ConfirmedPower: ("verify.signals", "verify.wire_power", "verify.spindle"),
     claims.FeedWindow: ("verify.feed", "verify.order", "verify.mill_feed"),
     claims.FollowsPoses: ("verify.follows",),
+    claims.FollowsTable: ("verify.follows",),
     claims_forming.FormsSheet: ("verify.gouge", "verify.formed"),
     claims_forming.ToolGap: ("verify.gap",),
     claims_forming.SupportsBorder: ("verify.border",),
