@@ -7,6 +7,7 @@ from planner.claims_forming import FormsPart
 from planner.forming.operation import Forming
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
+from planner.tooling import FormingTool
 from planner.units import DEG, MM
 
 
@@ -16,7 +17,8 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
     if sheet is None or part is None or part.formed is None:
         what = f"{op.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
         raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
-    heads = [setup.cell.arm(arm).tool.head for arm in op.arms]
+    tools = [setup.cell.arm(arm).tool for arm in op.arms]
+    heads = [tool.head if isinstance(tool, FormingTool) else None for tool in tools]
     thickness = float(setup.stock.size[2])
     pressed = {"adsif": op.adsif.projection_mm * MM}.get(op.mode, 0.0)
     if op.mode in ("dsif", "dpif_l"):

@@ -71,7 +71,7 @@ class Way:
         looked = np.flatnonzero(np.diff(passed, prepend=0.0) > 0.0)
         rows = np.unique(np.concatenate([parts.first, parts.last, looked]))
         begins = np.append(way.own[1:], False)  # where the first own move starts
-        return rows[way.own[rows] | begins[rows]]
+        return np.asarray(rows[way.own[rows] | begins[rows]], dtype=np.int64)
 
     @cached_property
     def centre(self) -> FloatArray:

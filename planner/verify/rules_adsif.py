@@ -124,8 +124,8 @@ def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
         at = ", ".join(f"{mm(x):.1f}" for x in points[k] * [1.0, 1.0, float(claim.side)])
         what = f"{claim.segment} passes the wall at ({at}) mm by {mm(far[k]):.3f} mm"
         what += f"; loops are {mm(apart[k]):.3f} mm apart there"
-        measure = {"value": mm(far[k]), "limit": mm(allowed[k])}
-        yield Issue("verify.adsif", what, field=claim.segment, **measure, unit="mm")
+        value, limit = mm(float(far[k])), mm(float(allowed[k]))
+        yield Issue("verify.adsif", what, field=claim.segment, value=value, limit=limit, unit="mm")
     back = np.maximum.accumulate(place[:, 2]) - place[:, 2]
     if (back > BACK * step).any():
         k = int(np.argmax(back - BACK * step))

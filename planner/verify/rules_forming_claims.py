@@ -38,7 +38,7 @@ BoolArray = NDArray[np.bool_]
 CODE = "verify.forming_claims"
 NONE = "no part is to be formed"
 SAME = 1e-9
-GAP, LATER = 0.005, 0.02
+GAP, LATER = 0.01, 0.02
 """Shares of the flat sheet's thickness by which a wanted gap may be off what follows from the walls, and
 where shapes came before, whose walls are faceted in another way."""
 GAP_SHARE, GAP_MOST = 0.15, 0.15
@@ -92,11 +92,25 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
     return Outcome(tuple(issues), 100.0 * worst, 100.0 * GAP, "% of the thickness", where)
 
 
+_OF_PASSES = (
+    FormsSheet,
+    FormsByTable,
+    ToolGap,
+    FormingFeed,
+    SheetState,
+    SinksHolder,
+    SupportsBorder,
+    FollowsOpposite,
+)
+
+
 def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
     """Whether claims have the numbers of tools and user."""
     radius = dict(zip(part.arms, part.radii, strict=True))
     ridge = _ridge(part)
     for claim in group:
+        if not isinstance(claim, _OF_PASSES):
+            continue
         wrong: list[str] = []
         if isinstance(claim, FormsSheet):
             wrong = _differ(claim, radius=radius.get(claim.arm), tolerance=part.gouge, share=part.share)
@@ -185,12 +199,12 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     low = high = smooth
     plan = corners.reshape(-1, 3)[:, :2]
     for shape in shapes[:-1]:  # a sheet that was thinned stays so
-        least, most = _up_at(shape, plan)
+        least, top = _up_at(shape, plan)
         near = np.abs(mine.shift(plan) - shape.shift(plan)) < BAND
         least = np.where(near, np.minimum(least, np.cos(shape.steepest(0.995)) - SAME), least)
-        most = np.where(near, 1.0, most)
+        top = np.where(near, 1.0, top)
         low = np.minimum(low, least.reshape(-1, 3))
-        high = np.minimum(high, most.reshape(-1, 3))
+        high = np.minimum(high, top.reshape(-1, 3))
     full = part.squeeze * part.thickness
     got = claim.gap[claim.faces]
     off = np.maximum(np.maximum(low * full - got, got - high * full), 0.0).max(axis=1) / part.thickness
@@ -260,7 +274,8 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
         for shape in feature.shapes:
             for one in shape.claims:
                 for kind, needed in wanted.items():
-                    found = [c for c in group if type(c) is kind and c.segment == one.segment]  # type: ignore[union-attr]
+                    own = (c for c in group if isinstance(c, _OF_PASSES) and c.segment == one.segment)
+                    found = [c for c in own if type(c) is kind]
                     if len(found) != int(needed):
                         what = f"{one.segment} has {len(found)} claims {kind.__name__}; wanted: {int(needed)}"
                         yield Issue(CODE, what, field=one.segment)
