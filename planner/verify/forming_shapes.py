@@ -28,10 +28,10 @@ BUMP = 1e-4
 """A wall that turns back by less [m] is noise of its mesh."""
 ACROSS = 2.5e-3
 """What turns back over less [m] is noise too."""
-PLACES = 6_000
-"""Places at which part and passes are held against each other, of each face."""
+PLACES, OWN = 6_000, 2_000
+"""Places at which part and passes are held against each other: of the part, and of each feature."""
 _NAME = re.compile(r"form/f(\d+)(?:_p\d+)?$")
-_LEVELS = 24
+_LEVELS = 12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class PartShapes:
         self.features = _features(part, passes)
         corners = part.vertices[part.faces]
         self.level = _rim_level(part)
-        own = [spread_over(corners, PLACES)[0], *(feature.final.spread(PLACES) for feature in self.features)]
+        own = [spread_over(corners, PLACES)[0], *(feature.final.spread(OWN) for feature in self.features)]
         # places of flats are of no interest: the sheet is flat there as long as nothing moves it
         self.places = np.concatenate(own)[:, :2]
         self.wanted, self.steep = self._over(corners)

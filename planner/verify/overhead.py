@@ -21,17 +21,23 @@ class Overhead:
     def __init__(self, corners: FloatArray) -> None:
         self.plan = corners * np.array([1.0, 1.0, 0.0])
         rings = np.concatenate([corners[:, :, :2], corners[:, :1, :2]], axis=1)
+        self._low = corners[:, :, :2].min(axis=(0, 1), initial=np.inf)
+        self._high = corners[:, :, :2].max(axis=(0, 1), initial=-np.inf)
         self._tree = shapely.STRtree(shapely.polygons(rings))
 
     def at(self, places: FloatArray, within: float) -> tuple[IntArray, IntArray, FloatArray]:
         """Which of ``places`` (N, 2) [m] are over which triangles, or beside them by no more than ``within``
         [m]: rows (M,) ascending, triangles (M,), and the barycentric weights (M, 3) of the nearest place
         there."""
-        row, triangle = self._tree.query(shapely.points(places), predicate="dwithin", distance=within)
+        near = ((places >= self._low - within) & (places <= self._high + within)).all(axis=1)
+        some = np.flatnonzero(near)
+        points = shapely.points(places[some])
+        row, triangle = self._tree.query(points, predicate="dwithin", distance=within)
+        row = some[row]
         order = np.lexsort((triangle, row))
         row, triangle = row[order].astype(np.int64), triangle[order].astype(np.int64)
-        points = np.column_stack([places[row], np.zeros(len(row))])
-        return row, triangle, closest_on_triangles(points, *np.moveaxis(self.plan[triangle], 1, 0))
+        flat = np.column_stack([places[row], np.zeros(len(row))])
+        return row, triangle, closest_on_triangles(flat, *np.moveaxis(self.plan[triangle], 1, 0))
 
 
 def spread_over(corners: FloatArray, count: int) -> tuple[FloatArray, IntArray]:

@@ -56,7 +56,7 @@ TURN = np.deg2rad(4.0)
 """The most [rad] that a claim may allow the line of two tools to be off its normal."""
 PULSE = 0.1
 """A pulse is on for so long [s] at least."""
-RIDGE, BENT = 1.1, 4.0
+RIDGE, BENT = 1.1, 10.0
 """The ridges that a claim allows are higher by these factors at most than those between ways that are a
 step apart: on the flattest wall, and on the average over walls, for they bend within a step."""
 FLATTEST = np.deg2rad(2.0)

@@ -23,6 +23,8 @@ FACE = 6e-5
 their mesh."""
 LEVEL = 1.2e-4
 """How far [m] a feature may begin off the sheet around it: twice that noise."""
+RIM_SHARE = 0.9
+"""Share of the places around a feature that count: in a noisy mesh others lie on what is beside it."""
 NONE = "no part is to be formed"
 STEEPEST = 0.995
 """Share of the walls that counts as the angle of a shape: slivers are left out."""
@@ -112,7 +114,7 @@ def _level(made: PartShapes, k: int, feature: Feature) -> Iterator[Issue]:
     lower = made.sheet(np.arange(k), places)
     for shape in feature.shapes:
         base = shape.base - (made.part.thickness if shape.claim.side > 0 else 0.0)
-        off = float(np.abs(lower - base).max())
+        off = float(np.quantile(np.abs(lower - base), RIM_SHARE))
         if off > LEVEL:
             what = f"{shape.claim.segment} begins {mm(off):.3f} mm off the sheet as it is then"
             yield _issue(what, feature, mm(off), mm(LEVEL), "mm")
