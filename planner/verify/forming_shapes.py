@@ -24,6 +24,8 @@ Passed = FormsSheet | FormsByTable
 
 MOVED = 1e-6
 """What a pass moves by less [m] it leaves where it is."""
+NOISE = 6e-5
+"""What is off the flat by less [m] may be noise of its mesh."""
 BUMP = 1e-4
 """A wall that turns back by less [m] is noise of its mesh."""
 ACROSS = 2.5e-3
@@ -62,6 +64,11 @@ class Shape:
         return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > MOVED).any(axis=1))
 
     @cached_property
+    def raised(self) -> BoolArray:
+        """Triangles (T,) with a corner that is off the level around by more than noise."""
+        return np.asarray((np.abs(self.corners[:, :, 2] - self.base) > NOISE).any(axis=1))
+
+    @cached_property
     def over(self) -> Overhead:
         """What of it lies over places in plan."""
         return Overhead(self.corners[self.moved])
@@ -98,8 +105,8 @@ class Shape:
     @cached_property
     def rim(self) -> FloatArray:
         """Places (R, 2) in plan where what is moved begins."""
-        corners = self.corners[self.moved].reshape(-1, 3)
-        return np.unique(corners[np.abs(corners[:, 2] - self.base) <= MOVED, :2], axis=0)
+        corners = self.corners[self.raised].reshape(-1, 3)
+        return np.unique(corners[np.abs(corners[:, 2] - self.base) <= NOISE, :2], axis=0)
 
     def turns_back(self, sign: float) -> FloatArray | None:
         """A place (3,) where a wall that goes ``sign`` turns back, or where it parts in two, by more than the
@@ -123,7 +130,7 @@ class Shape:
                 wide = _extent(where[inside], label[inside], size)
                 real = (reach > BUMP) & (wide > ACROSS)
                 if not deep:  # what is left around, at its start, is no island
-                    real[np.unique(label[inside & (depth <= MOVED)])] = False
+                    real[np.unique(label[inside & (depth <= NOISE)])] = False
                 if real.sum() > int(deep):
                     rows = np.flatnonzero(inside & (label == np.flatnonzero(real)[-1]))
                     return np.asarray(where[rows[int(np.argmax(np.abs(depth[rows] - level)))]])
@@ -190,7 +197,7 @@ class PartShapes:
     @cached_property
     def inside(self) -> BoolArray:
         """(F, F): whether the first feature stands inside what the second one moves."""
-        own = np.abs(self.moved) > MOVED
+        own = np.abs(self.moved) > NOISE
         count = np.maximum(own.sum(axis=1), 1)
         shared = (own[:, None] & own[None]).sum(axis=2) / count[:, None]
         larger = self.area[:, None] < self.area[None]

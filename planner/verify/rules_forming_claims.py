@@ -28,7 +28,7 @@ from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.forming_face import CREASE
-from planner.verify.forming_shapes import MOVED, Feature, PartShapes, Shape
+from planner.verify.forming_shapes import NOISE, Feature, PartShapes, Shape
 from planner.verify.forming_state import Forming
 from planner.verify.overhead import spread_over
 
@@ -305,8 +305,8 @@ def _border(part: FormsPart, feature: Feature, claim: SupportsBorder) -> Iterato
     (arm,) = (k for k, held in enumerate(part.sides) if held != side)
     radius, ball = part.radii[arm], part.kinds[arm] == "ball"
     level = final.base - side * (part.thickness + (radius if ball else 0.0))
-    rings = np.concatenate([final.over.plan, final.over.plan[:, :1]], axis=1)[:, :, :2]
-    tree = shapely.STRtree(shapely.polygons(rings))
+    corners = final.corners[final.raised][:, [0, 1, 2, 0], :2]
+    tree = shapely.STRtree(shapely.polygons(corners))
     away = tree.query_nearest(shapely.points(claim.border[:, :2]), return_distance=True, all_matches=False)[1]
     around = shapely.contains_xy(shapely.Polygon(claim.border[:, :2]), final.rim[:, 0], final.rim[:, 1])
     # from outside the wall's foot is as far everywhere; chords of the outline and the border come on top
@@ -356,7 +356,7 @@ def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
         by = near & (np.abs(moved[:k]) > 1e-4)
         formed, carried = by.any(axis=0), by[made.inside[:k, k]].any(axis=0)
         height = made.level + moved[:k].sum(axis=0)
-        within = np.abs(moved[k]) > MOVED
+        within = np.abs(moved[k]) > NOISE
         for number, shape in enumerate(feature.shapes):
             sunk = 0.0 if number == 0 else feature.shapes[number - 1].far - shape.base
             for claim in shape.claims:
@@ -379,22 +379,12 @@ def _flat_about(made: PartShapes, k: int, feature: Feature) -> FloatArray:
     x, y = np.meshgrid(*(np.linspace(a, b, count) for a, b in zip(low, high, strict=True)))
     grid = np.column_stack([x.ravel(), y.ravel()])
     away = np.asarray(cKDTree(rim).query(grid)[0])
-    lying = np.abs(feature.final.shift(grid)) <= MOVED
+    lying = np.abs(feature.final.shift(grid)) <= NOISE
     for other in made.features[:k]:
-        lying &= np.abs(other.final.shift(grid)) <= MOVED
+        lying &= np.abs(other.final.shift(grid)) <= NOISE
         lying &= np.asarray(cKDTree(other.final.rim).query(grid)[0]) > NEAR
-    # over the feature's own floor there is no flat: it is inside of the rim
-    inside = _within(feature.final, grid)
-    grid = grid[lying & ~inside & (away < RIM - NEAR) & (away > NEAR)]
+    grid = grid[lying & (away < RIM - NEAR) & (away > NEAR)]
     return np.column_stack([grid, np.full(len(grid), made.level)])
-
-
-def _within(shape: Shape, places: FloatArray) -> BoolArray:
-    """Which places (N, 2) are over what a shape moves, holes in it included."""
-    row = shape.over.at(places, SAME)[0]
-    out = np.zeros(len(places), dtype=np.bool_)
-    out[row] = True
-    return out
 
 
 def _told(
