@@ -32,7 +32,7 @@ ACROSS = 2.5e-3
 """What turns back over less [m] is noise too."""
 PLACES, OWN = 6_000, 2_000
 """Places at which part and passes are held against each other: of the part, and of each feature."""
-_NAME = re.compile(r"form/f(\d+)(?:_p\d+)?$")
+_NAME = re.compile(r"f(\d+)(?:_p\d+)?")
 _LEVELS = 12
 
 
@@ -231,7 +231,7 @@ def in_order(group: Sequence[Claim]) -> tuple[Passed, ...]:
 def _features(part: FormsPart, passes: tuple[Passed, ...]) -> tuple[Feature, ...]:
     out: list[tuple[int, list[Shape]]] = []
     for claim in passes:
-        found = _NAME.fullmatch(claim.segment)
+        found = _NAME.fullmatch(claim.segment.name)
         number = int(found.group(1)) if found else -1
         base, far = (claim.end, claim.start) if part.male else (claim.start, claim.end)
         same = bool(out) and out[-1][0] == number

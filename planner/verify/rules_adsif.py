@@ -48,7 +48,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
         way = Way(context, claim, index)
         if len(way.rows) < 2:
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
-            issues.append(Issue("verify.adsif", what, field=claim.segment))
+            issues.append(Issue("verify.adsif", what, field=str(claim.segment)))
             continue
         table = wanted(claim.table, claim.prefer)
         issues += _conditions(claim, table)
@@ -60,7 +60,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
         error = error + SPARED * claim.tolerance
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
         for i in spread(error > claim.tolerance):
             issues.append(_off(context, way, i, float(error[i]), bool(high[i] > claim.tolerance)))
         issues += _passed(way, place)
@@ -99,12 +99,12 @@ def _conditions(claim: FormsByTable, table: Wanted) -> Iterator[Issue]:
     }
     if table.conditions.get("metal") != claim.metal or claim.radii[0] != claim.radii[1]:
         what = f"the response table holds for {table.conditions.get('metal')} and tools of one radius"
-        yield Issue("verify.adsif", what, field=claim.segment)
+        yield Issue("verify.adsif", what, field=str(claim.segment))
     for name, value in wanted_of.items():
         held = table.conditions.get(name, "nan")
         if not abs(mm(value) - float(held)) <= ALIKE * float(held):
             what = f"the response table holds for {name} {held}, not for {mm(value):g}"
-            yield Issue("verify.adsif", what, field=claim.segment, value=mm(value), limit=float(held))
+            yield Issue("verify.adsif", what, field=str(claim.segment), value=mm(value), limit=float(held))
 
 
 def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
@@ -125,19 +125,23 @@ def _passed(way: Way, place: FloatArray) -> Iterator[Issue]:
         what = f"{claim.segment} passes the wall at ({at}) mm by {mm(far[k]):.3f} mm"
         what += f"; loops are {mm(apart[k]):.3f} mm apart there"
         value, limit = mm(float(far[k])), mm(float(allowed[k]))
-        yield Issue("verify.adsif", what, field=claim.segment, value=value, limit=limit, unit="mm")
+        yield Issue("verify.adsif", what, field=str(claim.segment), value=value, limit=limit, unit="mm")
     back = np.maximum.accumulate(place[:, 2]) - place[:, 2]
     if (back > BACK * step).any():
         k = int(np.argmax(back - BACK * step))
         what = f"{claim.segment} goes back to the inside by {mm(back[k]):.3f} mm of height"
-        yield Issue("verify.adsif", what, field=claim.segment, value=mm(back[k]), limit=mm(BACK * step[k]))
+        yield Issue(
+            "verify.adsif", what, field=str(claim.segment), value=mm(back[k]), limit=mm(BACK * step[k])
+        )
     middle = points.mean(axis=0)
     arm, move = (place - middle)[:-1, :2], np.diff(place[:, :2], axis=0)
     area = claim.turning * (arm[:, 0] * move[:, 1] - arm[:, 1] * move[:, 0])
     share = float(np.maximum(area, 0.0).sum() / max(float(np.abs(area).sum()), 1e-30))
     if share < ROUND:
         what = f"{claim.segment} goes round the wrong way for {100 * (1 - share):.0f} % of its way"
-        yield Issue("verify.adsif", what, field=claim.segment, value=100 * share, limit=100 * ROUND, unit="%")
+        yield Issue(
+            "verify.adsif", what, field=str(claim.segment), value=100 * share, limit=100 * ROUND, unit="%"
+        )
 
 
 def _upright(context: Context, way: Way) -> Iterator[Issue]:

@@ -26,6 +26,7 @@ from planner.claims_forming import (
 from planner.geometry.closest import corner_normals
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.forming_face import CREASE
 from planner.verify.forming_shapes import NOISE, Feature, PartShapes, Shape
@@ -82,7 +83,7 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
                 off, found = _gap(made, claim)
                 issues += found
                 if off > worst:
-                    worst, where = off, claim.segment
+                    worst, where = off, str(claim.segment)
         issues += _all_there(made.part, made, group)
         issues += _states(made, group)
     if not forming.parts:
@@ -133,7 +134,7 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
             wrong += ["pulse"] if claim.pulse < PULSE - SAME else []
         for name in wrong:
             what = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
-            yield Issue(CODE, what, field=claim.segment)
+            yield Issue(CODE, what, field=str(claim.segment))
 
 
 def _differ(claim: Any, **wanted: Any) -> list[str]:
@@ -189,12 +190,12 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
     shapes, mine = _shapes_to(made, claim.segment)
     if mine is None:
         what = f"the gap of {claim.segment} is that of no pass"
-        return np.inf, [Issue(CODE, what, field=claim.segment)]
+        return np.inf, [Issue(CODE, what, field=str(claim.segment))]
     corners = claim.vertices[claim.faces]
     same = np.abs(corners - mine.corners).max() < SAME if len(corners) == len(mine.corners) else False
     if not same:
         what = f"the gap of {claim.segment} is that of another face"
-        return np.inf, [Issue(CODE, what, field=claim.segment)]
+        return np.inf, [Issue(CODE, what, field=str(claim.segment))]
     smooth = _up(mine)
     low = high = smooth
     plan = corners.reshape(-1, 3)[:, :2]
@@ -224,10 +225,10 @@ def _gap(made: PartShapes, claim: ToolGap) -> tuple[float, list[Issue]]:
         f"the gap of {claim.segment} is {100 * worst:.2f} % of the sheet's thickness off squeeze * t0 cos(a)"
     )
     limit = 100 * allowed
-    return worst, [Issue(CODE, what, field=claim.segment, value=100 * worst, limit=limit, unit="%")]
+    return worst, [Issue(CODE, what, field=str(claim.segment), value=100 * worst, limit=limit, unit="%")]
 
 
-def _shapes_to(made: PartShapes, segment: str) -> tuple[tuple[Shape, ...], Shape | None]:
+def _shapes_to(made: PartShapes, segment: Segment) -> tuple[tuple[Shape, ...], Shape | None]:
     """The shapes of a feature up to that of a segment, and this itself."""
     for feature in made.features:
         for k, shape in enumerate(feature.shapes):
@@ -278,7 +279,7 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
                     found = [c for c in own if type(c) is kind]
                     if len(found) != int(needed):
                         what = f"{one.segment} has {len(found)} claims {kind.__name__}; wanted: {int(needed)}"
-                        yield Issue(CODE, what, field=one.segment)
+                        yield Issue(CODE, what, field=str(one.segment))
         for claim in group:
             if isinstance(claim, SupportsBorder) and _is_of(feature, claim.segment):
                 yield from _border(part, feature, claim)
@@ -288,13 +289,15 @@ def _all_there(part: FormsPart, made: PartShapes, group: Sequence[Claim]) -> Ite
                 one = feature.shapes[0].claim
                 if _differ(claim, start=one.start, end=one.end, side=one.side):
                     yield Issue(
-                        CODE, f"{claim.segment}: the clamp sinks between other levels", field=claim.segment
+                        CODE,
+                        f"{claim.segment}: the clamp sinks between other levels",
+                        field=str(claim.segment),
                     )
     if part.sinking is not None and not any(isinstance(c, SinksHolder) for c in group):
         yield Issue(CODE, "nothing says how the clamp sinks", field="die")
 
 
-def _is_of(feature: Feature, segment: str) -> bool:
+def _is_of(feature: Feature, segment: Segment) -> bool:
     return any(claim.segment == segment for shape in feature.shapes for claim in shape.claims)
 
 
@@ -321,7 +324,7 @@ def _border(part: FormsPart, feature: Feature, claim: SupportsBorder) -> Iterato
     if claim.arm != part.arms[arm] or claim.tolerance > OFF_BORDER + SAME:
         wrong.append("of another tool or tolerance")
     for what in wrong:
-        yield Issue(CODE, f"the way of the support about {claim.segment} is {what}", field=claim.segment)
+        yield Issue(CODE, f"the way of the support about {claim.segment} is {what}", field=str(claim.segment))
 
 
 FLAT = 1e-5
@@ -338,7 +341,9 @@ def _opposite(part: FormsPart, feature: Feature, claim: FollowsOpposite) -> Iter
     )
     good = thin - SAME <= claim.distance <= thick + SAME and claim.tolerance <= ASIDE + SAME
     if not (good and same and claim.side == own[0].claim.side):
-        yield Issue(CODE, f"the source of heat for {claim.segment} is not at the sheet", field=claim.segment)
+        yield Issue(
+            CODE, f"the source of heat for {claim.segment} is not at the sheet", field=str(claim.segment)
+        )
 
 
 def _states(made: PartShapes, group: Sequence[Claim]) -> Iterator[Issue]:
@@ -417,4 +422,4 @@ def _told(
         if far[k] > NEAR:
             at = ", ".join(f"{mm(x):.1f}" for x in both[k])
             what = f"in {state.segment} nothing tells tools of the sheet at ({at}) mm, which {kind}"
-            yield Issue(CODE, what, field=state.segment)
+            yield Issue(CODE, what, field=str(state.segment))

@@ -48,14 +48,14 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
         if made is None:
             for claim in in_order(group):
                 what = f"nothing says of what part {claim.segment} is a face"
-                issues.append(Issue(CODE, what, field=claim.segment))
+                issues.append(Issue(CODE, what, field=str(claim.segment)))
             continue
         if not made.features:
             issues.append(Issue(CODE, "the part is never formed", field="part"))
             continue
         off, found = _whole(made)
         if off > worst:
-            worst, where = off, made.features[0].final.claim.segment
+            worst, where = off, str(made.features[0].final.claim.segment)
         issues += found
         for k, feature in enumerate(made.features):
             issues += _side(made, k, feature)
@@ -243,4 +243,4 @@ def _issue(
     limit: float | None = None,
     unit: str | None = None,
 ) -> Issue:
-    return Issue(CODE, what, field=feature.final.claim.segment, value=value, limit=limit, unit=unit)
+    return Issue(CODE, what, field=str(feature.final.claim.segment), value=value, limit=limit, unit=unit)

@@ -12,6 +12,7 @@ import pytest
 from planner import pipeline, processes
 from planner.forming import feature_order
 from planner.geometry.mesh import TriangleMesh, face_normals
+from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.forming_shapes import Shape
 from planner.verify.forming_state import Forming
@@ -239,7 +240,8 @@ def test_features_are_numbered_as_users_know_them(tmp_path):
     """By the user's order the dish is 1 and the dome on its floor 2."""
     found = problem(tmp_path, "dsif", lopsided(), WIDE, strategy="virgin", order=[1, 2])
     assert told(found) == set()
-    names = {"form/f1": "form/f2", "form/f2": "form/f1"}
+    one, two = Segment("form", "f1"), Segment("form", "f2")
+    names = {one: two, two: one}
 
     def change(group):
         out = []
