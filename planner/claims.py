@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
+    FormsByTable,
     FormsInOrder,
+    FormsPart,
     FormsSheet,
     SheetState,
     SinksHolder,
@@ -279,6 +281,8 @@ Claim = (
     | FollowsPoses
     | FollowsTable
     | FormsSheet
+    | FormsByTable
+    | FormsPart
     | ToolGap
     | SupportsBorder
     | FollowsOpposite

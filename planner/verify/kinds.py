@@ -32,6 +32,8 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims_forming.FormingFeed: ("verify.forming_feed",),
     claims_forming.SinksHolder: ("verify.holder",),
     claims_forming.FormsInOrder: ("verify.feature_order",),
+    claims_forming.FormsByTable: ("verify.adsif",),
+    claims_forming.FormsPart: ("verify.forming_part", "verify.forming_claims"),
     claims_milling.MillsSurface: ("verify.milled",),
     claims_milling.MillsAlong: ("verify.mill_path", "verify.mill_feed"),
     claims_milling.SparesPart: ("verify.mill_gouge",),
