@@ -21,7 +21,7 @@ from planner.claims_forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsProgram, MillsSurface, SparesPart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,5 +226,6 @@ Claim = (
     | FormsInOrder
     | MillsSurface
     | MillsAlong
+    | MillsProgram
     | SparesPart
 )

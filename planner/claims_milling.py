@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.tool_heads import Cutter
+
+Numbers = tuple[float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +36,10 @@ class MillsAlong:
     """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
     to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
     ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
-    first one counts for nothing."""
+    first one counts for nothing.
+
+    Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
+    """
 
     segment: str
     arm: str
@@ -42,13 +48,16 @@ class MillsAlong:
     feed: NDArray[np.float64]
     tolerance: float
     turn: float
+    file: str = ""
+    line: NDArray[np.int64] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class SparesPart:
     """In ``segments``, with their ways in and out, no part of the tool of ``arm``, of ``cutter``, holder and
     spindle, goes into the surface ``vertices``, ``faces`` by more than ``tolerance`` [m]; the cutter itself,
-    where it engraves, ``depth`` [m] deeper."""
+    where it engraves, ``depth`` [m] deeper. A segment that is the name of a :class:`MillsProgram` stands for
+    all passes of that."""
 
     segments: tuple[str, ...]
     arm: str
@@ -57,3 +66,65 @@ class SparesPart:
     faces: NDArray[np.int64]
     depth: float
     tolerance: float
+
+
+@dataclasses.dataclass(frozen=True)
+class SafeWays:
+    """How a cutter comes to a pass and leaves it: along its own axis, straight, from and to the plane
+    ``level`` [m] across the axis ``across`` of the stock frame, on whose side ``up`` (+1 or -1) the tool
+    moves freely; no faster than ``plunge`` and ``rapid`` [m/s]."""
+
+    across: int
+    up: float
+    level: float
+    plunge: float
+    rapid: float
+
+
+@dataclasses.dataclass(frozen=True)
+class ProgramFile:
+    """A G-code file and what the problem states of it, in the problem's own words and units: mm, degrees,
+    mm/min, 1/min. None is left to the file.
+
+    ``xyz_mm``, ``rpy_deg``: the file's frame in the stock's. The other fields are those of the problem file.
+    """
+
+    path: Path
+    xyz_mm: Numbers
+    rpy_deg: Numbers
+    unit: str | None
+    distance: str | None
+    motion: str | None
+    plane: str | None
+    arc_centre: str
+    feed_mode: str | None
+    feed_mm_min: float | None
+    spindle_rpm: float | None
+    tool_axis: str
+    ijk_to: str
+    convention: str | None
+    reverse: tuple[str, ...]
+    start_mm: Numbers | None
+    offsets: tuple[tuple[str, Numbers], ...]
+    block_delete: bool | None
+    skip: tuple[str, ...]
+    tool: int | None
+    chord_tol_mm: float
+
+
+@dataclasses.dataclass(frozen=True)
+class MillsProgram:
+    """In the segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the cuts of
+    the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
+    ``tolerance`` [m] and ``turn`` [rad], at the file's own feeds. ``first``: nothing is milled before it.
+
+    Between the cuts it goes the ways that ``safe`` says. The proof reads the file itself.
+    """
+
+    name: str
+    arm: str
+    file: ProgramFile
+    safe: SafeWays
+    tolerance: float
+    turn: float
+    first: bool

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsProgram, MillsSurface, SparesPart
 from planner.geometry.vectors import dots, lengths
 from planner.problem import Tool
 from planner.targets import Targets, works
@@ -69,10 +69,10 @@ def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
     :func:`lever`; but a cutter is a body of revolution that follows a way within an angle: its spin is worth
     what a solid may move in the air, its lean, where no surface asks for more, what that angle allows.
     """
-    along = [claim for claim in targets.claims if isinstance(claim, MillsAlong) and claim.arm == arm]
+    along = [c for c in targets.claims if isinstance(c, MillsAlong | MillsProgram) and c.arm == arm]
     if not along:
         return np.full(3, lever(tool))
-    lean, allowed = LEVER, float(deviations(targets, [along[0].segment])[0])
+    lean, allowed = LEVER, float(deviations(targets, ["mill/"])[0])
     if not any(isinstance(claim, MillsSurface | SparesPart) for claim in targets.claims):
         lean = min(LEVER, allowed / (SURFACE_SHARE * min(claim.turn for claim in along)))
     return np.array([lean, lean, LEVER * allowed / AIR])
@@ -86,7 +86,7 @@ def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
     to :data:`DEVIATION` everywhere.
     """
     least = np.full(len(labels), DEVIATION)
-    milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
+    milled = [c.tolerance for c in targets.claims if isinstance(c, SparesPart | MillsAlong | MillsProgram)]
     if milled:
         tolerance = 1e3 * min(milled)
         least = np.full(len(labels), min(DEVIATION, TIGHT_SHARE * tolerance))

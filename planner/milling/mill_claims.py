@@ -8,13 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import (
+    MillsAlong,
+    MillsProgram,
+    MillsSurface,
+    ProgramFile,
+    SafeWays,
+    SparesPart,
+)
 from planner.milling import spoken
-from planner.milling.gcode_file import GCodeCut
+from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.job import Done, Job
-from planner.milling.operation import FlankCut
-from planner.milling.route import ends
-from planner.milling.values import Run, ToolPath
+from planner.milling.operation import FlankCut, Milling
+from planner.milling.route import SIDES, ends
+from planner.milling.values import Run
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -31,16 +38,15 @@ def claims(job: Job) -> tuple[Claim, ...]:
     that all of them spare."""
     op = job.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
-    out.append(ConfirmedPower(op.signal, spoken.told(job), spoken.asked(job), spoken.DONE, op.spin_down_s))
-    for one in job.cuts:
-        for run in one.runs:
-            feed = _feed(job, one, run)
-            fast = max(feed, op.rapid_mm_s * MM)
-            out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
-            out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
-            out.append(FeedWindow(f"mill/{run.name}_out", 0.0, fast))
-        out += _shape(job, one)
-        segments = tuple(f"mill/{run.name}" for run in one.runs)
+    out.append(ConfirmedPower(op.signal, spoken.told(job), ((spoken.READY,),), spoken.DONE, op.spin_down_s))
+    for number, one in enumerate(job.cuts):
+        if isinstance(one.cut, GCodeCut):
+            out.append(_program(job, one, one.cut, number == 0))
+            segments: tuple[str, ...] = (f"mill/{one.cut.name}",)
+        else:
+            out += _feeds(job, one)
+            out += _shape(job, one)
+            segments = tuple(f"mill/{run.name}" for run in one.runs)
         for face in job.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
@@ -48,16 +54,58 @@ def claims(job: Job) -> tuple[Claim, ...]:
     return tuple(out)
 
 
-def _feed(job: Job, one: Done, run: Run) -> float:
-    """The highest feed [m/s] of a pass; a G-code file has its own."""
-    if isinstance(one.cut, GCodeCut):
-        return float(_followed(run).feed[1:].max())
-    return (one.cut.feed_mm_s or job.operation.feed_mm_s) * MM
+def program_file(own: GCodeFile) -> ProgramFile:
+    """What the problem states of a file, word for word."""
+    return ProgramFile(
+        path=own.file,
+        xyz_mm=own.origin.xyz_mm,
+        rpy_deg=own.origin.rpy_deg,
+        unit=own.unit,
+        distance=own.distance,
+        motion=own.motion,
+        plane=own.plane,
+        arc_centre=own.arc_centre,
+        feed_mode=own.feed_mode,
+        feed_mm_min=own.feed_mm_min,
+        spindle_rpm=own.spindle_rpm,
+        tool_axis=own.tool_axis,
+        ijk_to=own.ijk_to,
+        convention=own.convention,
+        reverse=own.reverse,
+        start_mm=own.start_mm,
+        offsets=tuple((name, shift) for name, shift in own.offsets.items()),
+        block_delete=own.block_delete,
+        skip=own.skip,
+        tool=own.tool,
+        chord_tol_mm=own.chord_tol_mm,
+    )
 
 
-def _followed(run: Run) -> ToolPath:
-    """What a pass follows: the way that its path stands for, between its ways in and out."""
-    return run.path[run.first : run.last + 1] if run.follow is None else run.follow
+def _program(job: Job, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
+    """The way of a file, which the proof reads itself."""
+    safe, name = _safe(job.operation, job.box), f"mill/{cut.name}"
+    file = program_file(cut.gcode)
+    return MillsProgram(name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
+
+
+def _safe(op: Milling, box: FloatArray) -> SafeWays:
+    """The ways to passes and from them, by the numbers of the problem."""
+    across, end = SIDES[op.safe_side]
+    up = 1.0 if end else -1.0
+    level = float(box[end, across]) + up * op.safe_mm * MM
+    return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
+
+
+def _feeds(job: Job, one: Done) -> list[Claim]:
+    """The feeds of all passes of a cut, ways in and out too."""
+    op, out = job.operation, list[Claim]()
+    own = None if isinstance(one.cut, GCodeCut) else one.cut.feed_mm_s
+    feed = (own or op.feed_mm_s) * MM
+    for run in one.runs:
+        out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
+        out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
+        out.append(FeedWindow(f"mill/{run.name}_out", 0.0, max(feed, op.rapid_mm_s * MM)))
+    return out
 
 
 def _shape(job: Job, one: Done) -> list[Claim]:
@@ -82,7 +130,7 @@ def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray, FloatAr
     """Tips and axes (N, 3) of a pass with the feeds (N,) [m/s] on the way to each, and of the ways from the
     safe plane and back to it, by what they add to its name: nothing else of the block is to be milled than
     what lies along these."""
-    path, main = run.path, _followed(run)
+    path, main = run.path, run.path[run.first : run.last + 1]
     start, end = ends(job.operation, run, job.box)
     plunge, rapid = job.operation.plunge_mm_s * MM, job.operation.rapid_mm_s * MM
     return {

@@ -6,12 +6,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims_milling import MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
+from planner.verify.mill_follow import Followed
 from planner.verify.mill_rims import edges, rim_places, rim_step
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
@@ -135,11 +136,13 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 def mill_path(context: Context, milling: Milling) -> Outcome:
     """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
     passed in order, ways in and out too."""
-    issues: list[Issue] = []
+    issues: list[Issue] = list(context.unread)
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.lower(),))
         known = milling.followed(index, claim)
+        if known is None and _small(claim):
+            continue
         if known is None:
             issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
             continue
@@ -151,8 +154,8 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // SHOWN)]:
             what = (
-                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve and the axis "
-                f"{np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
+                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
+                f"and the axis {np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
                 f"{np.rad2deg(claim.turn):.2f} deg"
             )
             measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
@@ -162,6 +165,20 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
             issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=claim.segment))
     return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
+
+
+def _small(claim: MillsAlong) -> bool:
+    """Whether a way is so short that standing still follows it."""
+    tips = float(np.linalg.norm(claim.tip - claim.tip[0], axis=1).max())
+    return tips <= claim.tolerance and float((claim.axis @ claim.axis[0]).min()) >= np.cos(claim.turn)
+
+
+def _line(claim: MillsAlong, found: Followed, i: int) -> str:
+    """The line of the file by which a sample should be."""
+    if claim.line is None:
+        return ""
+    place = min(int(np.searchsorted(found.along, found.at[i])), len(claim.line) - 1)
+    return f" by line {claim.line[place]} of {claim.file}"
 
 
 def _unclaimed(context: Context, milling: Milling) -> list[Issue]:
