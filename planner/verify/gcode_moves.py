@@ -234,7 +234,7 @@ class _Arcs:
         centre = given[each[:, None], plane]
         radius = own.word["R"][row] * own.unit[row]
         by_radius, by_centre = np.isfinite(radius), np.isfinite(centre).any(axis=1)
-        refuse(np.asarray(by_radius == by_centre), line, "an arc needs either a centre or a radius")
+        refuse(~np.logical_xor(by_radius, by_centre), line, "an arc needs either a centre or a radius")
         whole = own.absolute_centre[row] == 1.0
         refuse(by_centre & whole & np.isnan(centre).any(axis=1), line, "half of an absolute centre")
         base = np.where(whole[:, None], own.shift[row][each[:, None], plane], a)
