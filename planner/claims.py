@@ -21,7 +21,7 @@ from planner.claims_forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims_milling import MillsAlong, MillsProgram, MillsSurface, SparesPart
+from planner.claims_milling import Engraves, MillsAlong, MillsProgram, MillsSurface, SparesPart
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,5 +259,6 @@ Claim = (
     | MillsSurface
     | MillsAlong
     | MillsProgram
+    | Engraves
     | SparesPart
 )

@@ -128,3 +128,40 @@ class MillsProgram:
     tolerance: float
     turn: float
     first: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnCurve:
+    """A curve as the problem draws it: ``kind`` is ``polyline``, ``bezier``, ``bspline`` (clamped, uniform,
+    cubic), by points or control points [mm]."""
+
+    kind: str
+    points_mm: tuple[Numbers, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Engraves:
+    """In the segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each, all of
+    it and in its direction: projected along z onto the face ``vertices``, ``faces``, which looks up, and
+    ``depth`` [m] below it along its normal, within ``tolerance`` [m] and ``turn`` [rad], no faster than
+    ``feed`` [m/s].
+
+    ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
+    ``curves``, through the curves ``axis_curves``, one for each.
+    """
+
+    name: str
+    arm: str
+    cutter: Cutter
+    curves: tuple[DrawnCurve, ...]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    depth: float
+    axis: str
+    axis_curves: tuple[DrawnCurve, ...]
+    lead: float
+    tilt: float
+    feed: float
+    safe: SafeWays
+    tolerance: float
+    turn: float

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
-from planner.claims_milling import MillsAlong, MillsProgram, MillsSurface, SparesPart
+from planner.claims_milling import Engraves, MillsAlong, MillsProgram, MillsSurface, SparesPart
 from planner.geometry.vectors import dots, lengths
 from planner.problem import Tool
 from planner.targets import Targets, works
@@ -21,6 +21,8 @@ from planner.targets import Targets, works
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+FOLLOWED: Final = (MillsAlong, MillsProgram, Engraves)
+"""Claims on the way of a cutter."""
 DEVIATION: Final = 0.02
 """How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
 AIR: Final = 0.5
@@ -69,7 +71,7 @@ def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
     :func:`lever`; but a cutter is a body of revolution that follows a way within an angle: its spin is worth
     what a solid may move in the air, its lean, where no surface asks for more, what that angle allows.
     """
-    along = [c for c in targets.claims if isinstance(c, MillsAlong | MillsProgram) and c.arm == arm]
+    along = [c for c in targets.claims if isinstance(c, FOLLOWED) and c.arm == arm]
     if not along:
         return np.full(3, lever(tool))
     lean, allowed = LEVER, float(deviations(targets, ["mill/"])[0])
@@ -86,7 +88,7 @@ def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
     to :data:`DEVIATION` everywhere.
     """
     least = np.full(len(labels), DEVIATION)
-    milled = [c.tolerance for c in targets.claims if isinstance(c, SparesPart | MillsAlong | MillsProgram)]
+    milled = [c.tolerance for c in targets.claims if isinstance(c, (SparesPart, *FOLLOWED))]
     if milled:
         tolerance = 1e3 * min(milled)
         least = np.full(len(labels), min(DEVIATION, TIGHT_SHARE * tolerance))

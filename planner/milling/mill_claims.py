@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
 from planner.claims_milling import (
+    DrawnCurve,
+    Engraves,
     MillsAlong,
     MillsProgram,
     MillsSurface,
@@ -19,9 +21,10 @@ from planner.claims_milling import (
 from planner.milling import spoken
 from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.job import Done, Job
-from planner.milling.operation import FlankCut, Milling
+from planner.milling.operation import EngraveCut, FlankCut, Milling
 from planner.milling.route import SIDES, ends
 from planner.milling.values import Run
+from planner.part_ruled_file import GuideFile
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -43,6 +46,9 @@ def claims(job: Job) -> tuple[Claim, ...]:
         if isinstance(one.cut, GCodeCut):
             out.append(_program(job, one, one.cut, number == 0))
             segments: tuple[str, ...] = (f"mill/{one.cut.name}",)
+        elif isinstance(one.cut, EngraveCut):
+            out.append(_engraving(job, one, one.cut))
+            segments = tuple(f"mill/{one.cut.name}_c{k + 1}" for k in range(len(one.cut.engrave)))
         else:
             out += _feeds(job, one)
             out += _shape(job, one)
@@ -86,6 +92,37 @@ def _program(job: Job, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
     safe, name = _safe(job.operation, job.box), f"mill/{cut.name}"
     file = program_file(cut.gcode)
     return MillsProgram(name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
+
+
+def _engraving(job: Job, one: Done, cut: EngraveCut) -> Engraves:
+    """Curves on the part's front."""
+    op, front = job.operation, next(face.mesh for face in job.faces if face.name == "front")
+    return Engraves(
+        name=f"mill/{cut.name}",
+        arm=op.arms[0],
+        cutter=job.cutter,
+        curves=tuple(_drawn(curve) for curve in cut.engrave),
+        vertices=front.vertices,
+        faces=front.faces,
+        depth=cut.depth_mm * MM,
+        axis=cut.axis,
+        axis_curves=tuple(_drawn(curve) for curve in cut.axis_curves),
+        lead=cut.lead_deg * DEG,
+        tilt=cut.tilt_deg * DEG,
+        feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
+        safe=_safe(op, job.box),
+        tolerance=one.tolerance,
+        turn=TURN,
+    )
+
+
+def _drawn(own: GuideFile) -> DrawnCurve:
+    """A curve as the problem draws it."""
+    for kind in ("polyline", "bspline", "bezier"):
+        points = getattr(own, f"{kind}_mm")
+        if points is not None:
+            return DrawnCurve(kind, tuple(points))
+    raise ValueError("curves of DXF files")
 
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:

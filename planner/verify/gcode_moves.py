@@ -227,7 +227,9 @@ class _Arcs:
         plane = np.stack([(normal + 1) % 3, (normal + 2) % 3], axis=1)
         self._plane, self._normal = plane, normal
         self._start, self._end = start[row], end[row]
-        refuse(~np.isfinite(self._start).all(axis=1), line, "an arc from a place that is not known")
+        refuse(
+            ~np.asarray(np.isfinite(self._start).all(axis=1)), line, "an arc from a place that is not known"
+        )
         a, b = self._start[each[:, None], plane], self._end[each[:, None], plane]
         given = np.stack([own.word[letter][row] for letter in "IJK"], axis=1)
         refuse(np.isfinite(given[each, normal]), line, "the centre of an arc beside its plane")

@@ -4,17 +4,16 @@ ways between them, and what the operator is asked before each."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim, ConfirmedPower, FeedWindow
-from planner.claims_milling import MillsAlong, MillsProgram, SafeWays, SparesPart
-from planner.issues import Issue
+from planner.claims_milling import MillsAlong, MillsProgram
 from planner.verify import gcode_moves
 from planner.verify.gcode_moves import Way
-from planner.verify.gcode_words import UnreadableError
+from planner.verify.mill_ways import down, up
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +23,6 @@ STILL = 1e-6
 """A stretch whose places are all so near to its first one [m] is no pass."""
 LEVER = 0.05
 """A point so far [m] behind the tip stands for the axis."""
-LEAST = 2e-3
-"""Least way [m] down to a pass and up from it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,28 +32,6 @@ class Pass:
     number: int
     way: Way
     question: str
-
-
-def worked_out(
-    claims: Mapping[str, tuple[Claim, ...]],
-) -> tuple[dict[str, tuple[Claim, ...]], tuple[Issue, ...]]:
-    """The claims with those on G-code files put as ways and feeds of segments, and what could not be read."""
-    out: dict[str, tuple[Claim, ...]] = {}
-    issues: list[Issue] = []
-    for name, group in claims.items():
-        programs = [claim for claim in group if isinstance(claim, MillsProgram)]
-        known: dict[str, tuple[Pass, ...]] = {}
-        for program in programs:
-            try:
-                known[program.name] = passes(program)
-            except UnreadableError as error:
-                known[program.name] = ()
-                where = f"{program.file.path}, line {error.line}" if error.line else f"{program.file.path}"
-                what = f"{where}: the proof's own reader of G-code cannot read it: {error}; correct the file"
-                line = error.line or None
-                issues.append(Issue("verify.mill_path", what, file=str(program.file.path), line=line))
-        out[name] = tuple(_changed(group, programs, known)) if programs else group
-    return out, tuple(issues)
 
 
 def passes(program: MillsProgram) -> tuple[Pass, ...]:
@@ -95,29 +70,8 @@ def _part(way: Way, rows: slice) -> Way:
     )
 
 
-def _changed(
-    group: tuple[Claim, ...], programs: list[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
-) -> Iterator[Claim]:
-    """The claims of an operation, those on files worked out."""
-    for claim in group:
-        if isinstance(claim, MillsProgram):
-            for own in known[claim.name]:
-                yield from _claims(claim, own)
-        elif isinstance(claim, SparesPart):
-            names = [
-                own
-                for name in claim.segments
-                for own in ([f"{name}_{one.number}" for one in known[name]] if name in known else [name])
-            ]
-            yield dataclasses.replace(claim, segments=tuple(names))
-        elif isinstance(claim, ConfirmedPower):
-            yield dataclasses.replace(claim, asked=_asked(claim, programs, known))
-        else:
-            yield claim
-
-
-def _asked(
-    claim: ConfirmedPower, programs: list[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
+def asked(
+    claim: ConfirmedPower, programs: Sequence[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
 ) -> tuple[tuple[str, ...], ...]:
     """The questions before each time that the spindle goes on: that before the very first pass comes with
     what is asked in any case."""
@@ -129,7 +83,7 @@ def _asked(
     return (first, *others, *((q,) for q in questions[1 if begins else 0 :] if q))
 
 
-def _claims(program: MillsProgram, own: Pass) -> Iterator[Claim]:
+def segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
     """The ways and feeds of one pass and of its ways in and out."""
     way, safe = own.way, program.safe
     name = f"{program.name}_{own.number}"
@@ -142,27 +96,3 @@ def _claims(program: MillsProgram, own: Pass) -> Iterator[Claim]:
     yield MillsAlong(name, program.arm, way.tip, way.axis, feed, *bounds, file, way.line)
     yield down(safe, name, program.arm, way.tip[0], way.axis[0], *bounds)
     yield up(safe, name, program.arm, way.tip[-1], way.axis[-1], *bounds)
-
-
-def down(
-    safe: SafeWays, name: str, arm: str, tip: FloatArray, axis: FloatArray, tolerance: float, turn: float
-) -> MillsAlong:
-    """The way from the safe plane to where a pass begins, with ``tip`` and ``axis`` (3,)."""
-    tips, feed = np.stack([above(safe, tip, axis), tip]), np.full(2, safe.plunge)
-    return MillsAlong(f"{name}_in", arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
-
-
-def up(
-    safe: SafeWays, name: str, arm: str, tip: FloatArray, axis: FloatArray, tolerance: float, turn: float
-) -> MillsAlong:
-    """The way back to the safe plane from where a pass ends."""
-    tips, feed = np.stack([tip, above(safe, tip, axis)]), np.full(2, safe.rapid)
-    return MillsAlong(f"{name}_out", arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
-
-
-def above(safe: SafeWays, tip: FloatArray, axis: FloatArray) -> FloatArray:
-    """The place (3,) at which a tool with its tip at ``tip`` (3,) is on the safe plane when it is drawn back
-    along its axis; a little way back where that is beyond the plane already."""
-    rise = safe.up * float(axis[safe.across])
-    gap = safe.up * (safe.level - float(tip[safe.across]))
-    return np.asarray(tip + max(gap / max(rise, 1e-6), LEAST) * axis)

@@ -21,7 +21,7 @@ from planner.problem import Problem
 from planner.verify import (
     formed_part,
     handshake_apart,
-    mill_program,
+    mill_worked,
     report_series,
     rules_cell,
     rules_data,
@@ -192,7 +192,7 @@ class Prover:
         """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
-            self._worked_out = mill_program.worked_out(self.claims)
+            self._worked_out = mill_worked.worked_out(self.claims)
         context = Context(self.problem, self._worked_out[0], programs, self._worked_out[1])
         run = _Run(context)
         for _ in self._steps(context, run):

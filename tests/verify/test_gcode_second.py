@@ -28,7 +28,6 @@ from planner.milling import (
     gcode_settle,
     mill_check,
     milling,
-    once,
 )
 from planner.milling.gcode_file import GCodeFile
 from planner.milling.gcode_rotary import Convention
@@ -37,7 +36,7 @@ from planner.milling.values import ToolPath
 from planner.motion import solve
 from planner.post import write
 from planner.verify import gcode_moves as second
-from planner.verify import mill_program
+from planner.verify import mill_program, mill_worked
 from planner.verify.gcode_words import UnreadableError, words
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
@@ -191,7 +190,7 @@ class Job:
 
     def prove(self) -> Proof:
         own = self.problem()
-        targets = [processes.make_targets(own, 0)]
+        targets = [processes.job(own, 0).targets()]
         programs = dict(write.programs(solve.solve(own, targets), own))
         return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
 
@@ -199,7 +198,7 @@ class Job:
 def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     job = Job(tmp_path)
     own = job.problem()
-    (group,) = mill_program.worked_out(processes.claims(own))[0].values()
+    (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
     (power,) = [claim for claim in group if isinstance(claim, ConfirmedPower)]
     ready = "Block and cutter clamped, nobody in the cell?"
     assert power.asked == (
@@ -255,10 +254,8 @@ def test_a_fault_in_the_planners_reader_is_not_proven(
     """With the planner's own checks switched off."""
     monkeypatch.setattr(milling, "check", lambda made: [])
     monkeypatch.setattr(mill_check, "check", lambda job: [])
-    monkeypatch.setattr(once, "_known", [])
     monkeypatch.setattr(*FAULTS[name])
     issues = Job(tmp_path).prove().issues
-    monkeypatch.setattr(once, "_known", [])
     assert issues
     if name == "shifted by 3 mm":
         told = next(issue for issue in issues if issue.code == "verify.mill_path")
