@@ -21,7 +21,14 @@ from planner.claims_forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims_milling import Engraves, MillsAlong, MillsProgram, MillsSurface, SparesPart
+from planner.claims_milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,6 +266,7 @@ Claim = (
     | MillsSurface
     | MillsAlong
     | MillsProgram
+    | MillsFlank
     | Engraves
     | SparesPart
 )

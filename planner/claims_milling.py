@@ -165,3 +165,39 @@ class Engraves:
     safe: SafeWays
     tolerance: float
     turn: float
+
+
+@dataclasses.dataclass(frozen=True)
+class MillsFlank:
+    """In each of ``segments`` the side of the cutter on ``arm``, or its axis, passes all of a ruled surface
+    in its own ``direction`` (``along``, ``against``, ``climb``, ``conventional``), once; nothing else of the
+    block is milled.
+
+    Ruling i runs from ``low[i]``, at the tip, to ``high[i]`` (M, 3) [m]; ``out`` times the tangent crossed
+    with the ruling looks to the side of the cutter; a ``closed`` surface goes on from the last ruling to the
+    first. The axis is ``stand`` [m] off both guides, 0 where the guides are the axis's own, and leads or
+    trails on one of them by no more than that; the tip is ``beyond`` [m] beyond the low guide. All but the
+    last segment rough: ``leave`` [m] farther off, each deeper by the same step, ``stepdown`` [m] at most.
+
+    Ways in and out go on as the surface ends, straight or turning less and less, for ``lead`` [m], or until
+    the cutter is off the block (None), and from there as ``safe`` says. In the block the tip is no faster
+    than ``feed`` [m/s]. ``tolerance`` [m] and ``turn`` [rad] hold for all of it.
+    """
+
+    segments: tuple[str, ...]
+    arm: str
+    cutter: Cutter
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    out: float
+    closed: bool
+    direction: str
+    stand: float
+    beyond: float
+    leave: float
+    stepdown: float | None
+    lead: float | None
+    feed: float
+    safe: SafeWays
+    tolerance: float
+    turn: float

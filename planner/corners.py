@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
-from planner.claims_milling import Engraves, MillsAlong, MillsProgram, MillsSurface, SparesPart
+from planner.claims_milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 from planner.geometry.vectors import dots, lengths
 from planner.problem import Tool
 from planner.targets import Targets, works
@@ -21,7 +28,7 @@ from planner.targets import Targets, works
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-FOLLOWED: Final = (MillsAlong, MillsProgram, Engraves)
+FOLLOWED: Final = (MillsAlong, MillsProgram, Engraves, MillsFlank)
 """Claims on the way of a cutter."""
 DEVIATION: Final = 0.02
 """How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""

@@ -12,6 +12,7 @@ from planner.claims_milling import (
     DrawnCurve,
     Engraves,
     MillsAlong,
+    MillsFlank,
     MillsProgram,
     MillsSurface,
     ProgramFile,
@@ -19,12 +20,14 @@ from planner.claims_milling import (
     SparesPart,
 )
 from planner.milling import spoken
+from planner.milling.flank_cut import surface
 from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.job import Done, Job
 from planner.milling.operation import EngraveCut, FlankCut, Milling
 from planner.milling.route import SIDES, ends
 from planner.milling.values import Run
 from planner.part_ruled_file import GuideFile
+from planner.problem import Part, Ruled
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -36,7 +39,7 @@ BESIDE: Final = 0.5 * MM
 """How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
-def claims(job: Job) -> tuple[Claim, ...]:
+def claims(job: Job, part: Part | None) -> tuple[Claim, ...]:
     """Claims on the spindle, on the feed and the shape of each cut, and on the part
     that all of them spare."""
     op = job.operation
@@ -51,7 +54,7 @@ def claims(job: Job) -> tuple[Claim, ...]:
             segments = tuple(f"mill/{one.cut.name}_c{k + 1}" for k in range(len(one.cut.engrave)))
         else:
             out += _feeds(job, one)
-            out += _shape(job, one)
+            out += _shape(job, one, part)
             segments = tuple(f"mill/{run.name}" for run in one.runs)
         for face in job.faces:
             deep = one.depth if face.name == "front" else 0.0
@@ -145,7 +148,7 @@ def _feeds(job: Job, one: Done) -> list[Claim]:
     return out
 
 
-def _shape(job: Job, one: Done) -> list[Claim]:
+def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
     """The surface that a cut makes; where it follows curves, those."""
     op = job.operation
     out: list[Claim] = []
@@ -157,10 +160,37 @@ def _shape(job: Job, one: Done) -> list[Claim]:
         out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
+    if isinstance(one.cut, FlankCut):
+        return [*out, _flank(job, one, one.cut, surface(part, one.cut.flank), near)]
     for run in one.runs:
         for way, (tip, axis, feed) in _ways(job, run).items():
             out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, feed, near, TURN))
     return out
+
+
+def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
+    """A ruled surface that the cutter's side passes, or two guides that its axis does."""
+    op, cutter = job.operation, job.cutter
+    from_start, by_surface = cut.tip == "start", cut.guides == "surface"
+    return MillsFlank(
+        segments=tuple(f"mill/{run.name}" for run in one.runs),
+        arm=op.arms[0],
+        cutter=cutter,
+        low=ruled.start if from_start else ruled.end,
+        high=ruled.end if from_start else ruled.start,
+        out=1.0 if from_start else -1.0,
+        closed=ruled.closed,
+        direction=cut.direction,
+        stand=cutter.radius if by_surface else 0.0,
+        beyond=cut.overrun_mm * MM + (cutter.corner if by_surface else 0.0),
+        leave=cut.leave_mm * MM,
+        stepdown=cut.stepdown_mm * MM if cut.stepdown_mm is not None and by_surface else None,
+        lead=None if cut.lead_mm is None else cut.lead_mm * MM,
+        feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
+        safe=_safe(op, job.box),
+        tolerance=near,
+        turn=TURN,
+    )
 
 
 def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:

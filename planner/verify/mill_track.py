@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsFlank, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
+from planner.problem import Stock
 from planner.tool_heads import Cutter
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
@@ -68,17 +69,29 @@ class Track:
         return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
 
 
+def in_block(track: Track, length: float, radius: float, stock: Stock) -> NDArray[np.bool_]:
+    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
+    out = np.zeros(len(track.rows), dtype=bool)
+    for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
+        at = track.tip + back * track.axis
+        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
+        # the first ball is the tip's end, a disk: less than its radius counts there
+        near = 1e-6 if back == 0.0 else radius
+        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
+    return out
+
+
 class Milling:
     """The milling of one proof: its claims by setup, and tracks worked out when asked."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self.by_setup: tuple[tuple[int, MillsSurface | MillsAlong | SparesPart], ...] = tuple(
+        self.by_setup: tuple[tuple[int, MillsSurface | MillsAlong | MillsFlank | SparesPart], ...] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
             for group in setup.groups
             for claim in group
-            if isinstance(claim, MillsSurface | MillsAlong | SparesPart)
+            if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | SparesPart)
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
@@ -94,6 +107,11 @@ class Milling:
     def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
         """Curves that tips follow."""
         return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong))
+
+    @property
+    def flanks(self) -> tuple[tuple[int, MillsFlank], ...]:
+        """Ruled surfaces that cutters pass with their sides."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsFlank))
 
     @property
     def spared(self) -> tuple[tuple[int, SparesPart], ...]:

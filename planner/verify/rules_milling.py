@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.issues import Issue
+from planner.verify import rules_mill_flank
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
@@ -137,7 +138,9 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
     """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
     passed in order, ways in and out too."""
     issues: list[Issue] = list(context.unread)
-    worst, limit, where = 0.0, None, ""
+    own, worst, where = rules_mill_flank.flanks(context, milling)
+    issues += own
+    limit = 1.0 if where else None
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.lower(),))
         known = milling.followed(index, claim)

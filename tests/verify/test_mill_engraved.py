@@ -148,7 +148,9 @@ FAULTS: dict[str, tuple[str, Any]] = {
     "curve left out": ("runs", lambda *given, real=engrave_cut.runs: real(*given)[:-1]),
     "first curve twice": (
         "_curve",
-        lambda spec, field, real=_CURVE: real(FIRST[0], field) if FIRST else FIRST.append(spec) or real(spec, field),
+        lambda spec, field, real=_CURVE: (
+            real(FIRST[0], field) if FIRST else FIRST.append(spec) or real(spec, field)
+        ),
     ),
 }
 FIRST: list[Any] = []
