@@ -201,3 +201,26 @@ class MillsFlank:
     safe: SafeWays
     tolerance: float
     turn: float
+
+
+@dataclasses.dataclass(frozen=True)
+class MillsOver:
+    """In ``segments`` the end of the ``cutter`` on ``arm`` touches the face ``vertices``, ``faces``, which
+    looks up, within ``tolerance`` [m] at every instant, ``margin`` [m] inside its edge; from there and past
+    it the cutter goes no farther than its radius. Nothing else of the block is milled.
+
+    Its axis is no farther than ``lean`` [rad] off the face's normal, or ``upright``, within ``turn`` [rad].
+    It comes and goes as ``safe`` says.
+    """
+
+    segments: tuple[str, ...]
+    arm: str
+    cutter: Cutter
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    margin: float
+    upright: bool
+    lean: float
+    safe: SafeWays
+    tolerance: float
+    turn: float
