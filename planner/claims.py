@@ -25,6 +25,7 @@ from planner.claims_milling import (
     Engraves,
     MillsAlong,
     MillsFlank,
+    MillsOver,
     MillsProgram,
     MillsSurface,
     SparesPart,
@@ -267,6 +268,7 @@ Claim = (
     | MillsAlong
     | MillsProgram
     | MillsFlank
+    | MillsOver
     | Engraves
     | SparesPart
 )

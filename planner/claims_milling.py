@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 Numbers = tuple[float, float, float]
 

@@ -25,8 +25,10 @@ from planner.cell.distance import Solid
 from planner.cell.filters import FilteredPair, filter_pairs
 from planner.cell.robots import forward
 from planner.cell.solids import drake_shape
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Cell, Shape, Stock
+from planner.problem import Cell, Stock
+from planner.tooling import working_solid
 
 FloatArray = NDArray[np.float64]
 
@@ -148,7 +150,7 @@ class CellModel:
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
             out.update(body_poses(arm.name, self.robots[arm.name], self.bases[arm.name], rows))
-            if arm.tool.edge is not None:
+            if working_solid(arm.tool) is not None:
                 out[f"{arm.name}/edge"] = out[f"{arm.name}/tool"]
         if self.stock.held_by is not None:
             held = self.cell.arm(self.stock.held_by).tool.tcp @ self.stock.grip

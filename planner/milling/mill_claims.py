@@ -11,8 +11,8 @@ from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
 from planner.claims_milling import (
     DrawnCurve,
     Engraves,
-    MillsAlong,
     MillsFlank,
+    MillsOver,
     MillsProgram,
     MillsSurface,
     ProgramFile,
@@ -23,11 +23,10 @@ from planner.milling import spoken
 from planner.milling.flank_cut import surface
 from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.job import Done, Job
-from planner.milling.operation import EngraveCut, FlankCut, Milling
-from planner.milling.route import SIDES, ends
-from planner.milling.values import Run
+from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
+from planner.milling.route import SIDES
 from planner.part_ruled_file import GuideFile
-from planner.problem import Part, Ruled
+from planner.problem import Mesh, Part, Ruled
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -160,12 +159,28 @@ def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
         out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
+    if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
+        return [*out, _over(job, one, one.cut, part.front, near)]
     if isinstance(one.cut, FlankCut):
         return [*out, _flank(job, one, one.cut, surface(part, one.cut.flank), near)]
-    for run in one.runs:
-        for way, (tip, axis, feed) in _ways(job, run).items():
-            out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, feed, near, TURN))
     return out
+
+
+def _over(job: Job, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
+    """The front, which the cutter's end passes over."""
+    return MillsOver(
+        segments=tuple(f"mill/{run.name}" for run in one.runs),
+        arm=job.operation.arms[0],
+        cutter=job.cutter,
+        vertices=front.vertices,
+        faces=front.faces,
+        margin=cut.margin_mm * MM,
+        upright=cut.axis == "upright",
+        lean=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
+        safe=_safe(job.operation, job.box),
+        tolerance=near,
+        turn=TURN,
+    )
 
 
 def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
@@ -191,25 +206,3 @@ def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> Mil
         tolerance=near,
         turn=TURN,
     )
-
-
-def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Tips and axes (N, 3) of a pass with the feeds (N,) [m/s] on the way to each, and of the ways from the
-    safe plane and back to it, by what they add to its name: nothing else of the block is to be milled than
-    what lies along these."""
-    path, main = run.path, run.path[run.first : run.last + 1]
-    start, end = ends(job.operation, run, job.box)
-    plunge, rapid = job.operation.plunge_mm_s * MM, job.operation.rapid_mm_s * MM
-    return {
-        "_in": (
-            np.concatenate([start[None], path.tip[: run.first + 1]]),
-            np.concatenate([path.axis[:1], path.axis[: run.first + 1]]),
-            np.concatenate([[plunge, plunge], path.feed[1 : run.first + 1]]),
-        ),
-        "": (main.tip, main.axis, np.concatenate([main.feed[1:2], main.feed[1:]])),
-        "_out": (
-            np.concatenate([path.tip[run.last :], end[None]]),
-            np.concatenate([path.axis[run.last :], path.axis[-1:]]),
-            np.concatenate([[rapid], path.feed[run.last + 1 :], [rapid]]),
-        ),
-    }

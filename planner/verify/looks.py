@@ -14,8 +14,10 @@ from planner.catalogue import robot
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Setup, Shape
+from planner.problem import Setup
+from planner.tooling import working_solid
 from planner.verify.context import Context
 
 FloatArray = NDArray[np.float64]
@@ -154,7 +156,8 @@ def _hand(setup: Setup, arm: str) -> float:
     """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
     tool, stock = setup.cell.arm(arm).tool, setup.stock
     far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
-    shapes = (*tool.shapes, tool.edge) if tool.edge is not None else tool.shapes
+    solid = working_solid(tool)
+    shapes = tool.shapes if solid is None else (*tool.shapes, solid)
     far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
     if stock.held_by == arm:
         corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))

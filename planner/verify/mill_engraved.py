@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline
 
 from planner.claims import Claim, FeedWindow
 from planner.claims_milling import DrawnCurve, Engraves, MillsAlong
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify.mill_laid import Laid, Places
 from planner.verify.mill_ways import down, up
 

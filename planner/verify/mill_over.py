@@ -64,7 +64,11 @@ class OverFace:
             gap = np.abs(((contact - place.point) * own).sum(axis=1))
             gap = np.where(np.isfinite(gap), gap, np.inf)
             better = gap < found[1]
-            found = [np.where(better, beyond, found[0]), np.where(better, gap, found[1]), np.where(better[:, None], own, found[2])]
+            found = [
+                np.where(better, beyond, found[0]),
+                np.where(better, gap, found[1]),
+                np.where(better[:, None], own, found[2]),
+            ]
             if self._claim.cutter.radius == self._claim.cutter.corner:
                 break
         return found[0], found[1], found[2]

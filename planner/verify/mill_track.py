@@ -10,13 +10,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims_milling import MillsAlong, MillsFlank, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
 from planner.problem import Stock
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter, Mill
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
+from planner.verify.mill_ways import down, up
 from planner.verify.speed import during
 
 FloatArray = NDArray[np.float64]
@@ -86,12 +87,14 @@ class Milling:
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self.by_setup: tuple[tuple[int, MillsSurface | MillsAlong | MillsFlank | SparesPart], ...] = tuple(
+        self.by_setup: tuple[
+            tuple[int, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart], ...
+        ] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
             for group in setup.groups
             for claim in group
-            if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | SparesPart)
+            if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart)
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
@@ -105,8 +108,26 @@ class Milling:
 
     @property
     def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
-        """Curves that tips follow."""
-        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong))
+        """Curves that tips follow; among them the ways to passes over faces and from them, straight along the
+        axis from the safe plane to wherever these begin and end."""
+        own = [(i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
+        return (*own, *self._over_ways)
+
+    @cached_property
+    def _over_ways(self) -> tuple[tuple[int, MillsAlong], ...]:
+        out: list[tuple[int, MillsAlong]] = []
+        for index, claim in self.over:
+            for segment in claim.segments:
+                track = self.track(index, claim.arm, (segment.lower(),))
+                for way, row in ((down, 0), (up, -1)) if len(track.rows) else ():
+                    ends, bounds = (track.tip[row], track.axis[row]), (claim.tolerance, claim.turn)
+                    out.append((index, way(claim.safe, segment, claim.arm, *ends, *bounds)))
+        return tuple(out)
+
+    @property
+    def over(self) -> tuple[tuple[int, MillsOver], ...]:
+        """Faces that the ends of cutters pass over."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsOver))
 
     @property
     def flanks(self) -> tuple[tuple[int, MillsFlank], ...]:
@@ -128,7 +149,8 @@ class Milling:
 
     def mounted(self, index: int, arm: str) -> Cutter | None:
         """The cutter of the tool on ``arm`` in setup ``index``."""
-        return self.context.setups[index].cell.arm(arm).tool.cutter
+        tool = self.context.setups[index].cell.arm(arm).tool
+        return tool.cutter if isinstance(tool, Mill) else None
 
     def places(self, claim: SparesPart, radius: float) -> FloatArray:
         """Places (P, 3) of a face so near to one another that a solid of ``radius`` [m] between them is in it

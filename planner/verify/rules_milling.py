@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.issues import Issue
-from planner.verify import rules_mill_flank
+from planner.verify import rules_mill_flank, rules_mill_over
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
@@ -140,6 +140,9 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
     issues: list[Issue] = list(context.unread)
     own, worst, where = rules_mill_flank.flanks(context, milling)
     issues += own
+    own, share, name = rules_mill_over.over(context, milling)
+    issues += own
+    worst, where = (share, name) if share > worst else (worst, where)
     limit = 1.0 if where else None
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.lower(),))

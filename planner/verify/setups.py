@@ -18,7 +18,7 @@ from planner.claims import (
     WireJoins,
 )
 from planner.claims_forming import SheetState
-from planner.claims_milling import MillsAlong, MillsFlank, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.problem import Problem, Setup
 from planner.verify.job import JobText, TaskText
 from planner.verify.steps import MessageStep, MoveStep
@@ -151,7 +151,7 @@ class SetupClaims:
                 continue
             names: set[str] = set()
             for claim in group:
-                if isinstance(claim, MillsSurface | MillsFlank | SparesPart) and claim.arm == arm:
+                if isinstance(claim, MillsSurface | MillsFlank | MillsOver | SparesPart) and claim.arm == arm:
                     names |= {name.lower() for name in claim.segments}
                 elif isinstance(claim, MillsAlong) and claim.arm == arm:
                     names.add(claim.segment.lower())

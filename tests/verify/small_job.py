@@ -28,7 +28,7 @@ from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.targets import Action, Targets
-from planner.tools import wire_holder
+from planner.tooling import wire_holder
 from planner.verify import arm_ik
 
 LENGTH = 0.5

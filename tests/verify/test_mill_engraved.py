@@ -19,7 +19,7 @@ from planner.milling import engrave_cut, milling
 from planner.milling.milling import MillingJob
 from planner.motion import solve
 from planner.post import write
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify import mill_engraved, mill_worked
 from planner.verify.mill_follow import follow
 from planner.verify.mill_laid import Laid

@@ -14,8 +14,10 @@ from planner.catalogue import robot
 from planner.cell.plant import build
 from planner.claims import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.rigid import from_rpy
+from planner.geometry.shapes import Shape
 from planner.issues import Issue
-from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Shape, Stock, Tool
+from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
+from planner.tooling import PlainTool
 from planner.verify import rules_cell
 from planner.verify.context import Context
 from planner.verify.poses import Poses
@@ -196,7 +198,7 @@ def test_both_limits_of_a_parallel_rod_arm(axis2, axis3, broken):
         axis3 = float(np.rad2deg(machine.coupling.axis3_upper)) + 2.0
         serial = np.deg2rad(axis3 - axis2)
         assert machine.lower[2] < serial < machine.upper[2]
-    tool = Tool("tip", from_rpy([0.0, 0.0, 0.1], [0.0, 0.0, 0.0]), 1.0, np.array([0.0, 0.0, 0.05]), ())
+    tool = PlainTool("tip", from_rpy([0.0, 0.0, 0.1], [0.0, 0.0, 0.0]), 1.0, np.array([0.0, 0.0, 0.05]), ())
     arm = Arm("left", "irb4400_60", np.eye(4), tool, np.zeros(6))
     job = Problem(
         "rod",
