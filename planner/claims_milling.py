@@ -19,7 +19,7 @@ class MillsSurface:
     makes the surface ``vertices``, ``faces`` (normals away from the part).
 
     The swept cutter leaves, or takes too much, ``tolerance`` [m] at most on the share ``share`` of the
-    surface, and nowhere takes more.
+    surface, and nowhere takes more. What is less than ``margin`` [m] inside its edge in plan is not wanted.
     """
 
     segments: tuple[str, ...]
@@ -29,6 +29,7 @@ class MillsSurface:
     faces: NDArray[np.int64]
     tolerance: float
     share: float
+    margin: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,8 +210,8 @@ class MillsOver:
     looks up, within ``tolerance`` [m] at every instant, ``margin`` [m] inside its edge; from there and past
     it the cutter goes no farther than its radius. Nothing else of the block is milled.
 
-    Its axis is no farther than ``lean`` [rad] off the face's normal, or ``upright``, within ``turn`` [rad].
-    It comes and goes as ``safe`` says.
+    Its axis is no farther than ``lean`` [rad] off the face's normal, or ``upright``, within ``turn`` [rad];
+    where it turns over from line to line its edge may swing up by so much. It comes and goes as ``safe`` says.
     """
 
     segments: tuple[str, ...]

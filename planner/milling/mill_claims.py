@@ -155,8 +155,11 @@ def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
         # roughing passes leave the surface to the last one
         finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
         segments = tuple(f"mill/{run.name}" for run in finish)
-        mesh = (one.face.mesh.vertices, one.face.mesh.faces)
-        out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
+        mesh, margin = one.face.mesh, 0.0
+        if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
+            mesh, margin = part.front, one.cut.margin_mm * MM
+        bounds = one.tolerance, op.share, margin
+        out.append(MillsSurface(segments, op.arms[0], job.cutter, mesh.vertices, mesh.faces, *bounds))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
     if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:

@@ -1,4 +1,5 @@
-"""Rules on cutters that pass over faces with their ends: the issues that make part of ``verify.mill_path``."""
+"""Rules on cutters that pass over faces with their ends: the issues that make part of
+``verify.mill_path``."""
 
 from __future__ import annotations
 

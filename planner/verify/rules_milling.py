@@ -4,6 +4,7 @@ follows, the spindle, the feed."""
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
@@ -14,6 +15,7 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
 from planner.verify.mill_follow import Followed
+from planner.verify.mill_over import within
 from planner.verify.mill_rims import edges, rim_places, rim_step
 from planner.verify.mill_track import WAYS, Milling
 from planner.verify.result import CutFace
@@ -68,6 +70,9 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     pieces, _ = small_pieces(corners, size, 2 * _PLACES)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
+    if claim.margin:
+        kept = shapely.contains_xy(within(corners, claim.margin + 0.5 * size), points[:, 0], points[:, 1])
+        points, area = points[kept], area[kept]
     labels = tuple(name.lower() for name in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
