@@ -222,7 +222,11 @@ def _new(
     flanges: dict[str, tuple[Any, Any]] = {}
     for arm in cell.arms:
         parser = Parser(plant=plant, scene_graph=builder.scene_graph(), model_name_prefix=arm.name)
-        (instance,) = parser.AddModels(str(catalogue.urdf_path(arm.robot)))
+        path = catalogue.urdf_path(arm.robot)
+        try:
+            (instance,) = parser.AddModels(str(path))
+        except RuntimeError as error:
+            raise catalogue.damaged(path, str(error)) from None
         instances.append(instance)
         mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import robot
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
@@ -18,6 +17,7 @@ from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
 from planner.problem import Setup
 from planner.tooling import working_solid
+from planner.verify import machines
 from planner.verify.context import Context
 
 FloatArray = NDArray[np.float64]
@@ -143,7 +143,7 @@ def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slic
 def lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
     setup = context.setups[index]
-    p = robot(setup.cell.arm(arm).robot).opw
+    p = machines.of(setup.cell.arm(arm).robot).shape
     tool = _hand(setup, arm)
     hand = abs(p.c4) + tool
     forearm = float(np.hypot(p.a2, p.c3))
