@@ -211,7 +211,8 @@ class MillsOver:
     it the cutter goes no farther than its radius. Nothing else of the block is milled.
 
     Its axis is no farther than ``lean`` [rad] off the face's normal, or ``upright``, within ``turn`` [rad];
-    where it turns over from line to line its edge may swing up by so much. It comes and goes as ``safe`` says.
+    where it turns over from line to line its edge may swing up by so much. It comes and goes as
+    ``safe`` says.
     """
 
     segments: tuple[str, ...]

@@ -140,8 +140,8 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:
-    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
-    passed in order, ways in and out too."""
+    """Tip and axis stay within the tolerances on the way that the G-code file, the curves, the ruled surface
+    or the face asks for, all of which is passed, ways in and out too, and mill nothing beside it."""
     issues: list[Issue] = list(context.unread)
     own, worst, where = rules_mill_flank.flanks(context, milling)
     issues += own
