@@ -40,6 +40,7 @@ class MillsAlong:
     first one counts for nothing.
 
     Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
+    ``back``: the same the other way, where nobody says which of the two it is.
     """
 
     segment: str
@@ -51,6 +52,7 @@ class MillsAlong:
     turn: float
     file: str = ""
     line: NDArray[np.int64] | None = None
+    back: MillsAlong | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,10 +136,15 @@ class MillsProgram:
 @dataclasses.dataclass(frozen=True)
 class DrawnCurve:
     """A curve as the problem draws it: ``kind`` is ``polyline``, ``bezier``, ``bspline`` (clamped, uniform,
-    cubic), by points or control points [mm]."""
+    cubic), by points or control points [mm]; or ``dxf``, the one of a ``file``, in its ``unit``, of a
+    ``layer`` or all, at the height ``z_mm`` where that is given."""
 
     kind: str
-    points_mm: tuple[Numbers, ...]
+    points_mm: tuple[Numbers, ...] = ()
+    file: Path | None = None
+    unit: str = ""
+    layer: str | None = None
+    z_mm: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -124,7 +124,9 @@ def _drawn(own: GuideFile) -> DrawnCurve:
         points = getattr(own, f"{kind}_mm")
         if points is not None:
             return DrawnCurve(kind, tuple(points))
-    raise ValueError("curves of DXF files")
+    if own.dxf is None:
+        raise ValueError("a curve needs points or a file")
+    return DrawnCurve("dxf", (), own.dxf.file, own.dxf.unit, own.dxf.layer, own.dxf.z_mm)
 
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:

@@ -3,7 +3,9 @@ each curve projected along z onto the face, as deep as wanted, with the axis as 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from scipy.interpolate import BSpline
 from planner.claims import Claim, FeedWindow
 from planner.claims_milling import DrawnCurve, Engraves, MillsAlong
 from planner.tooling import Cutter
+from planner.verify.files import drawings
+from planner.verify.files.faults import UnreadError
 from planner.verify.mill_laid import Laid, Places
 from planner.verify.mill_ways import down, up
 
@@ -23,6 +27,9 @@ ALONG = 0.25e-3
 between the two beside a place."""
 FINE = 4000
 """Places on a spline."""
+CORNERED = ("polyline", "dxf")
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+"""Units of drawings [m]."""
 UPRIGHT = 1e-3
 """A flat end that leans off the normal by less than this [rad] touches with its middle."""
 SAME = 1e-9
@@ -36,33 +43,61 @@ def segments(claim: Engraves) -> Iterator[Claim]:
     """The ways and feeds of all curves. Raises ``NotThereError``."""
     face = Laid(claim.vertices, claim.faces)
     for number, drawn in enumerate(claim.curves, 1):
-        tip, axis = tool_along(claim, face, number - 1, points(drawn))
         name, safe = f"{claim.name}_c{number}", claim.safe
         yield FeedWindow(f"{name}_in", 0.0, max(claim.feed, safe.plunge))
         yield FeedWindow(name, 0.0, claim.feed)
         yield FeedWindow(f"{name}_out", 0.0, max(claim.feed, safe.rapid))
-        bounds = claim.tolerance, claim.turn
-        yield MillsAlong(name, claim.arm, tip, axis, np.full(len(tip), claim.feed), *bounds)
-        yield down(safe, name, claim.arm, tip[0], axis[0], *bounds)
-        yield up(safe, name, claim.arm, tip[-1], axis[-1], *bounds)
+        curve, either = points(drawn)
+        ways = _ways(claim, face, number - 1, curve)
+        backs = _ways(claim, face, number - 1, curve[::-1]) if either else (None,) * len(ways)
+        yield from (dataclasses.replace(way, back=back) for way, back in zip(ways, backs, strict=True))
 
 
-def points(drawn: DrawnCurve) -> FloatArray:
-    """Points (N, 3) [m] of a curve: of a polyline its own, of a spline many."""
+def _ways(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[MillsAlong, ...]:
+    """The way along a curve (K, 3) [m], down to it and up from it."""
+    tip, axis = tool_along(claim, face, number, curve)
+    segment = f"{claim.name}_c{number + 1}", claim.arm
+    bounds = claim.tolerance, claim.turn
+    return (
+        MillsAlong(*segment, tip, axis, np.full(len(tip), claim.feed), *bounds),
+        down(claim.safe, *segment, tip[0], axis[0], *bounds),
+        up(claim.safe, *segment, tip[-1], axis[-1], *bounds),
+    )
+
+
+def points(drawn: DrawnCurve) -> tuple[FloatArray, bool]:
+    """Points (N, 3) [m] of a curve, of a polyline its own, of a spline many; and whether it may as well be
+    run the other way, as a drawing does not say it of what is drawn in pieces. Raises ``NotThereError``."""
+    if drawn.file is not None:
+        return _of_file(drawn, drawn.file)
     given = np.array(drawn.points_mm, dtype=np.float64) * MILLIMETRE
     if drawn.kind == "polyline":
         apart = np.linalg.norm(np.diff(given, axis=0), axis=1) > SAME
-        return np.asarray(given[np.append(True, apart)])
+        return given[np.append(True, apart)], False
     count = len(given)
     degree = count - 1 if drawn.kind == "bezier" else min(3, count - 1)
     inner = np.arange(1, count - degree) / (count - degree)
     knots = np.concatenate([np.zeros(degree + 1), inner, np.ones(degree + 1)])
-    return np.asarray(BSpline(knots, given, degree)(np.linspace(0.0, 1.0, FINE + 1)))
+    return np.asarray(BSpline(knots, given, degree)(np.linspace(0.0, 1.0, FINE + 1))), False
+
+
+def _of_file(drawn: DrawnCurve, file: Path) -> tuple[FloatArray, bool]:
+    """The only curve of a drawing."""
+    try:
+        found = drawings.read_curves(file, LENGTHS[drawn.unit], drawn.layer)
+    except UnreadError as error:
+        raise NotThereError(f"{file}: {error}") from error
+    if len(found) != 1:
+        raise NotThereError(f"{file} holds {len(found)} curves, wanted is one")
+    out = found[0].points.copy()
+    if drawn.z_mm is not None:
+        out[:, 2] = drawn.z_mm * MILLIMETRE
+    return out, found[0].pieces > 1
 
 
 def tool_along(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Tips and axes (N, 3) along a curve (K, 3) [m]. Raises ``NotThereError``."""
-    corners = claim.curves[number].kind == "polyline"
+    corners = claim.curves[number].kind in CORNERED
     laid = face.at(evenly(curve, corners)[:, :2])
     if not np.isfinite(laid.point).all():
         at = evenly(curve, corners)[int(np.argmin(np.isfinite(laid.point[:, 2])))] / MILLIMETRE
@@ -98,7 +133,9 @@ def _axis(claim: Engraves, number: int, laid: Places) -> FloatArray:
         return np.tile([0.0, 0.0, 1.0], (count, 1))
     if claim.axis == "curves":
         drawn = claim.axis_curves[number]
-        other = evenly(points(drawn), drawn.kind == "polyline")
+        curve, either = points(drawn)
+        there = [np.linalg.norm(laid.point[[0, -1]] - row[[0, -1]]) for row in (curve, curve[::-1])]
+        other = evenly(curve[::-1] if either and there[1] < there[0] else curve, drawn.kind in CORNERED)
         shares = [_shares(row) for row in (laid.point, other)]
         at = np.stack([np.interp(shares[0], shares[1], other[:, k]) for k in range(3)], axis=1)
         return _unit(at - laid.point)

@@ -110,8 +110,17 @@ class Milling:
     def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
         """Curves that tips follow; among them the ways to passes over faces and from them, straight along the
         axis from the safe plane to wherever these begin and end."""
-        own = [(i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
+        own = [(i, self._said(i, claim)) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
         return (*own, *self._over_ways)
+
+    def _said(self, index: int, claim: MillsAlong) -> MillsAlong:
+        """The claim, or where either way will do, that for the way that its tool goes."""
+        track = self.track(index, claim.arm, (claim.segment.lower(),)) if claim.back else None
+        if claim.back is None or track is None or not len(track.rows):
+            return claim
+        seen = track.tip[[0, -1]]
+        apart = [np.linalg.norm(own.tip[[0, -1]] - seen, axis=1).sum() for own in (claim, claim.back)]
+        return claim if apart[0] <= apart[1] else claim.back
 
     @cached_property
     def _over_ways(self) -> tuple[tuple[int, MillsAlong], ...]:

@@ -106,7 +106,7 @@ def test_a_ball_on_a_ball_is_at_the_radius_less_the_depth() -> None:
     safe: Any = None
     bounds = (0.02, safe, 1e-4, 0.01)
     claim = Engraves("mill/a", "r", cutter, drawn, vertices, faces, 1e-3, "normal", (), 0.0, 0.0, *bounds)
-    tip, axis = mill_engraved.tool_along(claim, Laid(vertices, faces), 0, mill_engraved.points(drawn[0]))
+    tip, axis = mill_engraved.tool_along(claim, Laid(vertices, faces), 0, mill_engraved.points(drawn[0])[0])
     np.testing.assert_allclose(np.linalg.norm(tip, axis=1), 0.199, atol=1.2e-5)
     assert np.degrees(np.arccos(np.clip((axis * tip).sum(axis=1) / 0.199, -1, 1))).max() < 0.3
 
