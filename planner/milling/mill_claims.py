@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -126,7 +127,7 @@ def _drawn(own: GuideFile) -> DrawnCurve:
             return DrawnCurve(kind, tuple(points))
     if own.dxf is None:
         raise ValueError("a curve needs points or a file")
-    return DrawnCurve("dxf", (), own.dxf.file, own.dxf.unit, own.dxf.layer, own.dxf.z_mm)
+    return DrawnCurve("dxf", (), Path(own.dxf.file), own.dxf.unit, own.dxf.layer, own.dxf.z_mm)
 
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:

@@ -177,3 +177,34 @@ def test_a_fault_in_the_planner_is_not_proven(
     where, change = FAULTS[name]
     monkeypatch.setattr(engrave_cut, where, change)
     assert proof(tmp_path).issues
+
+
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_a_curve_of_a_drawing_is_laid_as_its_points_are(tmp_path: Path, pieces: int) -> None:
+    """An open polyline in inches; in two pieces, the second of which is drawn first and backwards, nobody
+    says which way it runs: either one will do."""
+    ezdxf = pytest.importorskip("ezdxf")
+    corners = [(x / 25.4, y / 25.4) for x, y, _ in ZIGZAG["polyline_mm"]]
+    drawing = ezdxf.new()
+    for part in [corners] if pieces == 1 else [corners[:1:-1], corners[:3]]:
+        drawing.modelspace().add_lwpolyline(part)
+    drawing.saveas(tmp_path / "own.dxf")
+    own = problem(
+        tmp_path,
+        PANEL,
+        BALL,
+        cuts=[{"engrave": [{"dxf": {"file": "own.dxf", "unit": "in"}}], "depth_mm": 0.4}],
+    )
+    (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
+    claim, *_ = [claim for claim in group if isinstance(claim, MillsAlong)]
+    assert (claim.back is None) == (pieces == 1)
+    straight = problem(tmp_path, PANEL, BALL, cuts=[{"engrave": [ZIGZAG], "depth_mm": 0.4}])
+    (other,) = mill_worked.worked_out(processes.claims(straight))[0].values()
+    wanted = next(claim for claim in other if isinstance(claim, MillsAlong))
+    found = [np.abs(one.tip - wanted.tip).max() for one in (claim, claim.back) if one is not None]
+    assert min(found) < 1e-9
+    if claim.back is not None:
+        np.testing.assert_allclose(claim.back.tip, claim.tip[::-1], atol=1e-9)
+    targets = [processes.job(own, 0).targets()]
+    programs = dict(write.programs(solve.solve(own, targets), own))
+    assert not Prover(own, processes.claims(own)).prove(programs, last="verify.spindle").issues
