@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.segments import Segment
 from planner.tooling import Cutter
 
 Numbers = tuple[float, float, float]
@@ -22,7 +23,7 @@ class MillsSurface:
     surface, and nowhere takes more. What is less than ``margin`` [m] inside its edge in plan is not wanted.
     """
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     vertices: NDArray[np.float64]
@@ -43,7 +44,7 @@ class MillsAlong:
     ``back``: the same the other way, where nobody says which of the two it is.
     """
 
-    segment: str
+    segment: Segment
     arm: str
     tip: NDArray[np.float64]
     axis: NDArray[np.float64]
@@ -62,7 +63,7 @@ class SparesPart:
     where it engraves, ``depth`` [m] deeper. A segment that is the name of a :class:`MillsProgram` stands for
     all passes of that."""
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     vertices: NDArray[np.float64]
@@ -117,8 +118,8 @@ class ProgramFile:
 
 @dataclasses.dataclass(frozen=True)
 class MillsProgram:
-    """In the segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the cuts of
-    the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
+    """In the milling segments ``name``_1, ``name``_2 ... the TCP of ``arm``, the tip of its cutter, makes the
+    cuts of the G-code ``file`` between its rapid moves, one after the other: all of them, in order, within
     ``tolerance`` [m] and ``turn`` [rad], at the file's own feeds. ``first``: nothing is milled before it.
 
     Between the cuts it goes the ways that ``safe`` says. The proof reads the file itself.
@@ -149,9 +150,9 @@ class DrawnCurve:
 
 @dataclasses.dataclass(frozen=True)
 class Engraves:
-    """In the segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each, all of
-    it and in its direction: projected along z onto the face ``vertices``, ``faces``, which looks up, and
-    ``depth`` [m] below it along its normal, within ``tolerance`` [m] and ``turn`` [rad], no faster than
+    """In the milling segments ``name``_c1, ``name``_c2 ... the ``cutter`` on ``arm`` engraves one curve each,
+    all of it and in its direction: projected along z onto the face ``vertices``, ``faces``, which looks up,
+    and ``depth`` [m] below it along its normal, within ``tolerance`` [m] and ``turn`` [rad], no faster than
     ``feed`` [m/s].
 
     ``axis``: ``normal``, leant forward by ``lead`` and to the left by ``tilt`` [rad]; ``upright``; or
@@ -192,7 +193,7 @@ class MillsFlank:
     than ``feed`` [m/s]. ``tolerance`` [m] and ``turn`` [rad] hold for all of it.
     """
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     low: NDArray[np.float64]
@@ -222,7 +223,7 @@ class MillsOver:
     ``safe`` says.
     """
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     vertices: NDArray[np.float64]

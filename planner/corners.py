@@ -24,7 +24,8 @@ from planner.claims_milling import (
 )
 from planner.geometry.shapes import axis_ends
 from planner.geometry.vectors import dots, lengths
-from planner.targets import Targets, works
+from planner.segments import Segment
+from planner.targets import Targets
 from planner.tooling import Tool, working_solid
 
 FloatArray = NDArray[np.float64]
@@ -83,30 +84,30 @@ def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
     along = [c for c in targets.claims if isinstance(c, FOLLOWED) and c.arm == arm]
     if not along:
         return np.full(3, lever(tool))
-    lean, allowed = LEVER, float(deviations(targets, ["mill/"])[0])
+    lean, allowed = LEVER, float(deviations(targets, [Segment("mill")])[0])
     if not any(isinstance(claim, MillsSurface | SparesPart) for claim in targets.claims):
         lean = min(LEVER, allowed / (SURFACE_SHARE * min(claim.turn for claim in along)))
     return np.array([lean, lean, LEVER * allowed / AIR])
 
 
-def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
+def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
     """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
 
     A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
     it. A cutter may take a share of what its surfaces allow. Whatever follows poses or joins two arms keeps
     to :data:`DEVIATION` everywhere.
     """
-    least = np.full(len(labels), DEVIATION)
+    least = np.full(len(segments), DEVIATION)
     milled = [c.tolerance for c in targets.claims if isinstance(c, (SparesPart, *FOLLOWED))]
     if milled:
         tolerance = 1e3 * min(milled)
-        least = np.full(len(labels), min(DEVIATION, TIGHT_SHARE * tolerance))
+        least = np.full(len(segments), min(DEVIATION, TIGHT_SHARE * tolerance))
         part = max(float(least[0]), SURFACE_SHARE * tolerance)
-        return np.where(np.array([works(label) for label in labels]), part, least)
+        return np.where(np.array([segment.works for segment in segments]), part, least)
     if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
         return least
     surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
-    cutting = np.array([works(label) for label in labels])
+    cutting = np.array([segment.works for segment in segments])
     foam = max(DEVIATION, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
     return np.where(cutting | np.append(cutting[1:], False), foam, AIR)
 

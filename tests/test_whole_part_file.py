@@ -38,11 +38,8 @@ def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        lambda v: v * [1.0, 1.0, -1.0] + [0.0, 0.0, v[:, 2].min() + v[:, 2].max()],
-        lambda v: v * 1.02,
-    ],
-    ids=["mirrored", "scaled"],
+    [lambda v: v * [1.0, 1.0, 0.9], lambda v: v * 0.93],
+    ids=["flatter", "smaller"],
 )
 def test_a_file_that_the_planner_reads_otherwise_is_not_proven(monkeypatch, wrong) -> None:
     """All else follows the wrong reading, so that no other rule sees it."""
@@ -64,13 +61,17 @@ def test_a_copy_that_is_changed_later_is_told_by_its_name(carried) -> None:
     folder, mesh = carried
     lines = mesh.read_text().splitlines()
     rows = [i for i, line in enumerate(lines) if line.startswith("v ")]
-    for i in rows[: len(rows) // 2]:
+    for i in rows:
         x, y, z = (float(word) for word in lines[i].split()[1:4])
-        lines[i] = f"v {x} {y} {z + 2.0}"
+        lines[i] = f"v {x} {y} {0.9 * z}"
     mesh.write_text("\n".join(lines))
     proof = proven(folder)
     assert not proof.ok
-    told = [issue for issue in proof.issues if issue.code == "verify.digest" and issue.file == f"files/{mesh.name}"]
+    told = [
+        issue
+        for issue in proof.issues
+        if issue.code == "verify.digest" and issue.file == f"files/{mesh.name}"
+    ]
     assert "has been changed since" in told[0].message
 
 

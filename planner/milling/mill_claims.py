@@ -28,9 +28,13 @@ from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.route import SIDES
 from planner.part_ruled_file import GuideFile
 from planner.problem import Mesh, Part, Ruled
+from planner.segments import Segment
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
+
+MILL: Final = "mill"
+"""The kind of segments in which a cutter mills."""
 
 TURN: Final = 0.5 * DEG
 """How far a tool may be turned off the axis that it is to follow."""
@@ -48,14 +52,15 @@ def claims(job: Job, part: Part | None) -> tuple[Claim, ...]:
     for number, one in enumerate(job.cuts):
         if isinstance(one.cut, GCodeCut):
             out.append(_program(job, one, one.cut, number == 0))
-            segments: tuple[str, ...] = (f"mill/{one.cut.name}",)
+            segments: tuple[Segment, ...] = (Segment(MILL, one.cut.name),)
         elif isinstance(one.cut, EngraveCut):
             out.append(_engraving(job, one, one.cut))
-            segments = tuple(f"mill/{one.cut.name}_c{k + 1}" for k in range(len(one.cut.engrave)))
+            count = len(one.cut.engrave)
+            segments = tuple(Segment(MILL, f"{one.cut.name}_c{k + 1}") for k in range(count))
         else:
             out += _feeds(job, one)
             out += _shape(job, one, part)
-            segments = tuple(f"mill/{run.name}" for run in one.runs)
+            segments = tuple(run.segment for run in one.runs)
         for face in job.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
@@ -92,16 +97,16 @@ def program_file(own: GCodeFile) -> ProgramFile:
 
 def _program(job: Job, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
     """The way of a file, which the proof reads itself."""
-    safe, name = _safe(job.operation, job.box), f"mill/{cut.name}"
+    safe = _safe(job.operation, job.box)
     file = program_file(cut.gcode)
-    return MillsProgram(name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
+    return MillsProgram(cut.name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
 
 
 def _engraving(job: Job, one: Done, cut: EngraveCut) -> Engraves:
     """Curves on the part's front."""
     op, front = job.operation, next(face.mesh for face in job.faces if face.name == "front")
     return Engraves(
-        name=f"mill/{cut.name}",
+        name=cut.name,
         arm=op.arms[0],
         cutter=job.cutter,
         curves=tuple(_drawn(curve) for curve in cut.engrave),
@@ -144,9 +149,9 @@ def _feeds(job: Job, one: Done) -> list[Claim]:
     own = None if isinstance(one.cut, GCodeCut) else one.cut.feed_mm_s
     feed = (own or op.feed_mm_s) * MM
     for run in one.runs:
-        out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
-        out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
-        out.append(FeedWindow(f"mill/{run.name}_out", 0.0, max(feed, op.rapid_mm_s * MM)))
+        out.append(FeedWindow(run.segment.at("in"), 0.0, max(feed, op.plunge_mm_s * MM)))
+        out.append(FeedWindow(run.segment, 0.0, feed))
+        out.append(FeedWindow(run.segment.at("out"), 0.0, max(feed, op.rapid_mm_s * MM)))
     return out
 
 
@@ -157,7 +162,7 @@ def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
     if one.face is not None:
         # roughing passes leave the surface to the last one
         finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
-        segments = tuple(f"mill/{run.name}" for run in finish)
+        segments = tuple(run.segment for run in finish)
         mesh, margin = one.face.mesh, 0.0
         if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
             mesh, margin = part.front, one.cut.margin_mm * MM
@@ -175,7 +180,7 @@ def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
 def _over(job: Job, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
     """The front, which the cutter's end passes over."""
     return MillsOver(
-        segments=tuple(f"mill/{run.name}" for run in one.runs),
+        segments=tuple(run.segment for run in one.runs),
         arm=job.operation.arms[0],
         cutter=job.cutter,
         vertices=front.vertices,
@@ -194,7 +199,7 @@ def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> Mil
     op, cutter = job.operation, job.cutter
     from_start, by_surface = cut.tip == "start", cut.guides == "surface"
     return MillsFlank(
-        segments=tuple(f"mill/{run.name}" for run in one.runs),
+        segments=tuple(run.segment for run in one.runs),
         arm=op.arms[0],
         cutter=cutter,
         low=ruled.start if from_start else ruled.end,

@@ -68,7 +68,7 @@ def obj(forming: Forming) -> str:
         moved = claim.vertices.copy()
         normals = vertex_normals(claim.vertices, claim.faces)[own]
         moved[own] += claim.side * np.where(np.isfinite(off), off, 0.0)[:, None] * normals
-        lines.append(f"o {claim.segment.replace('/', '_')}")
+        lines.append(f"o {claim.segment.word}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved / MM).tolist()]
         lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
         offset += len(claim.vertices)

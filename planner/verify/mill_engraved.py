@@ -13,11 +13,13 @@ from scipy.interpolate import BSpline
 
 from planner.claims import Claim, FeedWindow
 from planner.claims_milling import DrawnCurve, Engraves, MillsAlong
+from planner.segments import Segment
 from planner.tooling import Cutter
 from planner.verify.files import drawings
 from planner.verify.files.faults import UnreadError
 from planner.verify.mill_laid import Laid, Places
 from planner.verify.mill_ways import down, up
+from planner.verify.setups import MILL
 
 FloatArray = NDArray[np.float64]
 
@@ -43,10 +45,10 @@ def segments(claim: Engraves) -> Iterator[Claim]:
     """The ways and feeds of all curves. Raises ``NotThereError``."""
     face = Laid(claim.vertices, claim.faces)
     for number, drawn in enumerate(claim.curves, 1):
-        name, safe = f"{claim.name}_c{number}", claim.safe
-        yield FeedWindow(f"{name}_in", 0.0, max(claim.feed, safe.plunge))
-        yield FeedWindow(name, 0.0, claim.feed)
-        yield FeedWindow(f"{name}_out", 0.0, max(claim.feed, safe.rapid))
+        segment, safe = Segment(MILL, f"{claim.name}_c{number}"), claim.safe
+        yield FeedWindow(segment.at("in"), 0.0, max(claim.feed, safe.plunge))
+        yield FeedWindow(segment, 0.0, claim.feed)
+        yield FeedWindow(segment.at("out"), 0.0, max(claim.feed, safe.rapid))
         curve, either = points(drawn)
         ways = _ways(claim, face, number - 1, curve)
         backs = _ways(claim, face, number - 1, curve[::-1]) if either else (None,) * len(ways)
@@ -56,7 +58,7 @@ def segments(claim: Engraves) -> Iterator[Claim]:
 def _ways(claim: Engraves, face: Laid, number: int, curve: FloatArray) -> tuple[MillsAlong, ...]:
     """The way along a curve (K, 3) [m], down to it and up from it."""
     tip, axis = tool_along(claim, face, number, curve)
-    segment = f"{claim.name}_c{number + 1}", claim.arm
+    segment = Segment(MILL, f"{claim.name}_c{number + 1}"), claim.arm
     bounds = claim.tolerance, claim.turn
     return (
         MillsAlong(*segment, tip, axis, np.full(len(tip), claim.feed), *bounds),

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim, ConfirmedPower, FeedWindow
 from planner.claims_milling import MillsAlong, MillsProgram
+from planner.segments import Segment
 from planner.verify import gcode_moves
 from planner.verify.gcode_moves import Way
 from planner.verify.mill_ways import down, up
+from planner.verify.setups import MILL
 
 FloatArray = NDArray[np.float64]
 
@@ -86,13 +88,13 @@ def asked(
 def segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
     """The ways and feeds of one pass and of its ways in and out."""
     way, safe = own.way, program.safe
-    name = f"{program.name}_{own.number}"
+    segment = Segment(MILL, f"{program.name}_{own.number}")
     feed = np.concatenate([way.feed[1:2], way.feed[1:]])
     fastest = float(feed.max())
-    yield FeedWindow(f"{name}_in", 0.0, max(fastest, safe.plunge))
-    yield FeedWindow(name, 0.0, fastest)
-    yield FeedWindow(f"{name}_out", 0.0, max(fastest, safe.rapid))
+    yield FeedWindow(segment.at("in"), 0.0, max(fastest, safe.plunge))
+    yield FeedWindow(segment, 0.0, fastest)
+    yield FeedWindow(segment.at("out"), 0.0, max(fastest, safe.rapid))
     file, bounds = program.file.path.name, (program.tolerance, program.turn)
-    yield MillsAlong(name, program.arm, way.tip, way.axis, feed, *bounds, file, way.line)
-    yield down(safe, name, program.arm, way.tip[0], way.axis[0], *bounds)
-    yield up(safe, name, program.arm, way.tip[-1], way.axis[-1], *bounds)
+    yield MillsAlong(segment, program.arm, way.tip, way.axis, feed, *bounds, file, way.line)
+    yield down(safe, segment, program.arm, way.tip[0], way.axis[0], *bounds)
+    yield up(safe, segment, program.arm, way.tip[-1], way.axis[-1], *bounds)

@@ -14,6 +14,7 @@ from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurfa
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
 from planner.problem import Stock
+from planner.segments import Segment
 from planner.tooling import Cutter, Mill
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
@@ -26,8 +27,6 @@ BoolArray = NDArray[np.bool_]
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
 
-WAYS = ("", "_in", "_out")
-"""What the moves that mill, the way down onto the block and the way off it add to a segment's name."""
 FINEST = 0.4e-3
 """Places of a face are no nearer to one another than this [m]; their number is bounded by ``MOST``."""
 MOST = 240_000
@@ -115,7 +114,7 @@ class Milling:
 
     def _said(self, index: int, claim: MillsAlong) -> MillsAlong:
         """The claim, or where either way will do, that for the way that its tool goes."""
-        track = self.track(index, claim.arm, (claim.segment.lower(),)) if claim.back else None
+        track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
         if claim.back is None or track is None or not len(track.rows):
             return claim
         seen = track.tip[[0, -1]]
@@ -127,7 +126,7 @@ class Milling:
         out: list[tuple[int, MillsAlong]] = []
         for index, claim in self.over:
             for segment in claim.segments:
-                track = self.track(index, claim.arm, (segment.lower(),))
+                track = self.track(index, claim.arm, (segment.key,))
                 for way, row in ((down, 0), (up, -1)) if len(track.rows) else ():
                     ends, bounds = (track.tip[row], track.axis[row]), (claim.tolerance, claim.turn)
                     out.append((index, way(claim.safe, segment, claim.arm, *ends, *bounds)))
@@ -151,10 +150,10 @@ class Milling:
     @cached_property
     def labels(self) -> frozenset[str]:
         """Labels of all moves in which a face is spared, a surface made or a curve followed."""
-        names: list[str] = []
+        names: list[Segment] = []
         for _, claim in self.by_setup:
             names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
-        return frozenset(name.lower() + way for name in names for way in WAYS)
+        return frozenset(way.key for name in names for way in name.ways)
 
     def mounted(self, index: int, arm: str) -> Cutter | None:
         """The cutter of the tool on ``arm`` in setup ``index``."""
@@ -172,7 +171,7 @@ class Milling:
         return self._places[key]
 
     def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
-        """The track of ``arm`` in setup ``index`` on moves of these labels, in lower case."""
+        """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""
         key = (index, arm, labels)
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
@@ -182,7 +181,7 @@ class Milling:
         """How the claimed way is followed at those samples of its track whose rows come first; None where the
         track has none."""
         key = (index, id(claim))  # claims live as long as this does
-        track = self.track(index, claim.arm, (claim.segment.lower(),))
+        track = self.track(index, claim.arm, (claim.segment.key,))
         if key not in self._followed and len(track.rows):
             some = looks(track.tip, track.axis, claim.tolerance)
             self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
@@ -197,7 +196,7 @@ class Milling:
 
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion
-        names = np.asarray([label.lower() for label in motion.node_label])
+        names = motion.node_label
         chosen = np.isin(names, labels)[motion.node] & (context.sample_setup == index)
         rows = np.flatnonzero(during(chosen))
         if arm not in motion.tcp or not len(rows):

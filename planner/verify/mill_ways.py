@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims_milling import MillsAlong, SafeWays
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
@@ -15,19 +16,31 @@ LEAST = 2e-3
 
 
 def down(
-    safe: SafeWays, name: str, arm: str, tip: FloatArray, axis: FloatArray, tolerance: float, turn: float
+    safe: SafeWays,
+    segment: Segment,
+    arm: str,
+    tip: FloatArray,
+    axis: FloatArray,
+    tolerance: float,
+    turn: float,
 ) -> MillsAlong:
     """The way from the safe plane to where a pass begins, with ``tip`` and ``axis`` (3,)."""
     tips, feed = np.stack([above(safe, tip, axis), tip]), np.full(2, safe.plunge)
-    return MillsAlong(f"{name}_in", arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
+    return MillsAlong(segment.at("in"), arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
 
 
 def up(
-    safe: SafeWays, name: str, arm: str, tip: FloatArray, axis: FloatArray, tolerance: float, turn: float
+    safe: SafeWays,
+    segment: Segment,
+    arm: str,
+    tip: FloatArray,
+    axis: FloatArray,
+    tolerance: float,
+    turn: float,
 ) -> MillsAlong:
     """The way back to the safe plane from where a pass ends."""
     tips, feed = np.stack([tip, above(safe, tip, axis)]), np.full(2, safe.rapid)
-    return MillsAlong(f"{name}_out", arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
+    return MillsAlong(segment.at("out"), arm, tips, np.stack([axis, axis]), feed, tolerance, turn)
 
 
 def above(safe: SafeWays, tip: FloatArray, axis: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from planner.claims import Claim, ConfirmedPower
 from planner.claims_milling import Engraves, MillsProgram, SparesPart
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify import mill_engraved, mill_program
 from planner.verify.gcode_words import UnreadableError
 from planner.verify.mill_engraved import NotThereError
@@ -40,16 +41,20 @@ def _group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
                 what = f"{claim.name}: {error}; the planner has it otherwise, report this"
                 issues.append(Issue(CODE, what, field=claim.name))
         elif isinstance(claim, SparesPart) and known:
-            names = [
-                own
-                for name in claim.segments
-                for own in ([f"{name}_{one.number}" for one in known[name]] if name in known else [name])
-            ]
-            yield dataclasses.replace(claim, segments=tuple(names))
+            yield dataclasses.replace(claim, segments=tuple(_each(claim.segments, known)))
         elif isinstance(claim, ConfirmedPower) and known:
             yield dataclasses.replace(claim, asked=mill_program.asked(claim, programs, known))
         else:
             yield claim
+
+
+def _each(segments: tuple[Segment, ...], known: Mapping[str, tuple[Pass, ...]]) -> Iterator[Segment]:
+    """The segments, a file's passes for the name of that file's cut."""
+    for segment in segments:
+        if segment.name in known:
+            yield from (Segment(segment.kind, f"{segment.name}_{one.number}") for one in known[segment.name])
+        else:
+            yield segment
 
 
 def _passes(program: MillsProgram, issues: list[Issue]) -> tuple[Pass, ...]:

@@ -24,14 +24,14 @@ def over(context: Context, milling: Milling) -> tuple[list[Issue], float, str]:
     for index, claim in milling.over:
         face = OverFace(claim)
         for segment in claim.segments:
-            labels = (segment.lower(),)
+            labels = (segment.key,)
             if not len(milling.track(index, claim.arm, labels).rows):
-                issues.append(Issue(CODE, f"{segment} is not milled", field=segment))
+                issues.append(Issue(CODE, f"{segment} is not milled", field=str(segment)))
                 continue
             tip, axis, rows = milling.spaced(index, claim.arm, labels, STEP)
             for asked, off in face.off(tip, axis).items():
                 if off.max() > worst:
-                    worst, where = float(off.max()), segment
+                    worst, where = float(off.max()), str(segment)
                 bad = np.flatnonzero(off > 1.0)
                 for i in bad[:: max(1, len(bad) // SHOWN)]:
                     what = f"in {segment} the cutter is {asked}, {off[i]:.2f} times as far as allowed, "

@@ -66,7 +66,7 @@ def test_the_planner_follows_what_the_proof_lays(tmp_path: Path, name: str, tool
     job = processes.job(own, 0)
     assert isinstance(job, MillingJob)
     (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
-    wanted = {claim.segment: claim for claim in group if isinstance(claim, MillsAlong)}
+    wanted = {str(claim.segment): claim for claim in group if isinstance(claim, MillsAlong)}
     for run in job.made.runs:
         claim = wanted[f"mill/{run.name}"]
         path = dataclasses.replace(claim, tip=run.path.tip, axis=run.path.axis)
@@ -105,7 +105,7 @@ def test_a_ball_on_a_ball_is_at_the_radius_less_the_depth() -> None:
     cutter = Cutter("ball", 0.003, 0.003, 0.012, 0.06, 0.003, np.zeros((0, 2)))
     safe: Any = None
     bounds = (0.02, safe, 1e-4, 0.01)
-    claim = Engraves("mill/a", "r", cutter, drawn, vertices, faces, 1e-3, "normal", (), 0.0, 0.0, *bounds)
+    claim = Engraves("a", "r", cutter, drawn, vertices, faces, 1e-3, "normal", (), 0.0, 0.0, *bounds)
     tip, axis = mill_engraved.tool_along(claim, Laid(vertices, faces), 0, mill_engraved.points(drawn[0])[0])
     np.testing.assert_allclose(np.linalg.norm(tip, axis=1), 0.199, atol=1.2e-5)
     assert np.degrees(np.arccos(np.clip((axis * tip).sum(axis=1) / 0.199, -1, 1))).max() < 0.3

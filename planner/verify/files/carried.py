@@ -19,10 +19,14 @@ def changed(source: Any) -> tuple[str, ...]:
             path = Path(value) if key == "file" and isinstance(value, str) else None
             if path is None:
                 out += changed(value)
-            elif path.parent.name == "files" and _CARRIED.fullmatch(path.stem) and path.is_file():
-                if not hashlib.sha256(path.read_bytes()).hexdigest().startswith(path.stem):
-                    out.append(f"{path.parent.name}/{path.name}")
+            elif path.parent.name == "files" and _CARRIED.fullmatch(path.stem) and _other(path):
+                out.append(f"{path.parent.name}/{path.name}")
     elif isinstance(source, list | tuple):
         for value in source:
             out += changed(value)
     return tuple(dict.fromkeys(out))
+
+
+def _other(path: Path) -> bool:
+    """Whether a file has other contents than its name says."""
+    return path.is_file() and not hashlib.sha256(path.read_bytes()).hexdigest().startswith(path.stem)
