@@ -163,6 +163,7 @@ CODES: Final[dict[str, str]] = {
     "verify.rulings": "a straight wire leaves the rulings of the wanted surface, or misses a part of them",
     "verify.order": "cuts follow one another in another order than the operation states",
     "verify.part": "on its way in or out the wire cuts into the part",
+    "verify.slit": "a wire comes to a cut from elsewhere than stated, or by too long a slit",
     "verify.kerf": "the slot is narrower or wider than wanted at the wire's actual speed",
     "verify.hidden": "something runs beside the straight way, or may: it is not proven",
     "verify.speed_data": "the speed beside a move's time is below what way and time ask for",

@@ -41,6 +41,7 @@ from planner.verify import (
     rules_part,
     rules_power,
     rules_setup,
+    rules_slit,
     rules_straight,
     rules_surface,
     rules_sync,
@@ -125,6 +126,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.bow", rules_straight.bow),
     ("verify.rulings", rules_straight.rulings),
     ("verify.part", rules_part.part),
+    ("verify.slit", rules_slit.slit),
 )
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kinematics", rules_kinematics.kinematics),

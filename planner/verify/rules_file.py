@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planner.claims import CutsSurface
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify import file_made
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.file_made import Made
@@ -76,7 +77,7 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
             _sheet(context, part, forming, found)
         elif part:
             _surfaces(context, part, sweeps, milling, found)
-        elif context.problem.part is not None:
+        elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
             found.issues.append(
                 Issue(CODE, "the problem has a part that its file does not state", field="part")
             )
@@ -112,35 +113,36 @@ def _made(
     """What the operations are to make, with the claims and motions of it."""
     out = []
     ruled = [surface.name for surface in surfaces if surface.name not in ("front", "back")]
-    known = {str(claim.segment).lower(): k for k, claim in enumerate(context.surfaces)}
+    known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
     for name, kind, tolerance, share, margin in file_made.wanted(context):
         every = [name]
         if name == file_made.ALL:
             every = ruled
             if file_made.OUTLINES.issuperset(ruled):
                 # outlines have no names in the problem: as many as it states have to be cut
-                form = re.compile(r"cut/((?:outline|hole)_[a-z]+)")
-                every = [match.group(1) for key in known if (match := form.fullmatch(key))]
+                form = re.compile(r"(?:outline|hole)_[a-z]+")
+                names = [claim.segment.folded.name for claim in context.surfaces]
+                every = [own for own in names if form.fullmatch(own)]
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
                     count = {"value": len(every), "limit": len(ruled)}
                     found.issues.append(Issue(CODE, what, field="part.plate", **count))  # type: ignore[arg-type]
         for own in every:
-            segment = f"{kind}/{own}".lower()
-            form = re.compile(re.escape(segment) + r"(_[a-z]*[0-9]+)?")
-            mills = [c for c in milling.surfaces if form.fullmatch(str(c[1].segments[0]).lower())]
-            if kind == "cut" and segment in known:
-                k = known[segment]
-                out.append(Made(own, segment, tolerance, share, context.surfaces[k], sweeps[k]))
+            segment = Segment(kind, own)
+            form = re.compile(re.escape(segment.folded.name) + r"(_[a-z]*[0-9]+)?")
+            mills = [c for c in milling.surfaces if form.fullmatch(c[1].segments[0].folded.name)]
+            if kind == "cut" and segment.key in known:
+                k = known[segment.key]
+                out.append(Made(own, str(segment), tolerance, share, context.surfaces[k], sweeps[k]))
             elif kind == "mill" and mills:
                 base = own.removesuffix("_lines") if name.endswith("_lines") else own
                 out += [
-                    Made(base, segment, tolerance, share, claim, None, index, margin)
+                    Made(base, str(segment), tolerance, share, claim, None, index, margin)
                     for index, claim in mills
                 ]
             else:
                 what = f"the problem wants {own} made, and nothing is claimed of {segment}"
-                found.issues.append(Issue(CODE, what, field=segment))
+                found.issues.append(Issue(CODE, what, field=str(segment)))
     return out
 
 
