@@ -23,7 +23,15 @@ from planner.claims_forming import (
     SupportsBorder,
     ToolGap,
 )
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 from planner.segments import Segment
 
 
@@ -292,5 +300,9 @@ Claim = (
     | FormsInOrder
     | MillsSurface
     | MillsAlong
+    | MillsProgram
+    | MillsFlank
+    | MillsOver
+    | Engraves
     | SparesPart
 )

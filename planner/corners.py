@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 from planner.geometry.shapes import axis_ends
 from planner.geometry.vectors import dots, lengths
 from planner.segments import Segment
@@ -23,6 +31,8 @@ from planner.tooling import Tool, working_solid
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+FOLLOWED: Final = (MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
+"""Claims on the way of a cutter."""
 DEVIATION: Final = 0.02
 """How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
 AIR: Final = 0.5
@@ -71,10 +81,10 @@ def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
     :func:`lever`; but a cutter is a body of revolution that follows a way within an angle: its spin is worth
     what a solid may move in the air, its lean, where no surface asks for more, what that angle allows.
     """
-    along = [claim for claim in targets.claims if isinstance(claim, MillsAlong) and claim.arm == arm]
+    along = [c for c in targets.claims if isinstance(c, FOLLOWED) and c.arm == arm]
     if not along:
         return np.full(3, lever(tool))
-    lean, allowed = LEVER, float(deviations(targets, [along[0].segment])[0])
+    lean, allowed = LEVER, float(deviations(targets, [Segment("mill")])[0])
     if not any(isinstance(claim, MillsSurface | SparesPart) for claim in targets.claims):
         lean = min(LEVER, allowed / (SURFACE_SHARE * min(claim.turn for claim in along)))
     return np.array([lean, lean, LEVER * allowed / AIR])
@@ -88,7 +98,7 @@ def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
     to :data:`DEVIATION` everywhere.
     """
     least = np.full(len(segments), DEVIATION)
-    milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
+    milled = [c.tolerance for c in targets.claims if isinstance(c, (SparesPart, *FOLLOWED))]
     if milled:
         tolerance = 1e3 * min(milled)
         least = np.full(len(segments), min(DEVIATION, TIGHT_SHARE * tolerance))

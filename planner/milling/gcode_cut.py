@@ -160,7 +160,7 @@ def _run(
         thin.line[to],
     )
     held = [(int(np.searchsorted(to, min(at, len(rows) - 1), "right")) - 1, s) for at, s in stops]
-    return Run(name, own, 0, len(own) - 1, 0.0, before=asked, waits=tuple(held), follow=path)
+    return Run(name, own, 0, len(own) - 1, 0.0, before=asked, waits=tuple(held))
 
 
 def _differ(before: FloatArray, after: FloatArray) -> NDArray[np.bool_]:

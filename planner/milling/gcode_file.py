@@ -94,6 +94,8 @@ class GCodeFile(Strict):
             raise ValueError(
                 f"reverse: {strange[0]} is no axis of the convention, which has {letters or 'none'}"
             )
+        if self.feed_mm_min is not None and self.feed_mode not in (None, "per_minute"):
+            raise ValueError("feed_mm_min is a feed a minute, which goes with feed_mode: per_minute")
         if self.ijk_to == "tip" and self.tool_axis != "ijk":
             raise ValueError("ijk_to goes with tool_axis: ijk")
         return self

@@ -127,7 +127,7 @@ def _modes(names: tuple[str, ...], modal: Modal, step: Step) -> dict[str, Any]:
         elif name in ("G93", "G94", "G95"):
             mode = {"G93": "inverse_time", "G94": "per_minute", "G95": "per_rev"}[name]
             change["feed_mode"] = mode
-            if mode != modal.feed_mode and modal.feed_mode is not None:
+            if mode != (modal.feed_mode or "per_minute"):  # the problem states feeds a minute
                 change["feed"] = None
         elif codes.GROUPS[name] == "offset":
             change["offset"] = _offset(name, modal, step)

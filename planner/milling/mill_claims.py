@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import (
+    DrawnCurve,
+    Engraves,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    ProgramFile,
+    SafeWays,
+    SparesPart,
+)
 from planner.milling import spoken
-from planner.milling.gcode_file import GCodeCut
+from planner.milling.flank_cut import surface
+from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.job import Done, Job
-from planner.milling.operation import FlankCut
-from planner.milling.route import ends
-from planner.milling.values import Run, ToolPath
-from planner.segments import Phase
+from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
+from planner.milling.route import SIDES
+from planner.part_ruled_file import GuideFile
+from planner.problem import Mesh, Part, Ruled
+from planner.segments import Segment
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
+
+MILL: Final = "mill"
+"""The kind of segments in which a cutter mills."""
 
 TURN: Final = 0.5 * DEG
 """How far a tool may be turned off the axis that it is to follow."""
@@ -27,21 +43,24 @@ BESIDE: Final = 0.5 * MM
 """How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
-def claims(job: Job) -> tuple[Claim, ...]:
+def claims(job: Job, part: Part | None) -> tuple[Claim, ...]:
     """Claims on the spindle, on the feed and the shape of each cut, and on the part
     that all of them spare."""
     op = job.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
-    out.append(ConfirmedPower(op.signal, spoken.told(job), spoken.asked(job), spoken.DONE, op.spin_down_s))
-    for one in job.cuts:
-        for run in one.runs:
-            feed = _feed(job, one, run)
-            fast = max(feed, op.rapid_mm_s * MM)
-            out.append(FeedWindow(run.segment.at("in"), 0.0, max(feed, op.plunge_mm_s * MM)))
-            out.append(FeedWindow(run.segment, 0.0, feed))
-            out.append(FeedWindow(run.segment.at("out"), 0.0, fast))
-        out += _shape(job, one)
-        segments = tuple(run.segment for run in one.runs)
+    out.append(ConfirmedPower(op.signal, spoken.told(job), ((spoken.READY,),), spoken.DONE, op.spin_down_s))
+    for number, one in enumerate(job.cuts):
+        if isinstance(one.cut, GCodeCut):
+            out.append(_program(job, one, one.cut, number == 0))
+            segments: tuple[Segment, ...] = (Segment(MILL, one.cut.name),)
+        elif isinstance(one.cut, EngraveCut):
+            out.append(_engraving(job, one, one.cut))
+            count = len(one.cut.engrave)
+            segments = tuple(Segment(MILL, f"{one.cut.name}_c{k + 1}") for k in range(count))
+        else:
+            out += _feeds(job, one)
+            out += _shape(job, one, part)
+            segments = tuple(run.segment for run in one.runs)
         for face in job.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
@@ -49,19 +68,94 @@ def claims(job: Job) -> tuple[Claim, ...]:
     return tuple(out)
 
 
-def _feed(job: Job, one: Done, run: Run) -> float:
-    """The highest feed [m/s] of a pass; a G-code file has its own."""
-    if isinstance(one.cut, GCodeCut):
-        return float(_followed(run).feed[1:].max())
-    return (one.cut.feed_mm_s or job.operation.feed_mm_s) * MM
+def program_file(own: GCodeFile) -> ProgramFile:
+    """What the problem states of a file, word for word."""
+    return ProgramFile(
+        path=own.file,
+        xyz_mm=own.origin.xyz_mm,
+        rpy_deg=own.origin.rpy_deg,
+        unit=own.unit,
+        distance=own.distance,
+        motion=own.motion,
+        plane=own.plane,
+        arc_centre=own.arc_centre,
+        feed_mode=own.feed_mode,
+        feed_mm_min=own.feed_mm_min,
+        spindle_rpm=own.spindle_rpm,
+        tool_axis=own.tool_axis,
+        ijk_to=own.ijk_to,
+        convention=own.convention,
+        reverse=own.reverse,
+        start_mm=own.start_mm,
+        offsets=tuple((name, shift) for name, shift in own.offsets.items()),
+        block_delete=own.block_delete,
+        skip=own.skip,
+        tool=own.tool,
+        chord_tol_mm=own.chord_tol_mm,
+    )
 
 
-def _followed(run: Run) -> ToolPath:
-    """What a pass follows: the way that its path stands for, between its ways in and out."""
-    return run.path[run.first : run.last + 1] if run.follow is None else run.follow
+def _program(job: Job, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
+    """The way of a file, which the proof reads itself."""
+    safe = _safe(job.operation, job.box)
+    file = program_file(cut.gcode)
+    return MillsProgram(cut.name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
 
 
-def _shape(job: Job, one: Done) -> list[Claim]:
+def _engraving(job: Job, one: Done, cut: EngraveCut) -> Engraves:
+    """Curves on the part's front."""
+    op, front = job.operation, next(face.mesh for face in job.faces if face.name == "front")
+    return Engraves(
+        name=cut.name,
+        arm=op.arms[0],
+        cutter=job.cutter,
+        curves=tuple(_drawn(curve) for curve in cut.engrave),
+        vertices=front.vertices,
+        faces=front.faces,
+        depth=cut.depth_mm * MM,
+        axis=cut.axis,
+        axis_curves=tuple(_drawn(curve) for curve in cut.axis_curves),
+        lead=cut.lead_deg * DEG,
+        tilt=cut.tilt_deg * DEG,
+        feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
+        safe=_safe(op, job.box),
+        tolerance=one.tolerance,
+        turn=TURN,
+    )
+
+
+def _drawn(own: GuideFile) -> DrawnCurve:
+    """A curve as the problem draws it."""
+    for kind in ("polyline", "bspline", "bezier"):
+        points = getattr(own, f"{kind}_mm")
+        if points is not None:
+            return DrawnCurve(kind, tuple(points))
+    if own.dxf is None:
+        raise ValueError("a curve needs points or a file")
+    return DrawnCurve("dxf", (), Path(own.dxf.file), own.dxf.unit, own.dxf.layer, own.dxf.z_mm)
+
+
+def _safe(op: Milling, box: FloatArray) -> SafeWays:
+    """The ways to passes and from them, by the numbers of the problem."""
+    across, end = SIDES[op.safe_side]
+    up = 1.0 if end else -1.0
+    level = float(box[end, across]) + up * op.safe_mm * MM
+    return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
+
+
+def _feeds(job: Job, one: Done) -> list[Claim]:
+    """The feeds of all passes of a cut, ways in and out too."""
+    op, out = job.operation, list[Claim]()
+    own = None if isinstance(one.cut, GCodeCut) else one.cut.feed_mm_s
+    feed = (own or op.feed_mm_s) * MM
+    for run in one.runs:
+        out.append(FeedWindow(run.segment.at("in"), 0.0, max(feed, op.plunge_mm_s * MM)))
+        out.append(FeedWindow(run.segment, 0.0, feed))
+        out.append(FeedWindow(run.segment.at("out"), 0.0, max(feed, op.rapid_mm_s * MM)))
+    return out
+
+
+def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
     """The surface that a cut makes; where it follows curves, those."""
     op = job.operation
     out: list[Claim] = []
@@ -69,33 +163,57 @@ def _shape(job: Job, one: Done) -> list[Claim]:
         # roughing passes leave the surface to the last one
         finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
         segments = tuple(run.segment for run in finish)
-        mesh = (one.face.mesh.vertices, one.face.mesh.faces)
-        out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
+        mesh, margin = one.face.mesh, 0.0
+        if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
+            mesh, margin = part.front, one.cut.margin_mm * MM
+        bounds = one.tolerance, op.share, margin
+        out.append(MillsSurface(segments, op.arms[0], job.cutter, mesh.vertices, mesh.faces, *bounds))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
-    for run in one.runs:
-        for phase, (tip, axis, feed) in _ways(job, run).items():
-            out.append(MillsAlong(run.segment.at(phase), op.arms[0], tip, axis, feed, near, TURN))
+    if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
+        return [*out, _over(job, one, one.cut, part.front, near)]
+    if isinstance(one.cut, FlankCut):
+        return [*out, _flank(job, one, one.cut, surface(part, one.cut.flank), near)]
     return out
 
 
-def _ways(job: Job, run: Run) -> dict[Phase, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Tips and axes (N, 3) of a pass with the feeds (N,) [m/s] on the way to each, and of the ways from the
-    safe plane and back to it, by phase: nothing else of the block is to be milled than
-    what lies along these."""
-    path, main = run.path, _followed(run)
-    start, end = ends(job.operation, run, job.box)
-    plunge, rapid = job.operation.plunge_mm_s * MM, job.operation.rapid_mm_s * MM
-    return {
-        "in": (
-            np.concatenate([start[None], path.tip[: run.first + 1]]),
-            np.concatenate([path.axis[:1], path.axis[: run.first + 1]]),
-            np.concatenate([[plunge, plunge], path.feed[1 : run.first + 1]]),
-        ),
-        "": (main.tip, main.axis, np.concatenate([main.feed[1:2], main.feed[1:]])),
-        "out": (
-            np.concatenate([path.tip[run.last :], end[None]]),
-            np.concatenate([path.axis[run.last :], path.axis[-1:]]),
-            np.concatenate([[rapid], path.feed[run.last + 1 :], [rapid]]),
-        ),
-    }
+def _over(job: Job, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
+    """The front, which the cutter's end passes over."""
+    return MillsOver(
+        segments=tuple(run.segment for run in one.runs),
+        arm=job.operation.arms[0],
+        cutter=job.cutter,
+        vertices=front.vertices,
+        faces=front.faces,
+        margin=cut.margin_mm * MM,
+        upright=cut.axis == "upright",
+        lean=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
+        safe=_safe(job.operation, job.box),
+        tolerance=near,
+        turn=TURN,
+    )
+
+
+def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
+    """A ruled surface that the cutter's side passes, or two guides that its axis does."""
+    op, cutter = job.operation, job.cutter
+    from_start, by_surface = cut.tip == "start", cut.guides == "surface"
+    return MillsFlank(
+        segments=tuple(run.segment for run in one.runs),
+        arm=op.arms[0],
+        cutter=cutter,
+        low=ruled.start if from_start else ruled.end,
+        high=ruled.end if from_start else ruled.start,
+        out=1.0 if from_start else -1.0,
+        closed=ruled.closed,
+        direction=cut.direction,
+        stand=cutter.radius if by_surface else 0.0,
+        beyond=cut.overrun_mm * MM + (cutter.corner if by_surface else 0.0),
+        leave=cut.leave_mm * MM,
+        stepdown=cut.stepdown_mm * MM if cut.stepdown_mm is not None and by_surface else None,
+        lead=None if cut.lead_mm is None else cut.lead_mm * MM,
+        feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
+        safe=_safe(op, job.box),
+        tolerance=near,
+        turn=TURN,
+    )

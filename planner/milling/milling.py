@@ -55,14 +55,14 @@ class MillingJob:
         issues = check(made)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(made, route, aggregate(issues))
+        return _targets(made, route, aggregate(issues), self.claims())
 
     def claims(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        return mill_claims.claims(self.made)
+        return mill_claims.claims(self.made, self.part)
 
 
-def _targets(made: Job, route: Route, issues: tuple[Issue, ...]) -> Targets:
+def _targets(made: Job, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
     op = made.operation
     arm, count = op.arms[0], len(route.segment)
     actions = tuple(sorted(_actions(made, route), key=lambda action: action.at))
@@ -79,7 +79,7 @@ def _targets(made: Job, route: Route, issues: tuple[Issue, ...]) -> Targets:
         stop=stop,
         segment=route.segment,
         actions=actions,
-        claims=mill_claims.claims(made),
+        claims=claims,
         exhibits=exhibits(made, route),
         issues=issues,
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from planner.milling.gcode_file import GCodeCut
 from planner.part_ruled_file import GuideFile
@@ -101,6 +102,15 @@ class EngraveCut(_Cut):
     lead_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
     tilt_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0
 
+    @field_validator("engrave", "axis_curves")
+    @classmethod
+    def _from_the_problem_file(
+        cls, value: tuple[GuideFile, ...], info: ValidationInfo
+    ) -> tuple[GuideFile, ...]:
+        """Drawings are looked up from the folder of the problem file."""
+        folder: Path = (info.context or {}).get("folder", Path())
+        return tuple(_looked_up(curve, folder) for curve in value)
+
     @model_validator(mode="after")
     def _axes(self) -> Self:
         if (self.axis == "curves") != bool(self.axis_curves):
@@ -110,6 +120,14 @@ class EngraveCut(_Cut):
                 f"axis_curves: got {len(self.axis_curves)} for {len(self.engrave)} curves; give one for each"
             )
         return self
+
+
+def _looked_up(curve: GuideFile, folder: Path) -> GuideFile:
+    """A curve whose drawing, where it has one, is named from anywhere."""
+    if curve.dxf is None:
+        return curve
+    file = str(folder / curve.dxf.file)
+    return curve.model_copy(update={"dxf": curve.dxf.model_copy(update={"file": file})})
 
 
 def _cut_kind(value: object) -> str:

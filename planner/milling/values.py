@@ -72,8 +72,7 @@ class Run:
     ``name`` is that of its segment. Rows up to ``first`` of ``path`` lead in, rows after
     ``last`` lead out; what is between cuts. ``reach`` [m]: how far behind the tip the cutter works, for the
     feed of its fastest point. ``before``: what the operator is asked before the pass, with the spindle
-    standing. ``waits``: rows of ``path`` at which the tool waits, and how long [s]. ``follow``: the way that
-    the path stands for, where it is not the path itself.
+    standing. ``waits``: rows of ``path`` at which the tool waits, and how long [s].
     """
 
     name: str
@@ -83,7 +82,6 @@ class Run:
     reach: float
     before: str = ""
     waits: tuple[tuple[int, float], ...] = ()
-    follow: ToolPath | None = None
 
     @property
     def segment(self) -> Segment:

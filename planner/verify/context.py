@@ -68,11 +68,16 @@ class Context:
     """One proof. Everything is worked out once, when first asked for."""
 
     def __init__(
-        self, problem: Problem, claims: Mapping[str, tuple[Claim, ...]], programs: Mapping[str, str]
+        self,
+        problem: Problem,
+        claims: Mapping[str, tuple[Claim, ...]],
+        programs: Mapping[str, str],
+        unread: tuple[Issue, ...] = (),
     ) -> None:
         self.problem = problem
         self.programs = programs
         self.by_operation = claims
+        self.unread = unread
         self.claims: tuple[Claim, ...] = tuple(claim for group in claims.values() for claim in group)
 
     # ---- claims ----

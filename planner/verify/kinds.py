@@ -36,6 +36,10 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims_forming.FormsPart: ("verify.forming_part", "verify.forming_claims"),
     claims_milling.MillsSurface: ("verify.milled",),
     claims_milling.MillsAlong: ("verify.mill_path", "verify.mill_feed"),
+    claims_milling.MillsProgram: ("verify.mill_path", "verify.mill_feed", "verify.spindle"),
+    claims_milling.Engraves: ("verify.mill_path", "verify.mill_feed"),
+    claims_milling.MillsFlank: ("verify.mill_path", "verify.mill_feed"),
+    claims_milling.MillsOver: ("verify.mill_path", "verify.mill_feed"),
     claims_milling.SparesPart: ("verify.mill_gouge",),
 }
 """The rules that prove each kind of claim."""

@@ -10,13 +10,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
+from planner.problem import Stock
 from planner.segments import Segment
 from planner.tooling import Cutter, Mill
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
+from planner.verify.mill_ways import down, up
 from planner.verify.speed import during
 
 FloatArray = NDArray[np.float64]
@@ -67,17 +69,31 @@ class Track:
         return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
 
 
+def in_block(track: Track, length: float, radius: float, stock: Stock) -> NDArray[np.bool_]:
+    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
+    out = np.zeros(len(track.rows), dtype=bool)
+    for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
+        at = track.tip + back * track.axis
+        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
+        # the first ball is the tip's end, a disk: less than its radius counts there
+        near = 1e-6 if back == 0.0 else radius
+        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
+    return out
+
+
 class Milling:
     """The milling of one proof: its claims by setup, and tracks worked out when asked."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self.by_setup: tuple[tuple[int, MillsSurface | MillsAlong | SparesPart], ...] = tuple(
+        self.by_setup: tuple[
+            tuple[int, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart], ...
+        ] = tuple(
             (index, claim)
             for index, setup in enumerate(context.setup_claims)
             for group in setup.groups
             for claim in group
-            if isinstance(claim, MillsSurface | MillsAlong | SparesPart)
+            if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart)
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
@@ -91,8 +107,40 @@ class Milling:
 
     @property
     def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
-        """Curves that tips follow."""
-        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsAlong))
+        """Curves that tips follow; among them the ways to passes over faces and from them, straight along the
+        axis from the safe plane to wherever these begin and end."""
+        own = [(i, self._said(i, claim)) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
+        return (*own, *self._over_ways)
+
+    def _said(self, index: int, claim: MillsAlong) -> MillsAlong:
+        """The claim, or where either way will do, that for the way that its tool goes."""
+        track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
+        if claim.back is None or track is None or not len(track.rows):
+            return claim
+        seen = track.tip[[0, -1]]
+        apart = [np.linalg.norm(own.tip[[0, -1]] - seen, axis=1).sum() for own in (claim, claim.back)]
+        return claim if apart[0] <= apart[1] else claim.back
+
+    @cached_property
+    def _over_ways(self) -> tuple[tuple[int, MillsAlong], ...]:
+        out: list[tuple[int, MillsAlong]] = []
+        for index, claim in self.over:
+            for segment in claim.segments:
+                track = self.track(index, claim.arm, (segment.key,))
+                for way, row in ((down, 0), (up, -1)) if len(track.rows) else ():
+                    ends, bounds = (track.tip[row], track.axis[row]), (claim.tolerance, claim.turn)
+                    out.append((index, way(claim.safe, segment, claim.arm, *ends, *bounds)))
+        return tuple(out)
+
+    @property
+    def over(self) -> tuple[tuple[int, MillsOver], ...]:
+        """Faces that the ends of cutters pass over."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsOver))
+
+    @property
+    def flanks(self) -> tuple[tuple[int, MillsFlank], ...]:
+        """Ruled surfaces that cutters pass with their sides."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsFlank))
 
     @property
     def spared(self) -> tuple[tuple[int, SparesPart], ...]:

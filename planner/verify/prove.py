@@ -21,6 +21,7 @@ from planner.problem import Problem
 from planner.verify import (
     formed_part,
     handshake_apart,
+    mill_worked,
     report_series,
     rules_adsif,
     rules_cell,
@@ -197,11 +198,14 @@ class Prover:
     problem: Problem
     claims: Mapping[str, tuple[Claim, ...]]
     _models: dict[int, CellModel] = dataclasses.field(default_factory=dict)
+    _worked_out: tuple[Mapping[str, tuple[Claim, ...]], tuple[Issue, ...]] | None = None
 
     def prove(self, programs: Mapping[str, str], first_error: bool = False, last: str | None = None) -> Proof:
         """The proof of ``programs``. ``first_error``: stop at the first rule that is broken (the verdict is
         the same). ``last``: stop behind that rule; such a proof never holds."""
-        context = Context(self.problem, self.claims, programs)
+        if self._worked_out is None:
+            self._worked_out = mill_worked.worked_out(self.claims)
+        context = Context(self.problem, self._worked_out[0], programs, self._worked_out[1])
         run = _Run(context)
         for _ in self._steps(context, run):
             if (first_error and run.broken) or last in run.results:

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from planner.claims import FeedWindow
 from planner.claims_milling import MillsAlong
 from planner.issues import Issue
-from planner.problem import Stock
 from planner.segments import Segment
 from planner.tooling import Mill
+from planner.verify import rules_mill_flank
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_pace import allowed
-from planner.verify.mill_track import Milling, Track
+from planner.verify.mill_track import Milling, in_block
 from planner.verify.power_asked import confirmed
 from planner.verify.setups import MILL
 from planner.verify.steps import SignalStep
@@ -45,7 +45,9 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
         time = np.diff(motion.time[track.rows])
         speed = np.linalg.norm(np.diff(track.tip, axis=0), axis=1) / np.maximum(time, 1e-6)
         speed = np.where(track.joined, speed, 0.0)
-        limit = np.minimum(_there(milling, index, claim.segment, len(speed) + 1), claim.upper)
+        there = _there(milling, index, claim.segment, len(speed) + 1)
+        there = np.minimum(there, rules_mill_flank.feed(milling, index, claim.segment, len(speed) + 1))
+        limit = np.minimum(there, claim.upper)
         share = speed / limit
         if share.max() > worst:
             worst, where = float(share.max()), str(claim.segment)
@@ -88,7 +90,7 @@ def spindle(context: Context, milling: Milling) -> Outcome:
             cutter = arm.tool.cutter
             labels = tuple(sorted(set(motion.node_label.tolist())))
             track = milling.track(index, arm.name, labels)
-            inside = np.flatnonzero(_in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
+            inside = np.flatnonzero(in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
             if not len(inside):
                 continue
             seen = True
@@ -109,18 +111,6 @@ def spindle(context: Context, milling: Milling) -> Outcome:
                     row = int(track.rows[inside[i]])
                     issues.append(at_sample("verify.spindle", what, motion, arm.name, row, measure))
     return Outcome(tuple(issues), where="" if seen else NONE)
-
-
-def _in_block(track: Track, length: float, radius: float, stock: Stock) -> NDArray[np.bool_]:
-    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
-    out = np.zeros(len(track.rows), dtype=bool)
-    for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
-        at = track.tip + back * track.axis
-        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
-        # the first ball is the tip's end, a disk: less than its radius counts there
-        near = 1e-6 if back == 0.0 else radius
-        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
-    return out
 
 
 def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:

@@ -4,14 +4,18 @@ follows, the spindle, the feed."""
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
-from planner.claims_milling import MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.issues import Issue
+from planner.verify import rules_mill_flank, rules_mill_over
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
+from planner.verify.mill_follow import Followed
+from planner.verify.mill_over import within
 from planner.verify.mill_rims import edges, rim_places, rim_step
 from planner.verify.mill_track import Milling
 from planner.verify.result import CutFace
@@ -66,6 +70,9 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     pieces, _ = small_pieces(corners, size, 2 * _PLACES)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
+    if claim.margin:
+        kept = shapely.contains_xy(within(corners, claim.margin + 0.5 * size), points[:, 0], points[:, 1])
+        points, area = points[kept], area[kept]
     labels = tuple(segment.key for segment in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
@@ -130,13 +137,20 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:
-    """The tip stays on its way and the axis along its own, within the tolerances, and all of the way is
-    passed in order, ways in and out too."""
-    issues: list[Issue] = []
-    worst, limit, where = 0.0, None, ""
+    """Tip and axis stay within the tolerances on the way that the G-code file, the curves, the ruled surface
+    or the face asks for, all of which is passed, ways in and out too, and mill nothing beside it."""
+    issues: list[Issue] = list(context.unread)
+    own, worst, where = rules_mill_flank.flanks(context, milling)
+    issues += own
+    own, share, name = rules_mill_over.over(context, milling)
+    issues += own
+    worst, where = (share, name) if share > worst else (worst, where)
+    limit = 1.0 if where else None
     for index, claim in milling.curves:
         track = milling.track(index, claim.arm, (claim.segment.key,))
         known = milling.followed(index, claim)
+        if known is None and _small(claim):
+            continue
         if known is None:
             issues.append(
                 Issue("verify.mill_path", f"{claim.segment} is not milled", field=str(claim.segment))
@@ -150,8 +164,8 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
         bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // SHOWN)]:
             what = (
-                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve and the axis "
-                f"{np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
+                f"in {claim.segment} the tip is {mm(off[i]):.3f} mm off its curve{_line(claim, found, i)} "
+                f"and the axis {np.rad2deg(turn[i]):.2f} deg; allowed: {mm(claim.tolerance):g} mm, "
                 f"{np.rad2deg(claim.turn):.2f} deg"
             )
             measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
@@ -161,6 +175,20 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
             issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=str(claim.segment)))
     return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
+
+
+def _small(claim: MillsAlong) -> bool:
+    """Whether a way is so short that standing still follows it."""
+    tips = float(np.linalg.norm(claim.tip - claim.tip[0], axis=1).max())
+    return tips <= claim.tolerance and float((claim.axis @ claim.axis[0]).min()) >= np.cos(claim.turn)
+
+
+def _line(claim: MillsAlong, found: Followed, i: int) -> str:
+    """The line of the file by which a sample should be."""
+    if claim.line is None:
+        return ""
+    place = min(int(np.searchsorted(found.along, found.at[i])), len(claim.line) - 1)
+    return f" by line {claim.line[place]} of {claim.file}"
 
 
 def _unclaimed(context: Context, milling: Milling) -> list[Issue]:

@@ -18,7 +18,7 @@ from planner.claims import (
     WireJoins,
 )
 from planner.claims_forming import SheetState
-from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
 from planner.problem import Problem, Setup
 from planner.segments import Segment
 from planner.verify.job import JobText, TaskText
@@ -148,7 +148,7 @@ class SetupClaims:
                 continue
             own: set[Segment] = set()
             for claim in group:
-                if isinstance(claim, MillsSurface | SparesPart) and claim.arm == arm:
+                if isinstance(claim, MillsSurface | MillsFlank | MillsOver | SparesPart) and claim.arm == arm:
                     own |= set(claim.segments)
                 elif isinstance(claim, MillsAlong) and claim.arm == arm:
                     own.add(claim.segment)

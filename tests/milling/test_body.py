@@ -176,7 +176,7 @@ def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path:
     second = MillingJob(other.operations[0], other.setup_of(0), other.part).made
     assert second.box[1, 1] > first.box[1, 1]
     fresh = job(one.operations[0], one.setup_of(0), one.part)
-    for a, b in zip(claims(fresh), claims(first), strict=True):
+    for a, b in zip(claims(fresh, one.part), claims(first, one.part), strict=True):
         assert repr(a) == repr(b)
     with pytest.raises(ValueError, match="read-only"):
         first.faces[0].mesh.vertices[0, 0] = 1.0

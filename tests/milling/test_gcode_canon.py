@@ -1,4 +1,4 @@
-"""The reader against LinuxCNC's interpreter of RS274/NGC.
+"""Both readers, the planner's and the proof's, against LinuxCNC's interpreter of RS274/NGC.
 
 ``canon_program.txt`` is what ``rs274 -g canon_program.nc`` of LinuxCNC 2.9.0 (Debian package linuxcnc-uspace)
 printed: canonical machine commands, which name ends, centres and turns of arcs. Where ``rs274`` is on the
@@ -13,12 +13,16 @@ import random
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.milling.gcode_programs import read
+from planner.milling.mill_claims import program_file
+from planner.milling.values import ToolPath
+from planner.verify import gcode_moves
+from tests.milling.gcode_programs import read, spec
 
 HERE = Path(__file__).parent
 COMMAND = re.compile(r"^\s*\d+\s+N\S*\s+([A-Z_0-9]+)\((.*)\)\s*$")
@@ -73,9 +77,26 @@ def canonical(text: str) -> list[Move]:
     return moves
 
 
-def compare(tmp_path: Path, program: str, output: str, tolerance: float) -> int:
-    """Hold the reader's rows against canonical moves, within what the output's decimals say; moves seen."""
-    path = read(tmp_path, program, **STATED).path
+def first_reader(tmp_path: Path, program: str) -> ToolPath:
+    return read(tmp_path, program, **STATED).path
+
+
+def second_reader(tmp_path: Path, program: str) -> ToolPath:
+    """The way that the proof's own reader finds, in the form of the first one's."""
+    stated = program_file(spec(tmp_path, program, **STATED))
+    way = gcode_moves.read(stated, stated.chord_tol_mm * 1e-3)
+    kind = tuple("cut" if cuts else "rapid" for cuts in way.cuts.tolist())
+    spindle, tool = way.spindle * np.pi / 30.0, np.zeros_like(way.line)
+    return ToolPath(way.tip, way.axis, way.feed, kind, spindle, tool, way.line)
+
+
+READERS = pytest.mark.parametrize("reader", [first_reader, second_reader], ids=["planner", "proof"])
+Reader = Callable[[Path, str], ToolPath]
+
+
+def compare(reader: Reader, tmp_path: Path, program: str, output: str, tolerance: float) -> int:
+    """Hold a reader's rows against canonical moves, within what the output's decimals say; moves seen."""
+    path = reader(tmp_path, program)
     moves = canonical(output)
     row, before = 0, np.zeros(3)
     for move in moves:
@@ -123,14 +144,16 @@ def rs274(folder: Path, program: str) -> str:
     return done.stdout
 
 
-def test_the_program_is_read_as_linuxcnc_did(tmp_path: Path) -> None:
+@READERS
+def test_the_program_is_read_as_linuxcnc_did(reader: Reader, tmp_path: Path) -> None:
     program = (HERE / "canon_program.nc").read_text()
-    assert compare(tmp_path, program, (HERE / "canon_program.txt").read_text(), 6e-5 * 25.4) == 32
+    assert compare(reader, tmp_path, program, (HERE / "canon_program.txt").read_text(), 6e-5 * 25.4) == 32
 
 
-def test_the_program_is_read_as_linuxcnc_does(tmp_path: Path) -> None:
+@READERS
+def test_the_program_is_read_as_linuxcnc_does(reader: Reader, tmp_path: Path) -> None:
     program = (HERE / "canon_program.nc").read_text()
-    assert compare(tmp_path, program, rs274(tmp_path, program), 6e-5 * 25.4) == 32
+    assert compare(reader, tmp_path, program, rs274(tmp_path, program), 6e-5 * 25.4) == 32
 
 
 def random_program(seed: int) -> str:
@@ -169,7 +192,8 @@ def random_program(seed: int) -> str:
     return "\n".join([*lines, "M2", ""])
 
 
+@READERS
 @pytest.mark.parametrize("seed", range(20))
-def test_random_programs_are_read_as_linuxcnc_does(tmp_path: Path, seed: int) -> None:
+def test_random_programs_are_read_as_linuxcnc_does(reader: Reader, tmp_path: Path, seed: int) -> None:
     program = random_program(seed)
-    assert compare(tmp_path, program, rs274(tmp_path, program), 6e-5 * 25.4) > 20
+    assert compare(reader, tmp_path, program, rs274(tmp_path, program), 6e-5 * 25.4) > 20

@@ -35,7 +35,6 @@ def test_dense_points_are_thinned_within_the_tolerance(tmp_path: Path) -> None:
     points = zip(50 * np.cos(angle), 50 * np.sin(angle), strict=True)
     text = "G0 X50 Y0 Z0\n" + "".join(f"G1 X{x:.5f} Y{y:.5f}\n" for x, y in points)
     (run,) = cut(tmp_path, text).runs
-    assert run.follow is not None and len(run.follow) == 2002
     chord = 0.25 * TOLERANCE
     least = np.pi / (2.0 * np.arccos(1.0 - chord / 0.05))
     assert least - 1 <= len(run.path) <= 2.0 * least
@@ -110,4 +109,3 @@ def test_long_moves_have_places_of_their_own_a_step_apart(tmp_path: Path) -> Non
     np.testing.assert_allclose(lean, x[:14] / 0.1 * np.pi / 6, atol=1e-7)
     np.testing.assert_allclose(np.linalg.norm(run.path.axis, axis=1), 1.0, atol=1e-8)
     assert run.waits == ((13, 0.5),)
-    assert run.follow is not None and len(run.follow) == 3

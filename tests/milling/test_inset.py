@@ -10,6 +10,7 @@ import pytest
 from planner import processes
 from planner.claims_milling import MillsSurface
 from planner.milling import inset
+from planner.milling import job as milling_job
 from planner.problem import Mesh
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_rules_milling import Job
@@ -57,8 +58,11 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     assert made.part is not None and made.part.front is not None
     edge = made.part.front.vertices[:, :2]
     low, high = edge.min(axis=0), edge.max(axis=0)
+    assert claim.margin == 0.012
+    face = milling_job.job(made.operations[0], made.setup_of(0), made.part).cuts[0].face
+    assert face is not None
     # the panel is a piece of a ring seen from above, and is narrower than the box around it by 1.5 mm at most
-    own = claim.vertices[:, :2]
+    own = face.mesh.vertices[:, :2]
     assert (own.min(axis=0) - low >= 12e-3 - 1e-9).all() and (high - own.max(axis=0) >= 12e-3 - 1e-9).all()
     assert (own.min(axis=0) - low <= 14e-3).all()
     targets = processes.job(made, 0).targets()

@@ -1,0 +1,100 @@
+"""What a G-code file asks of a tool, worked out by the proof's own reader: its passes as ways and feeds, the
+ways between them, and what the operator is asked before each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims import Claim, ConfirmedPower, FeedWindow
+from planner.claims_milling import MillsAlong, MillsProgram
+from planner.segments import Segment
+from planner.verify import gcode_moves
+from planner.verify.gcode_moves import Way
+from planner.verify.mill_ways import down, up
+from planner.verify.setups import MILL
+
+FloatArray = NDArray[np.float64]
+
+CHORD = 0.05
+"""Arcs are parted within this share of the tolerance, or as the problem says where that is less."""
+STILL = 1e-6
+"""A stretch whose places are all so near to its first one [m] is no pass."""
+LEVER = 0.05
+"""A point so far [m] behind the tip stands for the axis."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Pass:
+    """A stretch of cuts between rapid moves: its number from 1, its places, and the question before it."""
+
+    number: int
+    way: Way
+    question: str
+
+
+def passes(program: MillsProgram) -> tuple[Pass, ...]:
+    """The passes of a file in order. Raises ``UnreadableError``."""
+    chord = min(program.file.chord_tol_mm * 1e-3, CHORD * program.tolerance)
+    way = gcode_moves.read(program.file, chord)
+    cutting = way.cuts.copy()
+    cutting[0] = False  # where the tool is before the file's first place is not the file's
+    edge = np.diff(np.concatenate([[0], cutting.astype(np.int8), [0]]))
+    out: list[Pass] = []
+    speed, before = 0.0, -1
+    for number, (first, last) in enumerate(
+        zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
+    ):
+        asked = [f"line {line} of the file" for line, at in way.pauses if before < at - 1 <= first]
+        own = float(way.spindle[last])
+        if own != speed:
+            asked.append(f"spindle at {abs(own):.0f} 1/min{'' if own > 0.0 else ' counterclockwise (M4)'}")
+        question = f"Go on: {', '.join(asked)}?" if asked else ""
+        rows = slice(first, last + 1)
+        if _extent(way, rows) > STILL:
+            out.append(Pass(number, _part(way, rows), question))
+        speed, before = own, last
+    return tuple(out)
+
+
+def _extent(way: Way, rows: slice) -> float:
+    """How far [m] a stretch goes from its first place, by the tip or the lever."""
+    tip, far = way.tip[rows], way.tip[rows] + LEVER * way.axis[rows]
+    return float(max(np.linalg.norm(own - own[0], axis=1).max() for own in (tip, far)))
+
+
+def _part(way: Way, rows: slice) -> Way:
+    return Way(
+        way.tip[rows], way.axis[rows], way.feed[rows], way.cuts[rows], way.spindle[rows], way.line[rows], ()
+    )
+
+
+def asked(
+    claim: ConfirmedPower, programs: Sequence[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
+) -> tuple[tuple[str, ...], ...]:
+    """The questions before each time that the spindle goes on: that before the very first pass comes with
+    what is asked in any case."""
+    questions = [one.question for program in programs for one in known[program.name]]
+    begins = programs[0].first and bool(questions)
+    first, *others = claim.asked
+    if begins and questions[0]:
+        first = (questions[0], *first)
+    return (first, *others, *((q,) for q in questions[1 if begins else 0 :] if q))
+
+
+def segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
+    """The ways and feeds of one pass and of its ways in and out."""
+    way, safe = own.way, program.safe
+    segment = Segment(MILL, f"{program.name}_{own.number}")
+    feed = np.concatenate([way.feed[1:2], way.feed[1:]])
+    fastest = float(feed.max())
+    yield FeedWindow(segment.at("in"), 0.0, max(fastest, safe.plunge))
+    yield FeedWindow(segment, 0.0, fastest)
+    yield FeedWindow(segment.at("out"), 0.0, max(fastest, safe.rapid))
+    file, bounds = program.file.path.name, (program.tolerance, program.turn)
+    yield MillsAlong(segment, program.arm, way.tip, way.axis, feed, *bounds, file, way.line)
+    yield down(safe, segment, program.arm, way.tip[0], way.axis[0], *bounds)
+    yield up(safe, segment, program.arm, way.tip[-1], way.axis[-1], *bounds)
