@@ -146,56 +146,63 @@ def modules() -> tuple[Any, ...]:
     )
 
 
+@functools.cache
+def _held() -> Mapping[int, tuple[tuple[Any, str, Any], ...]]:
+    """Where in the planner each thing of its modules is known: (module, name, thing) by the thing's id."""
+    out: dict[int, list[tuple[Any, str, Any]]] = {}
+    for module in modules():
+        for name, thing in vars(module).items():
+            out.setdefault(id(thing), []).append((module, name, thing))
+    return {key: tuple(places) for key, places in out.items()}
+
+
+@functools.cache
+def _caches() -> tuple[Any, ...]:
+    """All functions of the planner that remember what they gave back."""
+    things = {id(t): t for places in _held().values() for _, _, t in places}
+    return tuple(t for t in things.values() if callable(getattr(t, "cache_clear", None)))
+
+
 @contextlib.contextmanager
-def changed(target: str, change: Change) -> Iterator[None]:
-    """``target`` is something else everywhere in the planner, also where it was imported by name."""
-    where, _, name = target.partition(":")
-    holder: Any = importlib.import_module(f"planner.{where}")
+def changed(changes: Mapping[str, Change]) -> Iterator[None]:
+    """The targets are something else everywhere in the planner, also where they were imported by name."""
+    _caches()
     before: list[tuple[Any, str, Any]] = []
-    if "." in name:
-        owner, name = name.split(".")
-        holder = getattr(holder, owner)
-        old = holder.__dict__[name]
-        if isinstance(old, property):
-            new: Any = property(change(old.fget))
-        elif isinstance(old, staticmethod):
-            new = staticmethod(change(old.__func__))
-        else:
-            new = change(old)
-        before.append((holder, name, old))
-    else:
-        old = getattr(holder, name)
-        new = change(old)
-        for module in modules():
-            for known, held in list(vars(module).items()):
-                if held is old and (callable(old) or known == name):
-                    before.append((module, known, old))
     try:
-        for place, known, _ in before:
-            setattr(place, known, new)
+        for target, change in changes.items():
+            for place, name, old, new in _changes(target, change):
+                before.append((place, name, old))
+                setattr(place, name, new)
         _forget()
         yield
     finally:
-        for place, known, held in before:
-            setattr(place, known, held)
+        for place, name, old in reversed(before):
+            setattr(place, name, old)
         _forget()
 
 
+def _changes(target: str, change: Change) -> list[tuple[Any, str, Any, Any]]:
+    """(where, name, old, new) of everything that a change of ``target`` touches."""
+    where, _, name = target.partition(":")
+    holder: Any = importlib.import_module(f"planner.{where}")
+    if "." not in name:
+        old = getattr(holder, name)
+        new = change(old)
+        places = _held()[id(old)]
+        return [(m, known, old, new) for m, known, _ in places if callable(old) or known == name]
+    owner, name = name.split(".")
+    holder = getattr(holder, owner)
+    old = holder.__dict__[name]
+    if isinstance(old, property):
+        return [(holder, name, old, property(change(old.fget)))]
+    if isinstance(old, staticmethod):
+        return [(holder, name, old, staticmethod(change(old.__func__)))]
+    return [(holder, name, old, change(old))]
+
+
 def _forget() -> None:
-    """What functions of the planner remember from call to call is forgotten."""
-    for module in modules():
-        for held in list(vars(module).values()):
-            if callable(getattr(held, "cache_clear", None)):
-                held.cache_clear()
-
-
-@contextlib.contextmanager
-def unchecked() -> Iterator[None]:
-    """The planner's own checks are off."""
-    with contextlib.ExitStack() as stack:
-        for target, change in CHECKS.items():
-            stack.enter_context(changed(target, change))
-        yield
+    for cache in _caches():
+        cache.cache_clear()
 
 
 # ---- running a job ----
@@ -205,9 +212,7 @@ def run(job: str, folder: Path, changes: Mapping[str, Change]) -> Verdict:
     """A job's plan, programs and proof while ``changes`` are in force and the planner's checks are off."""
     modules()
     path = JOBS[job](folder)
-    with unchecked(), contextlib.ExitStack() as stack:
-        for target, change in changes.items():
-            stack.enter_context(changed(target, change))
+    with changed({**CHECKS, **changes}):
         return _planned(path)
 
 

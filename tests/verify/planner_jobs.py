@@ -78,19 +78,29 @@ def _standing(arm: Mapping[str, Any]) -> np.ndarray:
     return np.asarray(base @ forward(model, np.deg2rad(np.array(arm["home_deg"], dtype=float))) @ tool)
 
 
-def posed(folder: Path, arms: int = 1, kuka: bool = False, handshake: bool = False) -> Path:
-    """One or two arms pass poses of a table, near home, turning as they go; the spin is free."""
+def posed(
+    folder: Path,
+    arms: int = 1,
+    kuka: bool = False,
+    handshake: bool = False,
+    aside: float = 0.0,
+    feed: float = 20.0,
+) -> Path:
+    """One or two arms pass poses of a table, near home, turning as they go; the spin is free.
+
+    ``aside`` [m]: the poses lie so far to the right, behind a post. ``feed`` [mm/s].
+    """
     used = copy.deepcopy(list(ARMS[:arms]))
     if kuka:
         used[0] |= {"robot": "kr10_r1100", "home_deg": KUKA_HOME}
     names = [arm["name"] for arm in used]
     rows = []
     for k in range(7):
-        row: dict[str, float] = {"feed_mm_s": 20.0}
+        row: dict[str, float] = {"feed_mm_s": feed}
         for arm in used:
             turn = from_rpy([0.0, 0.0, 0.0], np.deg2rad([3.0 * k, 2.0 * k, 0.0]))
             pose = _standing(arm) @ turn
-            pose[:3, 3] += np.array([0.004 * k, -0.05 + 0.015 * k, 0.002 * k * k])
+            pose[:3, 3] += np.array([0.004 * k, -0.05 - aside + 0.015 * k, 0.002 * k * k])
             values = [*(1e3 * pose[:3, 3]), *to_quaternion(pose[:3, :3])]
             columns = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
             row |= {f"{arm['name']}.{c}": float(v) for c, v in zip(columns, values, strict=True)}
@@ -111,17 +121,23 @@ def posed(folder: Path, arms: int = 1, kuka: bool = False, handshake: bool = Fal
         "frame": "world",
         "free": [{"name": f"spin_{n}", "arms": [n], "axis": "z", "turn_deg": [-30, 30]} for n in names],
     }
+    cell: dict[str, Any] = {"name": "cell", "arms": used, "controller": controller}
+    if aside:
+        place = {"xyz_mm": [*(1e3 * _standing(used[0])[:2, 3] - [0, 300]), 400]}
+        shape = {"kind": "box", "size_mm": [150, 40, 900], "pose": place}
+        cell["obstacles"] = [{"name": "post", "shapes": [shape]}]
+        cell["obstacles"][0]["shapes"][0]["pose"]["xyz_mm"] = [float(v) for v in place["xyz_mm"]]
     data = {
         "tandem": 1,
         "name": "poses",
-        "cell": {"name": "cell", "arms": used, "controller": controller},
+        "cell": cell,
         "stock": {"size_mm": [100, 100, 100], "place": {"xyz_mm": [0, 500, 50]}},
         "operations": [operation],
     }
     return _write(folder, data)
 
 
-def elastic(folder: Path) -> Path:
+def elastic(folder: Path, diameter: float = 1.5, **heat: Any) -> Path:
     """A bent wire between two arms cuts the front of a small vault, whose sections change along it."""
     profile = [[-70.0, 0.0], [-25.0, 21.0], [25.0, 21.0], [70.0, 0.0]]
     sections = [
@@ -133,15 +149,15 @@ def elastic(folder: Path) -> Path:
         "name": "vault",
         "cell": _cell("two_irb140_facing"),
         "settings": {"clearance_mm": 10},
-        "stock": {"size_mm": [160, 130, 100], "place": {"xyz_mm": [0, 0, 560]}},
+        "stock": {"size_mm": [160, 130, 100], "foam": "eps_a120", "place": {"xyz_mm": [0, 0, 560]}},
         "part": {"front": {"loft": {"sections": sections, "flip": True}}, "in_stock": "auto"},
         "operations": [
             {
                 "name": "faces",
                 "process": "elastic_wire",
                 "arms": ["left", "right"],
-                "wire": WIRE,
-                "kerf_mm": 2.4,
+                "wire": {**WIRE, "diameter_mm": diameter},
+                **(heat or {"kerf_mm": 2.4}),
                 "feed_mm_s": 8,
                 "feed_min_mm_s": 3,
                 "faces": ["front"],
@@ -198,6 +214,30 @@ WALL: Final = {
 def ruled(folder: Path) -> Path:
     """A bow cuts one ruled face of a standing block."""
     return _write(folder, _straight(WALL))
+
+
+def two_faces(folder: Path) -> Path:
+    """A bow cuts the front and the back of a block, with a way around it between."""
+    front = WALL["ruled"][0]
+    back = {
+        "name": "back",
+        "start": {"bspline_mm": [[-80, -100, 30], [-80, -40, 36], [-80, 40, 34], [-80, 100, 28]]},
+        "end": {"bspline_mm": [[80, -100, 34], [80, -40, 30], [80, 40, 34], [80, 100, 32]]},
+    }
+    cuts = [{"surface": "front"}, {"surface": "back"}]
+    return _write(folder, _straight({"ruled": [front, back], "in_stock": {}}, cuts=cuts))
+
+
+def tapered(folder: Path) -> Path:
+    """A bow cuts a face one end of which is half as long as the other, so that its kerf is wider there."""
+    spec = {
+        "name": "front",
+        "start": {"bspline_mm": [[-80, -100, 62], [-80, -40, 68], [-80, 40, 66], [-80, 100, 60]]},
+        "end": {"bspline_mm": [[80, -60, 66], [80, -20, 64], [80, 20, 68], [80, 60, 66]]},
+        "flip": True,
+    }
+    fields = {"feed_mm_s": 8, "feed_min_mm_s": 2, "power_w": 40, "shape_tol_mm": 0.15, "step_mm": 2}
+    return _write(folder, _straight({"ruled": [spec], "in_stock": {}}, **fields))
 
 
 def ruled_file(folder: Path) -> Path:
@@ -305,8 +345,8 @@ def forming(folder: Path, mode: str = "spif", part: Mesh | None = None, **operat
 
 def oval(folder: Path) -> Path:
     """An oval dish, longer along x, is formed."""
-    part = small_forming.dish(around=180)
-    return forming(folder, "spif", Mesh(part.vertices * [1.2, 1.0, 1.0], part.faces))
+    part = small_forming.dish(radius=26.0, around=180)
+    return forming(folder, "spif", Mesh(part.vertices * [1.15, 1.0, 1.0], part.faces))
 
 
 def forming_handshake(folder: Path) -> Path:
@@ -334,9 +374,9 @@ def two_features(folder: Path) -> Path:
     return forming(folder, "dsif", small_forming.dish_with_a_dome())
 
 
-def flank(folder: Path) -> Path:
+def flank(folder: Path, **cut: Any) -> Path:
     """A cylinder mills a twisted wall by its flank."""
-    return small_mill.write(folder, small_mill.WALL)
+    return small_mill.write(folder, small_mill.WALL, cuts=[{"flank": "wall", **cut}])
 
 
 def lines(folder: Path) -> Path:
@@ -401,6 +441,29 @@ def gcode_rotary(folder: Path) -> Path:
     return small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
 
 
+def gcode_ijk(folder: Path) -> Path:
+    """A ball nose follows lines with the tool's axis by I J K."""
+    rows = ["G21 G90 G17 G94 S9000 M3", "G0 X-30 Y0 Z20 I0 J0 K1", "G1 X-30 Y0 Z0 I0 J0 K1 F900"]
+    rows += [f"X{-30 + 6 * k} Y{2 * k} I{0.01 * k:.2f} J{-0.01 * k:.2f} K1" for k in range(1, 9)]
+    rows += ["G0 Z40", "M30"]
+    (folder / "axis.nc").write_text("\n".join(rows) + "\n")
+    spec = {"file": "axis.nc", "origin": {"xyz_mm": [0, 0, 30]}, "tool_axis": "ijk"}
+    cuts = [{"name": "axis", "gcode": spec}]
+    return small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
+
+
+def gcode_krl(folder: Path) -> Path:
+    """The same file by a KUKA arm."""
+    gcode(folder)
+    data = yaml.safe_load((folder / "problem.yaml").read_text())
+    tool = data["cell"]["arms"][0]["tool"]
+    arm = {"name": "robot", "robot": "kr60_ha", "tool": tool, "home_deg": [0, -110, 110, 0, 40, 0]}
+    controller = {"dialect": "krc4", "io": {"robot": {"doSpindle": 17}}}
+    data["cell"] = {"name": "one", "arms": [arm], "controller": controller}
+    data["stock"]["place"] = {"xyz_mm": [1350, 0, 700], "rpy_deg": [0, 0, 90]}
+    return _write(folder, data)
+
+
 JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "posed": posed,
     "posed_two": lambda folder: posed(folder, 2),
@@ -428,5 +491,16 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "engrave": engrave,
     "gcode": gcode,
     "gcode_rotary": gcode_rotary,
+    "gcode_ijk": gcode_ijk,
+    "gcode_krl": gcode_krl,
+    "behind": lambda folder: posed(folder, aside=0.5),
+    "posed_fast": lambda folder: posed(folder, feed=900.0),
+    "elastic_thin": lambda folder: elastic(folder, 0.8),
+    "elastic_heat": lambda folder: elastic(folder, power_w=80),
+    "tapered": tapered,
+    "two_faces": two_faces,
+    "dsif_squeezed": lambda folder: forming(folder, "dsif", squeeze=0.9),
+    "dpif_l_shifted": lambda folder: forming(folder, "dpif_l", shift_deg=20),
+    "flank_rough": lambda folder: flank(folder, stepdown_mm=20),
 }
 """The makers of all jobs, by name."""
