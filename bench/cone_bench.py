@@ -56,7 +56,7 @@ def stages(name: str) -> list[dict[str, Any]]:
         return made
 
     problem = pipeline.load(name)
-    targets = timed("targets", lambda: [processes.make_targets(problem, 0)])
+    targets = timed("targets", lambda: [processes.job(problem, 0).targets()])
     plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
     programs = timed("programs", lambda: write.programs(plan, problem))
     claims = processes.claims(problem)

@@ -84,12 +84,12 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
     timed("start-up", load)
     from planner import pipeline, processes
-    from planner.milling.once import job_once
+    from planner.milling.job import job
     from planner.motion import solve
     from planner.post import write
 
     problem = timed("problem file", lambda: pipeline.load(path))
-    targets = timed("targets", lambda: [processes.make_targets(problem, 0)])
+    targets = timed("targets", lambda: [processes.job(problem, 0).targets()])
     plan = timed("motion", lambda: solve.solve(problem, targets, lambda stage, share: None))
     programs = timed("programs", lambda: write.programs(plan, problem))
     proof = timed("proof", lambda: pipeline.verify(problem, programs))
@@ -99,7 +99,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
     rows.append({**whole, "note": note})
     outcome = pipeline.Outcome(problem, plan, proof, programs)
     timed("report, replay and files", lambda: outcome.save(folder))
-    made = job_once(problem.operations[0], problem.setup_of(0), problem.part)
+    made = job(problem.operations[0], problem.setup_of(0), problem.part)
     return [*rows, _against_all(made)]
 
 

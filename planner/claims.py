@@ -204,6 +204,37 @@ class FollowsPoses:
     angle_tol: float
 
 
+@dataclasses.dataclass(frozen=True)
+class FreeAxis:
+    """What a user leaves open about poses: a turn about, or a slide along, the ``axis`` x, y or z (0, 1, 2)
+    of the pose, from ``lower`` to ``upper`` [rad or m]. ``arms`` that are named share its value."""
+
+    arms: tuple[str, ...]
+    axis: int
+    turns: bool
+    lower: float
+    upper: float
+
+
+@dataclasses.dataclass(frozen=True)
+class FollowsTable:
+    """The TCPs of ``arms`` pass the poses of the table that ``operation`` names, in order and in ``frame``,
+    but for what is ``free``, the later axes after the earlier ones.
+
+    Each pose holds within ``position_tol`` [m] and ``angle_tol`` [rad]. From each pose to the next the TCPs
+    take so long that the farthest one moves no faster than the row's feed, or ``feed`` [m/s] where it has
+    none.
+    """
+
+    operation: str
+    arms: tuple[str, ...]
+    frame: str
+    free: tuple[FreeAxis, ...]
+    position_tol: float
+    angle_tol: float
+    feed: float | None
+
+
 Claim = (
     WireJoins
     | StraightWire
@@ -216,6 +247,7 @@ Claim = (
     | ConfirmedPower
     | FeedWindow
     | FollowsPoses
+    | FollowsTable
     | FormsSheet
     | ToolGap
     | SupportsBorder

@@ -305,6 +305,8 @@ CODES: Final[dict[str, str]] = {
     "motion.stops": "the arm stops at corners that it would else have to pass very slowly",
     "motion.no_placement": "no place of the stock was found from which the whole job can be done",
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
+    "claims.unproven": "a process claims something that no rule of the proof looks at",
+    "claims.none": "a process claims nothing of an operation",
     "verify.no_programs": "a result folder holds no programs",
     # features of a part that is formed from a sheet
     "forming.undercut": "a part turns over: a wall beyond 90 degrees",

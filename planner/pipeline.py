@@ -17,7 +17,7 @@ from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output
-from planner.verify import margins, prove
+from planner.verify import kinds, margins, prove
 from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -67,8 +67,10 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
     tell = progress or _silent
     tell("targets", 0.0)
-    targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
-    refused = write.refusals(problem, targets)
+    jobs = processes.jobs(problem)
+    targets = [job.targets() for job in jobs]
+    claims = processes.claims(problem, jobs)
+    refused = [*write.refusals(problem, targets), *kinds.unproven(claims)]
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell)
@@ -76,7 +78,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
     tell("proof", 0.0)
-    proof = verify(problem, programs)
+    proof = prove.prove(problem, claims, programs)
     tell("proof", 1.0)
     return Outcome(problem, made, proof, _with_margins(made, problem, programs, proof) if proof.ok else {})
 
@@ -85,7 +87,7 @@ def check(problem: Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
     notes = _notes(problem)
     try:
-        targets = [processes.make_targets(problem, i) for i in range(len(problem.operations))]
+        targets = [job.targets() for job in processes.jobs(problem)]
         found = [*notes, *(issue for item in targets for issue in item.issues)]
         return aggregate([*found, *write.refusals(problem, targets), *solve.check(problem, targets)])
     except TandemError as error:

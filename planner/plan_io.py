@@ -22,7 +22,7 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, KerfCurve
+from planner.claims import Claim, FreeAxis, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
@@ -46,6 +46,7 @@ _VALUES: Final[dict[str, type]] = {
         Aim,
         Cutter,
         KerfCurve,
+        FreeAxis,
         *get_args(Claim),
     )
 }

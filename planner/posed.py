@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 import math
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from planner.claims import Claim, FollowsPoses
+from planner import claims as claimed
+from planner.claims import Claim
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
@@ -95,62 +97,77 @@ class Posed(Strict):
         return self
 
 
-def make_targets(operation: Posed, setup: Setup, part: Part | None) -> Targets:
-    """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
-    column.
-    """
-    if setup.stock.held_by is not None:
-        what = (
-            f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are "
-            "planned for a block that stands; let it stand (held_by: nobody)"
-        )
-        raise TandemError(Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by))
-    rows = _rows(operation)
-    poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
-    count = len(rows)
-    feed = np.array(
-        [_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)]
-    )
-    if not ((feed >= SLOWEST_MM_S) & (feed <= FASTEST_MM_S)).all():
-        first = int(np.argmax((feed < SLOWEST_MM_S) | (feed > FASTEST_MM_S)))
-        raise TandemError(
-            _fault(
-                operation,
-                first,
-                f"feed_mm_s is {feed[first]:g}, allowed {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}; correct it",
+@dataclasses.dataclass(frozen=True)
+class PosedJob:
+    """An operation that follows the poses of a file."""
+
+    operation: Posed
+    setup: Setup
+    part: Part | None
+
+    def targets(self) -> Targets:
+        """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
+        column.
+        """
+        operation, setup = self.operation, self.setup
+        if setup.stock.held_by is not None:
+            what = (
+                f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are "
+                "planned for a block that stands; let it stand (held_by: nobody)"
             )
+            raise TandemError(
+                Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by)
+            )
+        rows = _rows(operation)
+        poses = {arm: _poses(rows, arm, operation) for arm in operation.arms}
+        count = len(rows)
+        feed = np.array(
+            [_number(row, "feed_mm_s", i, operation, operation.feed_mm_s) for i, row in enumerate(rows)]
         )
-    segment = tuple(_segment(row, i, operation) for i, row in enumerate(rows))
-    stop = np.array([_flag(row, i, operation) for i, row in enumerate(rows)])
-    stop[[0, -1]] = True
-    return Targets(
-        arms=operation.arms,
-        pose=poses,
-        frame=dict.fromkeys(operation.arms, operation.frame),
-        freedoms=tuple(_freedom(axis, count) for axis in operation.free),
-        feed=feed * MM,
-        feed_min=np.zeros(count),
-        travel=_travel(poses),
-        stop=stop,
-        segment=segment,
-        coupled=operation.coupled,
-        claims=_claims(operation, poses),
-    )
+        if not ((feed >= SLOWEST_MM_S) & (feed <= FASTEST_MM_S)).all():
+            first = int(np.argmax((feed < SLOWEST_MM_S) | (feed > FASTEST_MM_S)))
+            raise TandemError(
+                _fault(
+                    operation,
+                    first,
+                    f"feed_mm_s is {feed[first]:g}, allowed {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}; correct it",
+                )
+            )
+        segment = tuple(_segment(row, i, operation) for i, row in enumerate(rows))
+        stop = np.array([_flag(row, i, operation) for i, row in enumerate(rows)])
+        stop[[0, -1]] = True
+        return Targets(
+            arms=operation.arms,
+            pose=poses,
+            frame=dict.fromkeys(operation.arms, operation.frame),
+            freedoms=tuple(_freedom(axis, count) for axis in operation.free),
+            feed=feed * MM,
+            feed_min=np.zeros(count),
+            travel=_travel(poses),
+            stop=stop,
+            segment=segment,
+            coupled=operation.coupled,
+            claims=self.claims(),
+        )
 
-
-def claims(operation: Posed, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """Each TCP follows the file's poses up to its free axes."""
-    rows = _rows(operation)
-    return _claims(operation, {arm: _poses(rows, arm, operation) for arm in operation.arms})
-
-
-def _claims(operation: Posed, poses: Mapping[str, FloatArray]) -> tuple[Claim, ...]:
-    position, angle = operation.position_tol_mm * MM, operation.angle_tol_deg * DEG
-    out = []
-    for arm, pose in poses.items():
-        free = tuple(_twist(axis) for axis in operation.free if arm in axis.arms)
-        out.append(FollowsPoses(arm, operation.frame, pose, free, position, angle))
-    return tuple(out)
+    def claims(self) -> tuple[Claim, ...]:
+        """Each TCP passes the poses of the file, as the proof reads it, up to its free axes."""
+        op = self.operation
+        free = tuple(
+            claimed.FreeAxis(
+                tuple(axis.arms),
+                AXES[axis.axis],
+                axis.turn_deg is not None,
+                *(
+                    bound * (DEG if axis.turn_deg else MM)
+                    for bound in axis.turn_deg or axis.slide_mm or (0.0, 0.0)
+                ),
+            )
+            for axis in op.free
+        )
+        feed = None if op.feed_mm_s is None else op.feed_mm_s * MM
+        tolerance = (op.position_tol_mm * MM, op.angle_tol_deg * DEG)
+        return (claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed),)
 
 
 def _travel(poses: Mapping[str, FloatArray]) -> FloatArray:

@@ -1,12 +1,12 @@
-"""The registry of processes: one line each. A process turns an operation on a stock into Targets and states
-its claims. What it needs for that is imported where a problem first asks for it.
+"""The registry of processes: one line each. A process turns an operation on a stock into a job: its targets
+and what must hold of them. What it needs for that is imported where a problem first asks for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 from pydantic import BaseModel
 
@@ -20,29 +20,36 @@ from planner.problem import Part, Problem, Setup
 from planner.targets import Targets
 
 
+class Job(Protocol):
+    """One operation as a process sees it. Targets and claims come from the same read-only inputs; no claim is
+    made of targets."""
+
+    def targets(self) -> Targets:
+        """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the motion, from the problem alone."""
+
+
 class Process(NamedTuple):
-    """Schema of the operation, and the module that exports the two functions of the process."""
+    """Schema of the operation, and the module and class of the process's jobs."""
 
     schema: type[BaseModel]
     module: str
+    name: str
 
-    def make_targets(self, operation: Any, setup: Setup, part: Part | None) -> Targets:
-        """The targets of an operation of this process."""
-        made: Targets = import_module(self.module).make_targets(operation, setup, part)
-        return made
-
-    def claims(self, operation: Any, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-        """What must hold of the operation."""
-        made: tuple[Claim, ...] = import_module(self.module).claims(operation, setup, part)
+    def job(self, operation: Any, setup: Setup, part: Part | None) -> Job:
+        """The job of an operation of this process."""
+        made: Job = getattr(import_module(self.module), self.name)(operation, setup, part)
         return made
 
 
 PROCESSES: Final[Mapping[str, Process]] = {
-    "forming": Process(Forming, "planner.forming.forming"),
-    "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic"),
-    "straight_wire": Process(Straight, "planner.hotwire.straight"),
-    "milling": Process(Milling, "planner.milling.milling"),
-    "targets": Process(Posed, "planner.posed"),
+    "forming": Process(Forming, "planner.forming.forming", "FormingJob"),
+    "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic", "ElasticJob"),
+    "straight_wire": Process(Straight, "planner.hotwire.straight", "StraightJob"),
+    "milling": Process(Milling, "planner.milling.milling", "MillingJob"),
+    "targets": Process(Posed, "planner.posed", "PosedJob"),
 }
 
 
@@ -51,17 +58,20 @@ def schemas() -> dict[str, type[BaseModel]]:
     return {name: process.schema for name, process in PROCESSES.items()}
 
 
-def make_targets(problem: Problem, index: int) -> Targets:
-    """The targets of one operation, by its index; raises ``TandemError`` where the process cannot make the
-    part.
-    """
+def job(problem: Problem, index: int) -> Job:
+    """The job of one operation, by its index."""
     operation = problem.operations[index]
-    return PROCESSES[operation.process].make_targets(operation, problem.setup_of(index), problem.part)
+    return PROCESSES[operation.process].job(operation, problem.setup_of(index), problem.part)
 
 
-def claims(problem: Problem) -> dict[str, tuple[Claim, ...]]:
-    """What must hold of each operation, by its name, from the problem alone."""
+def jobs(problem: Problem) -> tuple[Job, ...]:
+    """The jobs of all operations, in order."""
+    return tuple(job(problem, index) for index in range(len(problem.operations)))
+
+
+def claims(problem: Problem, made: Sequence[Job] | None = None) -> dict[str, tuple[Claim, ...]]:
+    """What must hold of each operation, by its name; ``made`` are the problem's jobs where there are some."""
     return {
-        op.name: PROCESSES[op.process].claims(op, problem.setup_of(i), problem.part)
-        for i, op in enumerate(problem.operations)
+        operation.name: one.claims()
+        for operation, one in zip(problem.operations, made or jobs(problem), strict=True)
     }

@@ -27,7 +27,7 @@ def test_the_table_is_what_its_script_writes(tmp_path: Path, monkeypatch: pytest
 
 def test_every_pose_looks_at_the_vault_from_25_mm() -> None:
     """Against the cylinder itself: radius 300 mm about y, its ridge 80 mm above the stock's frame."""
-    made = processes.make_targets(pipeline.load("gauge_lanes"), 0)
+    made = processes.job(pipeline.load("gauge_lanes"), 0).targets()
     pose = made.pose["robot"]
     to_axis = np.array([0.0, 0.0, 0.080 - 0.300]) - pose[:, :3, 3] * [1.0, 0.0, 1.0]
     np.testing.assert_allclose(np.linalg.norm(to_axis, axis=1), 0.325, atol=1e-6)

@@ -12,7 +12,7 @@ import pytest
 from pydantic import ValidationError
 
 from planner.issues import TandemError
-from planner.posed import POSE_COLUMNS, Posed, make_targets
+from planner.posed import POSE_COLUMNS, Posed, PosedJob
 from planner.problem import Cell, Controller, Setup, Stock
 
 SETUP = Setup(
@@ -43,7 +43,7 @@ def write(folder: Path, rows: list[dict[str, Any]], name: str = "targets.csv") -
 @pytest.mark.parametrize("name", ["targets.csv", "targets.json"])
 def test_both_formats_give_the_same_targets(tmp_path: Path, name: str) -> None:
     write(tmp_path, [ROW, {**ROW, "left.x_mm": 4, "right.y_mm": 7}], name)
-    targets = make_targets(operation(tmp_path, name), SETUP, None)
+    targets = PosedJob(operation(tmp_path, name), SETUP, None).targets()
     assert targets.count == 2
     np.testing.assert_allclose(targets.pose["left"][:, :3, 3], [[1e-3, 2e-3, 3e-3], [4e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(targets.pose["right"][0, :3, :3], np.diag([1.0, -1, -1]), atol=1e-15)
@@ -55,7 +55,7 @@ def test_both_formats_give_the_same_targets(tmp_path: Path, name: str) -> None:
 def test_free_axes_become_shared_freedoms(tmp_path: Path) -> None:
     write(tmp_path, [ROW, ROW])
     free = [{"name": "spin", "arms": ["left", "right"], "axis": "x", "turn_deg": [-180, 180]}]
-    (freedom,) = make_targets(operation(tmp_path, free=free), SETUP, None).freedoms
+    (freedom,) = PosedJob(operation(tmp_path, free=free), SETUP, None).targets().freedoms
     assert freedom.periodic
     np.testing.assert_allclose(freedom.upper, np.pi)
     assert set(freedom.axis) == {"left", "right"}
@@ -73,7 +73,7 @@ def test_free_axes_become_shared_freedoms(tmp_path: Path) -> None:
 def test_a_wrong_value_is_named_by_row_and_column(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     write(tmp_path, [ROW, {**ROW, **change}])
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path), SETUP, None)
+        PosedJob(operation(tmp_path), SETUP, None).targets()
     (issue,) = caught.value.issues
     assert issue.code == "targets.file"
     assert issue.index == 1
@@ -82,14 +82,14 @@ def test_a_wrong_value_is_named_by_row_and_column(tmp_path: Path, change: dict[s
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path), SETUP, None)
+        PosedJob(operation(tmp_path), SETUP, None).targets()
     assert caught.value.issues[0].code == "problem.missing_file"
 
 
 def test_a_broken_json_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.json").write_text("[{")
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path, "t.json"), SETUP, None)
+        PosedJob(operation(tmp_path, "t.json"), SETUP, None).targets()
     assert caught.value.issues[0].code == "targets.file"
 
 
@@ -97,7 +97,7 @@ def test_a_free_axis_is_a_turn_or_a_slide(tmp_path: Path) -> None:
     write(tmp_path, [ROW, ROW])
     free = [{"name": "both", "arms": ["left"], "axis": "z", "turn_deg": [0, 1], "slide_mm": [0, 1]}]
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path, free=free), SETUP, None)
+        PosedJob(operation(tmp_path, free=free), SETUP, None).targets()
     assert caught.value.issues[0].code == "targets.freedom"
 
 
@@ -110,5 +110,5 @@ def test_a_block_that_an_arm_holds_is_refused(tmp_path: Path) -> None:
     write(tmp_path, [ROW, {**ROW, "left.x_mm": 4}])
     block = dataclasses.replace(SETUP.stock, held_by="right")
     with pytest.raises(TandemError) as caught:
-        make_targets(operation(tmp_path), dataclasses.replace(SETUP, stock=block), None)
+        PosedJob(operation(tmp_path), dataclasses.replace(SETUP, stock=block), None).targets()
     assert [issue.code for issue in caught.value.issues] == ["targets.held"]

@@ -7,12 +7,15 @@ See ``job`` (features, order, passes), ``paths`` (the contact on each face), ``s
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import read_only
 from planner.claims import Claim
 from planner.forming import forming_claims, holder
 from planner.forming.forming_check import check, shift_issues
@@ -42,26 +45,38 @@ RUN: Final = 0.8
 MOST: Final = 4000
 
 
-def make_targets(operation: Forming, setup: Setup, part: Part | None) -> Targets:
-    """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
-    made = job(operation, setup, part)
-    refused = [*holder.issues(made), *shift_issues(made)]
-    if refused:
-        raise TandemError(refused)
-    paths = [(one, lay(made, one)) for one in made.passes]
-    issues = check(made, setup, paths)
-    if has_errors(issues):
-        raise TandemError(aggregate(issues))
-    return _targets(made, setup, paths, _route(made, setup, paths), issues)
+@dataclasses.dataclass(frozen=True)
+class FormingJob:
+    """An operation that forms a sheet, with the tools that it finds."""
 
+    operation: Forming
+    setup: Setup
+    part: Part | None
 
-def claims(operation: Forming, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """What must hold of the job, from the problem alone."""
-    made = job(operation, setup, part)
-    if operation.mode != "adsif":
-        return forming_claims.claims(made)
-    route = _route(made, setup, [(one, lay(made, one)) for one in made.passes])
-    return forming_claims.claims(made, _poses(made, route))
+    @functools.cached_property
+    def made(self) -> Job:
+        """Features, order and passes: worked out once, and nobody can write into their arrays."""
+        return read_only(job(self.operation, self.setup, self.part))
+
+    def targets(self) -> Targets:
+        """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
+        made, setup = self.made, self.setup
+        refused = [*holder.issues(made), *shift_issues(made)]
+        if refused:
+            raise TandemError(refused)
+        paths = [(one, lay(made, one)) for one in made.passes]
+        issues = check(made, setup, paths)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        return _targets(made, setup, paths, _route(made, setup, paths), issues)
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the job, from the problem alone."""
+        made, setup = self.made, self.setup
+        if self.operation.mode != "adsif":
+            return forming_claims.claims(made)
+        route = _route(made, setup, [(one, lay(made, one)) for one in made.passes])
+        return forming_claims.claims(made, _poses(made, route))
 
 
 def _route(made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:

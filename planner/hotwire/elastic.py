@@ -8,6 +8,8 @@ hold).
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,86 +52,101 @@ _KERF_ROUNDS = 2  # local speeds follow from the wires, which follow from the ke
 _DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
 
 
-def make_targets(operation: ElasticWire, setup: Setup, part: Part | None) -> Targets:
-    """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
-    wire cannot do it.
-    """
-    stock, wire = setup.stock, _wire(operation)
-    if stock.held_by is not None:
-        raise TandemError(
-            Issue(
-                "wire.held",
-                f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
-                "both its arms; let the block stand: setup: {held_by: nobody, place: auto}",
-                field="stock.held_by",
-                arm=stock.held_by,
-            )
-        )
-    wanted = _wanted(operation, part)
-    curve, feed = _kerf(operation, setup), operation.feed_mm_s * MM
-    moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}
-    tried, degrees = _sweep(operation, wire, list(moved.values()))
-    gravity = wire.load * stock.gravity
-    cuts = [_cut(operation, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
-    for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
-        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
-            slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
-            mesh = offset(_mesh(face), 0.5 * slot)
-            cuts[i] = _cut(operation, cut.face.name, mesh, degrees, gravity, stock.box)
-    misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
-    if misfits:
-        raise TandemError(misfits)
-    margin, radius = operation.margin_mm * MM, 0.5 * wire.width
-    faces = [cut.face for cut in cuts]
-    route = lay_out(faces, stock.box, margin, radius, operation.step_mm * MM, operation.runs == "two")
-    route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * operation.shape_tol_mm * MM)
-    figures = measure(route, wire, stock.box)
-    issues = [
-        *_driven(operation, route, off, miss),
-        *check(operation, wire, route, cuts, figures, stock.box),
-    ]
-    if has_errors(issues):
-        raise TandemError(aggregate(issues))
-    return _targets(
-        operation, wire, setup, part, route, issues, exhibits(operation, wire, route, cuts, figures, tried)
-    )
+@dataclasses.dataclass(frozen=True)
+class ElasticJob:
+    """An operation with a bent wire, on the block that it finds."""
 
+    operation: ElasticWire
+    setup: Setup
+    part: Part | None
 
-def claims(operation: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """What must hold of the job, from the problem alone."""
-    wire, curve = _wire(operation), _kerf(operation, setup)
-    out: list[Claim] = [
-        WireJoins(
-            operation.arms,
-            operation.wire.length_mm * MM,
-            wire.bending,
-            wire.stiff_bending,
-            wire.torsion,
-            wire.weight,
-            operation.wire.is_round,
-            wire.max_curvature,
-            wire.thickness,
-            operation.end_error_mm * MM,
-        ),
-        ContactOnlyIn(("cut",), operation.signal, operation.heat_up_s),
-    ]
-    for name, face in _wanted(operation, part).items():
-        segment = f"cut/{name}"
-        out.append(
-            CutsSurface(
-                segment,
-                face.vertices,
-                face.faces,
-                curve,
-                operation.shape_tol_mm * MM,
-                operation.share,
+    def targets(self) -> Targets:
+        """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
+        wire cannot do it.
+        """
+        operation, setup, part = self.operation, self.setup, self.part
+        stock, wire = setup.stock, _wire(operation)
+        if stock.held_by is not None:
+            raise TandemError(
+                Issue(
+                    "wire.held",
+                    f"{operation.name}: the block is held by arm {stock.held_by}, but an elastic wire takes "
+                    "both its arms; let the block stand: setup: {held_by: nobody, place: auto}",
+                    field="stock.held_by",
+                    arm=stock.held_by,
+                )
             )
+        wanted = _wanted(operation, part)
+        curve, feed = _kerf(operation, setup), operation.feed_mm_s * MM
+        moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}
+        tried, degrees = _sweep(operation, wire, list(moved.values()))
+        gravity = wire.load * stock.gravity
+        cuts = [_cut(operation, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
+        for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
+            for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
+                slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
+                mesh = offset(_mesh(face), 0.5 * slot)
+                cuts[i] = _cut(operation, cut.face.name, mesh, degrees, gravity, stock.box)
+        misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
+        if misfits:
+            raise TandemError(misfits)
+        margin, radius = operation.margin_mm * MM, 0.5 * wire.width
+        faces = [cut.face for cut in cuts]
+        route = lay_out(faces, stock.box, margin, radius, operation.step_mm * MM, operation.runs == "two")
+        route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * operation.shape_tol_mm * MM)
+        figures = measure(route, wire, stock.box)
+        issues = [
+            *_driven(operation, route, off, miss),
+            *check(operation, wire, route, cuts, figures, stock.box),
+        ]
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        return _targets(
+            operation,
+            wire,
+            setup,
+            part,
+            route,
+            issues,
+            exhibits(operation, wire, route, cuts, figures, tried),
         )
-        out.append(FeedWindow(segment, operation.feed_min_mm_s * MM, operation.feed_mm_s * MM))
-        if operation.power_w is not None:
-            lower, upper = (width * MM for width in operation.kerf_range_mm)
-            out.append(KerfWithin(segment, curve, lower, upper))
-    return tuple(out)
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the job, from the problem alone."""
+        operation, setup, part = self.operation, self.setup, self.part
+        wire, curve = _wire(operation), _kerf(operation, setup)
+        out: list[Claim] = [
+            WireJoins(
+                operation.arms,
+                operation.wire.length_mm * MM,
+                wire.bending,
+                wire.stiff_bending,
+                wire.torsion,
+                wire.weight,
+                operation.wire.is_round,
+                wire.max_curvature,
+                wire.thickness,
+                operation.end_error_mm * MM,
+            ),
+            ContactOnlyIn(("cut",), operation.signal, operation.heat_up_s),
+        ]
+        for name, face in _wanted(operation, part).items():
+            segment = f"cut/{name}"
+            out.append(
+                CutsSurface(
+                    segment,
+                    face.vertices,
+                    face.faces,
+                    curve,
+                    operation.shape_tol_mm * MM,
+                    operation.share,
+                )
+            )
+            out.append(FeedWindow(segment, operation.feed_min_mm_s * MM, operation.feed_mm_s * MM))
+            if operation.power_w is not None:
+                lower, upper = (width * MM for width in operation.kerf_range_mm)
+                out.append(KerfWithin(segment, curve, lower, upper))
+        return tuple(out)
 
 
 def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:
@@ -273,7 +290,7 @@ def _targets(
         coupled=True,
         edge=Edge(points, 0.5 * wire.width),
         actions=_actions(op, wire, route),
-        claims=claims(op, setup, part),
+        claims=ElasticJob(op, setup, part).claims(),
         exhibits=pictures,
         issues=aggregate(issues),
     )

@@ -7,6 +7,8 @@ between), ``straight_frames`` (poses and freedoms), ``straight_check`` (what mus
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,41 +35,50 @@ AIR_FEED = 0.1
 """Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
 
 
-def make_targets(operation: Straight, setup: Setup, part: Part | None) -> Targets:
-    """Targets of the operation; raises ``TandemError`` with the codes ``bow.*``, ``straight.*``, ``kerf.*``,
-    ``part.missing_surface`` and ``stock.*`` where the wire cannot do it.
-    """
-    stock, bow = setup.stock, bow_of(operation, setup)
-    todo = wanted(operation, setup, part)
-    kerf, thickness = _kerf(operation, setup, bow, todo)
-    ruled = () if part is None else part.ruled
-    box = stock.box
-    cuts = _cuts(operation, setup, part, bow, todo, kerf)
-    issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
-    issues += check_drops(operation, cuts, setup)
-    issues += check_model(operation, setup, bow, cuts, thickness)
-    if has_errors(issues):
-        raise TandemError(aggregate(issues))
-    down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
-    clear = operation.margin_mm * MM + bow.radius
-    route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
-    first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM, bow.span)
-    pose = straight_frames.poses(route.lines, box, first, last)
-    issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
-    issues += check_holder(operation, setup, cuts, route.lines, route.segment)
-    if has_errors(issues):
-        raise TandemError(aggregate(issues))
-    return _targets(operation, setup, bow, todo, kerf, cuts, route, pose, (first, last), issues)
+@dataclasses.dataclass(frozen=True)
+class StraightJob:
+    """An operation with a straight wire, on the block and the tools that it finds."""
 
+    operation: Straight
+    setup: Setup
+    part: Part | None
 
-def claims(operation: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """What must hold of the job, from the problem alone."""
-    bow = bow_of(operation, setup)
-    todo = wanted(operation, setup, part)
-    kerf = _kerf(operation, setup, bow, todo)[0]
-    closed = [one for one in todo if one.ruled.closed]  # these alone have slits
-    slits = straight_claims.slits(_cuts(operation, setup, part, bow, closed, kerf))
-    return straight_claims.claims(operation, setup, bow, todo, kerf, slits)
+    def targets(self) -> Targets:
+        """Targets of the operation; raises ``TandemError`` with the codes ``bow.*``, ``straight.*``,
+        ``kerf.*``, ``part.missing_surface`` and ``stock.*`` where the wire cannot do it.
+        """
+        operation, setup, part = self.operation, self.setup, self.part
+        stock, bow = setup.stock, bow_of(operation, setup)
+        todo = wanted(operation, setup, part)
+        kerf, thickness = _kerf(operation, setup, bow, todo)
+        ruled = () if part is None else part.ruled
+        box = stock.box
+        cuts = _cuts(operation, setup, part, bow, todo, kerf)
+        issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
+        issues += check_drops(operation, cuts, setup)
+        issues += check_model(operation, setup, bow, cuts, thickness)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        down = stock.gravity[None] if stock.held_by is None else np.array([[0.0, 0.0, -1.0]])
+        clear = operation.margin_mm * MM + bow.radius
+        route = lay_out(cuts, box, clear, 0.5 * bow.span, down)
+        first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM, bow.span)
+        pose = straight_frames.poses(route.lines, box, first, last)
+        issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
+        issues += check_holder(operation, setup, cuts, route.lines, route.segment)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        return _targets(operation, setup, bow, todo, kerf, cuts, route, pose, (first, last), issues)
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the job, from the problem alone."""
+        operation, setup, part = self.operation, self.setup, self.part
+        bow = bow_of(operation, setup)
+        todo = wanted(operation, setup, part)
+        kerf = _kerf(operation, setup, bow, todo)[0]
+        closed = [one for one in todo if one.ruled.closed]  # these alone have slits
+        slits = straight_claims.slits(_cuts(operation, setup, part, bow, closed, kerf))
+        return straight_claims.claims(operation, setup, bow, todo, kerf, slits)
 
 
 def _cuts(

@@ -6,20 +6,22 @@ ways between), ``mill_check`` (what would go wrong), ``mill_claims`` (what must 
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import read_only
 from planner.claims import Claim
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling import mill_claims, spoken
 from planner.milling.frames import poses, spin
-from planner.milling.job import Job
+from planner.milling.job import Job, job
 from planner.milling.mill_check import check
 from planner.milling.mill_exhibits import exhibits
-from planner.milling.once import job_once
 from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
 from planner.problem import Part, Setup
@@ -33,19 +35,31 @@ LEVER: Final = 0.05
 """A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
 
 
-def make_targets(operation: Milling, setup: Setup, part: Part | None) -> Targets:
-    """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-    made = job_once(operation, setup, part)
-    route = lay_out(operation, made.runs, made.box)
-    issues = check(made)
-    if has_errors(issues):
-        raise TandemError(aggregate(issues))
-    return _targets(made, route, aggregate(issues))
+@dataclasses.dataclass(frozen=True)
+class MillingJob:
+    """An operation that mills, with the cutter and the block that it finds."""
 
+    operation: Milling
+    setup: Setup
+    part: Part | None
 
-def claims(operation: Milling, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """What must hold of the job, from the problem alone."""
-    return mill_claims.claims(job_once(operation, setup, part))
+    @functools.cached_property
+    def made(self) -> Job:
+        """Cuts as passes: worked out once, and nobody can write into their arrays."""
+        return read_only(job(self.operation, self.setup, self.part))
+
+    def targets(self) -> Targets:
+        """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
+        made = self.made
+        route = lay_out(self.operation, made.runs, made.box)
+        issues = check(made)
+        if has_errors(issues):
+            raise TandemError(aggregate(issues))
+        return _targets(made, route, aggregate(issues))
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the job, from the problem alone."""
+        return mill_claims.claims(self.made)
 
 
 def _targets(made: Job, route: Route, issues: tuple[Issue, ...]) -> Targets:

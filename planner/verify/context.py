@@ -16,7 +16,6 @@ from planner.claims import (
     ContactOnlyIn,
     CutsSurface,
     FeedWindow,
-    FollowsPoses,
     FollowsRulings,
     HoldsStock,
     KerfWithin,
@@ -107,11 +106,6 @@ class Context:
     def kerfs(self) -> tuple[KerfWithin, ...]:
         """Bounds of the slot's width."""
         return tuple(claim for claim in self.claims if isinstance(claim, KerfWithin))
-
-    @property
-    def follows(self) -> tuple[FollowsPoses, ...]:
-        """Curves that a TCP must follow."""
-        return tuple(claim for claim in self.claims if isinstance(claim, FollowsPoses))
 
     # ---- text ----
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.cell.plant import CellModel, build
 from planner.claims import Claim
-from planner.issues import Issue, aggregate
+from planner.issues import Issue, TandemError, aggregate
 from planner.problem import Problem
 from planner.verify import (
     formed_part,
@@ -24,6 +24,7 @@ from planner.verify import (
     report_series,
     rules_cell,
     rules_data,
+    rules_follow,
     rules_forming,
     rules_forming_sheet,
     rules_forming_two,
@@ -45,6 +46,7 @@ from planner.verify import (
 )
 from planner.verify.context import Context, Outcome
 from planner.verify.forming_state import Forming
+from planner.verify.kinds import unproven
 from planner.verify.mill_track import Milling
 from planner.verify.remedies import told
 from planner.verify.result import CutFace, Proof, RuleResult
@@ -105,7 +107,7 @@ MOTION: _RuleTable = (
     ("verify.joint_acceleration", rules_motion.joint_acceleration),
     ("verify.singularity", rules_motion.singularity),
     ("verify.tcp_speed", rules_motion.tcp_speed),
-    ("verify.follows", rules_motion.follows),
+    ("verify.follows", rules_follow.follows),
     ("verify.order", rules_part.order),
 )
 WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
@@ -317,7 +319,10 @@ def prove(problem: Problem, claims: Mapping[str, tuple[Claim, ...]], programs: M
     """Prove programs from their text.
 
     ``claims`` {operation: claims} follow from the problem; ``programs`` {file name: text}. What is wrong
-    with the programs is in the proof; raises ``TandemError`` (verify.duration) for programs so long that they
-    are not looked at.
+    with the programs is in the proof; raises ``TandemError`` for programs so long that they are not looked at
+    (verify.duration), and for claims that no rule proves (claims.unproven, claims.none).
     """
+    refused = unproven(claims)
+    if refused:
+        raise TandemError(refused)
     return Prover(problem, claims).prove(programs)

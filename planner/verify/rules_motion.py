@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import robot
-from planner.claims import FollowsPoses
-from planner.geometry.rigid import inverse
 from planner.issues import Issue
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample, at_step
-from planner.verify.follow_poses import passing
 from planner.verify.rules_setup import at_home
 from planner.verify.steps import MoveStep
 
@@ -303,46 +300,6 @@ def _timed(context: Context) -> NDArray[np.bool_]:
             flags = [move.time is not None or move.speed.axes is not None for move in moves]
             out[rows[: len(flags)]] |= np.array(flags, dtype=bool)
     return out
-
-
-def follows(context: Context) -> Outcome:
-    """Targets of the tools are the poses that the problem gives, in order, up to the free axes."""
-    if not context.follows:
-        return Outcome(where="no such claim")
-    issues, worst = [], 0.0
-    for index, setup in enumerate(context.setup_claims):
-        for claim in (c for group in setup.groups for c in group if isinstance(c, FollowsPoses)):
-            found, off = _followed(context, index, claim)
-            issues += found
-            worst = max(worst, off)
-    return Outcome(tuple(issues), worst, mm(max(c.position_tol for c in context.follows)), "mm")
-
-
-def _followed(context: Context, index: int, claim: FollowsPoses) -> tuple[list[Issue], float]:
-    """Issues of one claim in setup ``index``, and the largest distance [mm] of a pose to its target."""
-    issues: list[Issue] = []
-    worst = 0.0
-    written = context.motion.node_tcp.get(claim.arm)
-    here = context.spans.of_stage[context.motion.node_stage] == index
-    if written is None or not (here & np.isfinite(written[:, 0, 0])).any():
-        return [Issue("verify.follows", f"arm {claim.arm} never moves", arm=claim.arm)], worst
-    rows = np.flatnonzero(here & np.isfinite(written[:, 0, 0]))
-    path = written[rows]
-    if claim.frame == "stock":
-        path = inverse(context.stock_poses(index, context.motion.node_sample[rows])) @ path
-    found = passing(path, np.asarray(claim.poses), claim.free, (claim.position_tol, claim.angle_tol))
-    worst = mm(float(found.off[: found.looked, 0].max(initial=0.0)))
-    for i in np.flatnonzero(~found.met[: found.looked]).tolist():
-        way, angle = found.off[i].tolist()
-        message = f"pose {i + 1} of {claim.arm} is missed by {mm(way):.4f} mm and {np.rad2deg(angle):.4f} deg"
-        measure = {"value": mm(way), "limit": mm(claim.position_tol), "unit": "mm"}
-        issues.append(Issue("verify.follows", message, arm=claim.arm, index=i, **measure))  # type: ignore[arg-type]
-    if found.looked < len(found.met):
-        message = (
-            f"so many poses of {claim.arm} are missed that those from {found.looked + 1} on are not looked at"
-        )
-        issues.append(Issue("verify.follows", message, arm=claim.arm, index=found.looked))
-    return issues, worst
 
 
 def _straight(context: Context, arm: str) -> NDArray[np.bool_]:

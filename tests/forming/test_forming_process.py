@@ -110,7 +110,7 @@ def centres(targets: Targets, arm: str, segment: str) -> np.ndarray:
 
 def refusal(found: Problem) -> dict[str, str]:
     with pytest.raises(TandemError) as caught:
-        processes.make_targets(found, 0)
+        processes.job(found, 0).targets()
     return {issue.code: f"{issue.message} {issue.hint}" for issue in caught.value.issues}
 
 
@@ -118,7 +118,7 @@ def refusal(found: Problem) -> dict[str, str]:
 def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
     more, kinds = MODES[mode]
     found = problem(tmp_path, mode, gentle() if mode == "adsif" else None, **more)
-    targets = processes.make_targets(found, 0)
+    targets = processes.job(found, 0).targets()
     count, forming = len(targets.segment), np.array([works(label) for label in targets.segment])
     assert count == len(targets.feed) == len(targets.travel) == len(targets.stop)
     assert forming.sum() > 100
@@ -139,7 +139,7 @@ def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
     more, _ = MODES[mode]
     part = gentle() if mode == "adsif" else small_forming.dish()
     found = problem(tmp_path, mode, part, **more)
-    targets, made = processes.make_targets(found, 0), job(found)
+    targets, made = processes.job(found, 0).targets(), job(found)
     away = [k for k, label in enumerate(targets.segment) if not works(label) and not label.startswith("form")]
     assert {0, len(targets.segment) - 1} <= set(away)
     low, high = float(part.vertices[:, 2].min()), MM
@@ -156,7 +156,7 @@ def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> None:
     found = problem(tmp_path, path=kind)
-    targets, made = processes.make_targets(found, 0), job(found)
+    targets, made = processes.job(found, 0).targets(), job(found)
     (one,) = made.passes
     centre = centres(targets, "robot", "form/f1")
     mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
@@ -175,7 +175,7 @@ def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> N
 def test_the_gap_is_the_sheet_by_the_sine_law(tmp_path: Path, up: bool, squeeze: float) -> None:
     part = shapes.revolved([(0.045, 0.0), (0.03, 0.0), (0.012, -0.018), (0.0, -0.018)], 240)  # 45 deg
     found = problem(tmp_path, "dsif", upside_down(part) if up else part, squeeze=squeeze)
-    targets = processes.make_targets(found, 0)
+    targets = processes.job(found, 0).targets()
     left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
     gap = np.linalg.norm(left - right, axis=1) - 10.0 * MM
     former = right if up else left
@@ -192,7 +192,7 @@ def test_a_shifted_support_keeps_its_distance_and_turns_toward_the_vertical(tmp_
     part = shapes.cone(45.0, 0.018, 0.03, 240)
     for shift in (20.0, 45.0):
         found = problem(tmp_path, "dpif_l", part, shift_deg=shift, stepdown_mm=3)
-        targets = processes.make_targets(found, 0)
+        targets = processes.job(found, 0).targets()
         left, right = (centres(targets, arm, "form/f1") for arm in ("left", "right"))
         line = (left - right) / np.linalg.norm(left - right, axis=1)[:, None]
         radius = np.linalg.norm(left[:, :2], axis=1)
@@ -210,7 +210,7 @@ def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_p
     part = shapes.revolved(bent, 240)
     (told,) = {
         issue
-        for issue in processes.make_targets(problem(tmp_path, "dsif", part), 0).issues
+        for issue in processes.job(problem(tmp_path, "dsif", part), 0).targets().issues
         if issue.code == "forming.support_radius"
     }
     assert told.severity is Severity.WARNING
@@ -235,7 +235,7 @@ def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outli
         data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK, radius_mm=8, shaft_radius_mm=6)
         radius = 8.0 * MM
     found = pipeline.load(small_forming.write(tmp_path, data, part))
-    targets, (one,) = processes.make_targets(found, 0), job(found).passes
+    targets, (one,) = processes.job(found, 0).targets(), job(found).passes
     place = centres(targets, "right", "form/f1")
     region = shapely.Polygon(one.region[:, :2])
     inside = shapely.LineString(place[:, :2]).distance(region)
@@ -251,19 +251,19 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK)
     found = pipeline.load(small_forming.write(tmp_path, data))
     with pytest.raises(TandemError) as caught:
-        processes.make_targets(found, 0)
+        processes.job(found, 0).targets()
     (issue,) = caught.value.issues
     border = np.linalg.norm(job(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
     # the bars are chords of the opening's circle, and the support keeps 0.4 mm outside of its border
     assert issue.value == pytest.approx(border / MM + 40.4 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
     data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170}
-    processes.make_targets(pipeline.load(small_forming.write(tmp_path, data)), 0)
+    processes.job(pipeline.load(small_forming.write(tmp_path, data)), 0).targets()
 
 
 def test_ridges_are_as_high_as_stated(tmp_path: Path) -> None:
     found = problem(tmp_path, scallop_mm=0.05, chord_mm=0.005, path="contour")
-    targets, (one,) = processes.make_targets(found, 0), job(found).passes
+    targets, (one,) = processes.job(found, 0).targets(), job(found).passes
     centre = centres(targets, "robot", "form/f1")
     share = np.linspace(0.0, 1.0, 10)[:, None, None]
     dense = ((1.0 - share) * centre[:-1] + share * centre[1:]).reshape(-1, 3)
@@ -293,7 +293,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
     )
     part = facing_up(part)
     found = problem(tmp_path, "dsif", part)
-    targets, made = processes.make_targets(found, 0), job(found)
+    targets, made = processes.job(found, 0).targets(), job(found)
     assert sorted(one.side for one in made.passes) == [-1, 1]
     for one in made.passes:
         (claim,) = [c for c in targets.claims if isinstance(c, ToolGap) and c.segment == f"form/{one.name}"]
@@ -307,7 +307,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
 
 
 def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> None:
-    twice = processes.make_targets(problem(tmp_path, repeats=2), 0)
+    twice = processes.job(problem(tmp_path, repeats=2), 0).targets()
     assert [s for s in dict.fromkeys(twice.segment) if works(s) and "_in" not in s and "_out" not in s] == [
         "form/f1_p1",
         "form/f1_p2",
@@ -323,7 +323,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
 @pytest.mark.parametrize("mode", ["spif", "dsif"])
 def test_a_pit_of_four_facets_is_formed(tmp_path: Path, mode: str, kind: str) -> None:
     found = problem(tmp_path, mode, pyramid(10.0), path=kind)
-    targets = processes.make_targets(found, 0)
+    targets = processes.job(found, 0).targets()
     assert sum(works(label) for label in targets.segment) > 100
 
 
@@ -357,10 +357,12 @@ def test_a_job_needs_a_sheet_and_a_part(tmp_path: Path) -> None:
 
 
 def test_the_force_is_held_against_the_payload(tmp_path: Path) -> None:
-    issues = processes.make_targets(problem(tmp_path, force_n=2000), 0).issues
+    issues = processes.job(problem(tmp_path, force_n=2000), 0).targets().issues
     (issue,) = [one for one in issues if one.code == "forming.force"]
     assert issue.severity is Severity.WARNING
     assert "2000 N" in issue.message
     assert not [
-        i for i in processes.make_targets(problem(tmp_path, force_n=5), 0).issues if i.code == "forming.force"
+        i
+        for i in processes.job(problem(tmp_path, force_n=5), 0).targets().issues
+        if i.code == "forming.force"
     ]

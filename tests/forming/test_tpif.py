@@ -55,7 +55,7 @@ def made(one: Forming) -> Job:
 @functools.cache
 def programs() -> dict[str, str]:
     problem = coarse()
-    targets = [processes.make_targets(problem, 0)]
+    targets = [processes.job(problem, 0).targets()]
     return dict(write.programs(solve.solve(problem, targets, lambda *_: None), problem))
 
 
@@ -155,7 +155,7 @@ def test_the_clamp_keeps_within_a_step_of_the_tip(path: str, by: float) -> None:
     """The tip's level straight from the targets, the clamp's from the actions in their order."""
     one = operation(coarse(), {"step_mm": by}, path=path, stepdown_mm=1.0, tangent_deg=12.0)
     problem = coarse()
-    targets = forming.make_targets(one, problem.setups[0], problem.part)
+    targets = forming.FormingJob(one, problem.setups[0], problem.part).targets()
     form = np.array([label == "form/f1" for label in targets.segment])
     tip = targets.pose["robot"][:, 2, 3] - 6e-3
     start, end = SHEET + RISE, SHEET
@@ -178,7 +178,7 @@ def test_steps_that_are_too_small_for_the_tools_moves_are_refused() -> None:
     one = operation(coarse(), {"step_mm": 0.3}, path="contour", stepdown_mm=2.5)
     problem = coarse()
     with pytest.raises(TandemError) as caught:
-        forming.make_targets(one, problem.setups[0], problem.part)
+        forming.FormingJob(one, problem.setups[0], problem.part).targets()
     assert {issue.code for issue in caught.value.issues if issue.severity.value == "error"} == {
         "forming.holder_step"
     }
@@ -267,5 +267,5 @@ def test_a_die_in_the_part_is_refused() -> None:
     one = operation(coarse(), {"unit": "cm"})
     problem = coarse()
     with pytest.raises(TandemError) as caught:
-        forming.make_targets(one, problem.setups[0], problem.part)
+        forming.FormingJob(one, problem.setups[0], problem.part).targets()
     assert "forming.die_gouge" in {issue.code for issue in caught.value.issues}

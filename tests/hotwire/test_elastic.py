@@ -30,12 +30,12 @@ SADDLE = panels.loft(panels.ARCH, (25.0, 2.0, 2.0, 25.0))
 
 @pytest.fixture(scope="module")
 def arch() -> Targets:
-    return elastic.make_targets(panels.operation(), panels.setup(), panels.part())
+    return elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
 
 
 @pytest.fixture(scope="module")
 def strip() -> Targets:
-    return elastic.make_targets(panels.operation(STRIP), panels.setup(), panels.part(SADDLE))
+    return elastic.ElasticJob(panels.operation(STRIP), panels.setup(), panels.part(SADDLE)).targets()
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
@@ -153,7 +153,7 @@ def test_a_strip_has_no_spin_and_follows_the_slope_of_the_face(strip: Targets) -
 
 
 def test_two_runs_go_over_the_block_without_touching_it() -> None:
-    targets = elastic.make_targets(panels.operation(runs="two"), panels.setup(), panels.part())
+    targets = elastic.ElasticJob(panels.operation(runs="two"), panels.setup(), panels.part()).targets()
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
     link = rows(targets, "link")
     away = -trimesh.proximity.signed_distance(block, targets.edge.points[link].reshape(-1, 3))
@@ -171,16 +171,16 @@ def test_sweep_auto_goes_along_a_cylinder(turn: float, want: float) -> None:
     turned = front.vertices @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
     part = dataclasses.replace(panels.part(back=None), front=Mesh(turned, front.faces))
     block = panels.stock(size=(0.16, 0.23, 0.1) if turn == 0.0 else (0.23, 0.16, 0.1))
-    targets = elastic.make_targets(
+    targets = elastic.ElasticJob(
         panels.operation(sweep="auto", faces=("front",)), panels.setup(block), part
-    )
+    ).targets()
     wire = targets.pose["right"][:, :3, 3] - targets.pose["left"][:, :3, 3]
     direction = np.rad2deg(np.arctan2(wire[10, 1], wire[10, 0])) + 90.0
     assert direction == pytest.approx(want, abs=1e-6)
 
 
 def test_claims_come_from_the_problem_alone(arch: Targets) -> None:
-    claims = elastic.claims(panels.operation(), panels.setup(), panels.part())
+    claims = elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).claims()
     assert [type(c) for c in claims] == [
         WireJoins,
         ContactOnlyIn,
@@ -199,7 +199,7 @@ def test_claims_come_from_the_problem_alone(arch: Targets) -> None:
 
 
 def test_the_same_problem_gives_the_same_targets(arch: Targets) -> None:
-    again = elastic.make_targets(panels.operation(), panels.setup(), panels.part())
+    again = elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
     for arm in arch.arms:
         np.testing.assert_array_equal(again.pose[arm], arch.pose[arm])
     np.testing.assert_array_equal(again.travel, arch.travel)

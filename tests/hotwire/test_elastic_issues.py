@@ -17,7 +17,7 @@ from tests.hotwire import panels
 
 def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]:
     with pytest.raises(TandemError) as caught:
-        elastic.make_targets(panels.operation(wire_of, **more), panels.setup(), panels.part())
+        elastic.ElasticJob(panels.operation(wire_of, **more), panels.setup(), panels.part()).targets()
     return {issue.code: issue for issue in caught.value.issues}
 
 
@@ -28,7 +28,7 @@ def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> Non
     assert issue.hint is not None
     assert 215 < issue.limit < 260
     enough = steel | {"length_mm": 5 * np.ceil(issue.limit / 5)}
-    assert elastic.make_targets(panels.operation(enough), panels.setup(), panels.part()).count > 50
+    assert elastic.ElasticJob(panels.operation(enough), panels.setup(), panels.part()).targets().count > 50
 
 
 def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
@@ -126,7 +126,7 @@ def test_a_block_that_an_arm_holds_is_not_for_an_elastic_wire() -> None:
     own = panels.setup()
     held = dataclasses.replace(own, stock=dataclasses.replace(own.stock, held_by="right"))
     with pytest.raises(TandemError) as caught:
-        elastic.make_targets(panels.operation(), held, panels.part())
+        elastic.ElasticJob(panels.operation(), held, panels.part()).targets()
     (issue,) = caught.value.issues
     assert issue.code == "wire.held"
     assert "nobody" in issue.message

@@ -41,7 +41,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     block = type(block)(**{**vars(block), "foam": FOAM})
     setup = panels.setup(block)
     part = panels.part(twisted(), None, block)
-    targets = elastic.make_targets(operation(), setup, part)
+    targets = elastic.ElasticJob(operation(), setup, part).targets()
     claim = next(c for c in targets.claims if isinstance(c, CutsSurface))
     assert any(isinstance(c, KerfWithin) for c in targets.claims)
     known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.001, 0.05]))
@@ -64,7 +64,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
 
 def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
     with pytest.raises(TandemError) as caught:
-        elastic.claims(operation(), panels.setup(), panels.part())
+        elastic.ElasticJob(operation(), panels.setup(), panels.part()).claims()
     assert [i.code for i in caught.value.issues] == ["stock.foam_missing"]
     strip = {"material": "spring_steel", "width_mm": 5, "thickness_mm": 0.5, "length_mm": 520}
     with pytest.raises(ValueError, match="strips"):

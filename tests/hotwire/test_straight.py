@@ -45,7 +45,7 @@ def square(name: str, x: float, z: float, side: float) -> Ruled:
 
 
 def make(*ruled: Ruled, block: Stock | None = None, **more: object) -> Targets:
-    return straight.make_targets(blocks.operation(**more), blocks.setup(block), blocks.part(*ruled))
+    return straight.StraightJob(blocks.operation(**more), blocks.setup(block), blocks.part(*ruled)).targets()
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
@@ -213,7 +213,7 @@ def test_links_keep_away_from_the_block_and_go_above_rather_than_below(sides: li
 def test_a_trimmed_side_is_cut_half_a_kerf_outside_the_datum_block_and_loses_its_oversize() -> None:
     block = blocks.stock((0.2, 0.2, 0.1), oversize=np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.02]]))
     op = blocks.operation(cuts=[{"trim": ["top", "left"]}])
-    targets = straight.make_targets(op, blocks.setup(block), None)
+    targets = straight.StraightJob(op, blocks.setup(block), None).targets()
     top, left = (targets.pose["left"][rows(targets, f"cut/trim_{s}")] for s in ("top", "left"))
     np.testing.assert_allclose(top[:, 2, 3], 0.1 + HALF, atol=1e-9)
     np.testing.assert_allclose(left[:, 0, 3], -0.1 - HALF, atol=1e-9)
@@ -250,9 +250,9 @@ def held(grip: np.ndarray, **more: object) -> Targets:
     low = np.column_stack([0.09 * np.cos(a), 0.09 * np.sin(a), np.zeros(6)])
     high = low * 0.9 + [0.0, 0.0, 0.1]
     part = Part(ruled=(Ruled("sides", low, high, np.ones(6, dtype=np.bool_), True),))
-    return straight.make_targets(
+    return straight.StraightJob(
         blocks.operation(arms=["left", "right"], **more), blocks.setup(block, plate=0.03), part
-    )
+    ).targets()
 
 
 def test_a_held_block_is_moved_about_its_middle_and_the_bow_keeps_to_it() -> None:
@@ -302,7 +302,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     op = blocks.operation(power_w=40.0, arms=["left", "right"], feed_mm_s=5, feed_min_mm_s=3)
     block = blocks.stock((0.2, 0.2, 0.1), held_by="right", foam=foams()["xps_30"])
     setup, part = blocks.setup(block), blocks.part(square("sq", 0.0, 0.05, 0.05))
-    claims = PROCESSES["straight_wire"].claims(op, setup, part)
+    claims = PROCESSES["straight_wire"].job(op, setup, part).claims()
     kinds = [
         StraightWire,
         ContactOnlyIn,
@@ -327,7 +327,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     assert [f.segment for f in feeds] == ["cut/sq", "cut/sq_in", "cut/sq_out"]
     assert holds.mass == pytest.approx(0.004 * 30, rel=0.2)
     np.testing.assert_allclose(holds.cog, [0.0, 0.0, 0.05])
-    made = straight.make_targets(dataclasses.replace(setup, stock=block) and op, setup, part)
+    made = straight.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
     assert len(made.claims) == len(claims)
 
 

@@ -23,7 +23,7 @@ XPS = foams()["xps_30"]
 def issues(part: Part | None, setup: Setup | None = None, **more: object) -> dict[str, Issue]:
     """Issues by code, of a refusal or of targets."""
     try:
-        found = straight.make_targets(blocks.operation(**more), setup or blocks.setup(), part).issues
+        found = straight.StraightJob(blocks.operation(**more), setup or blocks.setup(), part).targets().issues
     except TandemError as error:
         found = error.issues
     assert all(str(issue) for issue in found)

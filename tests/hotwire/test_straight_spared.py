@@ -21,7 +21,7 @@ FLOOR = [(0.0, 0.05), (-0.15, 0.05)]
 
 def issues(part: Part, **more: object) -> list[Issue]:
     try:
-        return list(straight.make_targets(blocks.operation(**more), blocks.setup(), part).issues)
+        return list(straight.StraightJob(blocks.operation(**more), blocks.setup(), part).targets().issues)
     except TandemError as error:
         return list(error.issues)
 
@@ -125,7 +125,7 @@ def test_no_wire_of_a_job_takes_from_pieces_beside_one_another() -> None:
             for n, x, z in (("a", -0.05, 0.02), ("b", -0.01, 0.02), ("c", -0.05, 0.06), ("d", -0.01, 0.06))
         )
     )
-    targets = straight.make_targets(blocks.operation(), blocks.setup(), part)
+    targets = straight.StraightJob(blocks.operation(), blocks.setup(), part).targets()
     pose = targets.pose["left"]
     level = (0.02 - pose[:, 1, 3]) / pose[:, 1, 0]
     way = (pose[:, :3, 3] + level[:, None] * pose[:, :3, 0])[:, [0, 2]]

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from planner.milling import body
 from planner.milling.job import job
 from planner.milling.mill_claims import claims
-from planner.milling.once import job_once
+from planner.milling.milling import MillingJob
 from planner.tool_heads import Cutter
 from planner.verify import mill_body
 from tests.milling.small_mill import WALL, problem
@@ -170,9 +170,10 @@ def test_what_is_far_off_is_left_out_by_boxes() -> None:
 def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path: Path) -> None:
     one = problem(tmp_path, WALL)
     other = problem(tmp_path, WALL, stock={**WALL["stock"], "size_mm": [120, 90, 50]})
-    first = job_once(one.operations[0], one.setup_of(0), one.part)
-    assert job_once(one.operations[0], one.setup_of(0), one.part) is first
-    second = job_once(other.operations[0], other.setup_of(0), other.part)
+    mine = MillingJob(one.operations[0], one.setup_of(0), one.part)
+    first = mine.made
+    assert mine.made is first
+    second = MillingJob(other.operations[0], other.setup_of(0), other.part).made
     assert second.box[1, 1] > first.box[1, 1]
     fresh = job(one.operations[0], one.setup_of(0), one.part)
     for a, b in zip(claims(fresh), claims(first), strict=True):

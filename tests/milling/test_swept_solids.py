@@ -134,7 +134,7 @@ def test_what_a_proof_says_of_a_panel_is_what_booleans_leave_of_it(tmp_path: Pat
     job = Job(tmp_path, PANEL, BALL, cuts=[cut], shape_tol_mm=0.6)
     proof = job.prove(job.programs, last=None)
     (face,) = proof.surfaces
-    targets = processes.make_targets(job.problem, 0)
+    targets = processes.job(job.problem, 0).targets()
     rows = np.flatnonzero(np.array(targets.segment) == "mill/front_lines")
     pose = targets.pose["robot"][np.append(rows[0] - 1, rows)]
     solid = swept(shell(0.003, 0.003, 0.012, 64, 24), pose[:, :3, 3], -pose[:, :3, 2])
@@ -153,7 +153,7 @@ def test_what_a_proof_says_of_a_panel_is_what_booleans_leave_of_it(tmp_path: Pat
 def test_what_a_proof_says_of_a_twisted_wall_is_what_booleans_leave_of_it(tmp_path: Path) -> None:
     job = Job(tmp_path, WALL)
     face = next(face for face in job.prove(job.programs, last=None).surfaces if face.segment == "mill/wall")
-    targets = processes.make_targets(job.problem, 0)
+    targets = processes.job(job.problem, 0).targets()
     rows = np.flatnonzero([s.startswith("mill/wall") for s in targets.segment])[1:-1]
     pose = targets.pose["robot"][rows]
     solid = swept(shell(0.006, 0.0, 0.05, 128), *fine(pose[:, :3, 3], -pose[:, :3, 2], 12))

@@ -31,7 +31,7 @@ def turning_only(folder: Path, seed: int) -> Problem:
 @pytest.mark.parametrize("seed", range(3))
 def test_turning_axis_6_alone_has_no_place(tmp_path: Path, seed: int) -> None:
     problem = turning_only(tmp_path, seed)
-    targets = processes.make_targets(problem, 0)
+    targets = processes.job(problem, 0).targets()
     assert [f.name for f in targets.freedoms] == ["spin", "slide", "block_turn"]
     with pytest.raises(TandemError) as caught:
         solve(problem, [targets])

@@ -37,7 +37,7 @@ class Job:
 
     def __init__(self, folder: Path, base: dict, tool: dict | None = None, **fields: object) -> None:  # type: ignore[type-arg]
         self.problem = problem(folder, base, tool, **fields)
-        targets = [processes.make_targets(self.problem, 0)]
+        targets = [processes.job(self.problem, 0).targets()]
         self.programs: Programs = dict(write.programs(solve.solve(self.problem, targets), self.problem))
         self.prover = Prover(self.problem, processes.claims(self.problem))
 

@@ -28,7 +28,7 @@ def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
         if operation.process != PROCESS:
             continue
         try:
-            targets = processes.make_targets(problem, index)
+            targets = processes.job(problem, index).targets()
         except TandemError as error:
             faults.extend(error.issues)
             continue

@@ -1,0 +1,150 @@
+"""The proof's own reading of tables of poses, against scipy's rotations and against the planner's reader; and
+what it catches: a planner that reads the table otherwise, leaves a range or goes too fast."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from planner import catalogue, pipeline, posed, processes
+from planner.verify import pose_table
+
+ROWS = 12
+NAMES = ["robot." + key for key in (*pose_table.PLACE, *pose_table.TURN)]
+
+
+def table(path: Path, values: np.ndarray, feed: list[str] | None = None) -> Path:
+    """A file of poses, rows (N, 7) in mm and quaternions, of either kind."""
+    feeds = feed or [""] * len(values)
+    if path.suffix == ".json":
+        rows = [dict(zip(NAMES, row.tolist(), strict=True)) for row in values]
+        rows = [row | ({"feed_mm_s": float(f)} if f else {}) for row, f in zip(rows, feeds, strict=True)]
+        path.write_text(json.dumps(rows))
+    else:
+        lines = [", ".join(["feed_mm_s", *NAMES])]
+        lines += [",".join([f, *map(repr, row.tolist())]) for row, f in zip(values, feeds, strict=True)]
+        path.write_text("\n".join(["", *lines[:3], " ", *lines[3:]]) + "\n", "utf-8-sig")
+    return path
+
+
+@pytest.mark.parametrize("name", ["t.csv", "t.json"])
+def test_poses_and_feeds_in_si_units(tmp_path: Path, name: str) -> None:
+    rng = np.random.default_rng(3)
+    quaternion = rng.normal(size=(ROWS, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    place = rng.uniform(-500.0, 500.0, (ROWS, 3))
+    feeds = ["", *map(str, range(10, 10 + ROWS - 1))]
+    path = table(tmp_path / name, np.concatenate([place, quaternion], axis=1), feeds)
+    read = pose_table.read(path, ("robot",))
+    wanted = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(read.poses["robot"][:, :3, :3], wanted, atol=1e-12)
+    np.testing.assert_allclose(read.poses["robot"][:, :3, 3], place * 1e-3, atol=1e-15)
+    assert np.isnan(read.feed[0])
+    np.testing.assert_allclose(read.feed[1:], np.arange(10, 10 + ROWS - 1) * 1e-3)
+
+
+def lanes(folder: Path, **changes: object) -> Path:
+    """The first lane of the bundled table, as a problem of its own, with fields of its operation changed."""
+    source = catalogue.data_dir("problems") / "gauge_lanes"
+    data = yaml.safe_load((source / "problem.yaml").read_text())
+    data["cell"] = str(source.parent / "cells" / "irb140_gauge.yaml")
+    data["operations"][0] |= changes
+    (folder / "targets.csv").write_text("\n".join((source / "targets.csv").read_text().splitlines()[:ROWS]))
+    (folder / "problem.yaml").write_text(yaml.safe_dump(data))
+    return folder / "problem.yaml"
+
+
+SPIN = {"name": "spin", "arms": ["robot"], "axis": "z", "turn_deg": [-180, 180]}
+LEAN = {"name": "lean", "arms": ["robot"], "axis": "x", "turn_deg": [-4, 3]}
+LIFT = {"name": "lift", "arms": ["robot"], "axis": "z", "slide_mm": [-3, 1]}
+
+
+@pytest.mark.parametrize("free", [(), (SPIN,), (LEAN, SPIN), (LIFT, SPIN, LEAN)])
+def test_what_is_free_is_proven_within_its_ranges(
+    tmp_path: Path, free: tuple[dict[str, object], ...]
+) -> None:
+    outcome = pipeline.plan(pipeline.load(lanes(tmp_path, free=list(free))))
+    assert outcome.verified, outcome.proof.issues
+
+
+def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Puts a fault into the planner's reader of tables."""
+    if name == "shifted by 3 mm":
+        old = posed._poses
+
+        def shifted(*args):  # type: ignore[no-untyped-def]
+            out = old(*args)
+            out[:, 0, 3] += 3e-3
+            return out
+
+        monkeypatch.setattr(posed, "_poses", shifted)
+    elif name == "ten times the feed":
+        monkeypatch.setattr(posed.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
+    elif name == "a range without an end":
+        wide = {"lower": -0.3, "upper": 0.3}
+
+        def opened(targets):  # type: ignore[no-untyped-def]
+            count = np.ones(targets.count)
+            (own,) = targets.freedoms
+            bounds = {key: value * count for key, value in wide.items()}
+            return {"freedoms": (dataclasses.replace(own, prefer=0.25 * count, weight=1e3, **bounds),)}
+
+        monkeypatch.setattr(posed.PosedJob, "targets", _changed(opened))
+    elif name == "a row left out":
+
+        def without(targets):  # type: ignore[no-untyped-def]
+            return {"pose": {"robot": np.repeat(targets.pose["robot"][::2], 2, axis=0)[: targets.count]}}
+
+        monkeypatch.setattr(posed.PosedJob, "targets", _changed(without))
+
+
+def _changed(change):  # type: ignore[no-untyped-def]
+    old = posed.PosedJob.targets
+
+    def targets(self):  # type: ignore[no-untyped-def]
+        made = old(self)
+        return dataclasses.replace(made, **change(made))
+
+    return targets
+
+
+@pytest.mark.parametrize(
+    ("fault", "free", "told"),
+    [
+        ("shifted by 3 mm", [SPIN], "of robot is missed by 3.000"),
+        ("ten times the feed", [SPIN], "the tool moves at"),
+        ("a range without an end", [LEAN], "the free turn about x is 1"),
+        ("a row left out", [SPIN], "of robot is missed by"),
+    ],
+)
+def test_faults_of_the_planner_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, free: list[dict[str, object]], told: str
+) -> None:
+    problem = pipeline.load(lanes(tmp_path, free=free, feed_mm_s=20))
+    spoiled(fault, monkeypatch)
+    outcome = pipeline.plan(problem)
+    assert not outcome.verified
+    found = [issue for issue in outcome.proof.issues if issue.code == "verify.follows"]
+    assert any(told in issue.message for issue in found), [issue.message for issue in outcome.proof.issues]
+
+
+def test_a_table_that_is_gone_is_told(tmp_path: Path) -> None:
+    problem = pipeline.load(lanes(tmp_path))
+    outcome = pipeline.plan(problem)
+    (tmp_path / "targets.csv").unlink()
+    (issue,) = pipeline.verify(problem, dict(outcome.programs)).issues
+    assert "targets.csv: the proof cannot read the poses" in issue.message
+
+
+def test_both_readers_agree_on_the_bundled_table() -> None:
+    problem = pipeline.load("gauge_lanes")
+    mine = pose_table.read(problem.operations[0].file, ("robot",))  # type: ignore[attr-defined]
+    np.testing.assert_allclose(
+        mine.poses["robot"], processes.job(problem, 0).targets().pose["robot"], atol=1e-12
+    )
