@@ -12,12 +12,11 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.bow import bow
 from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
-from planner.grippers import gripper_plate
 from planner.materials import foam
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import ScrewFreedom, Targets
+from planner.tooling import bow, gripper_plate
 
 FloatArray = NDArray[np.float64]
 

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts, from_rpy
-from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
+from planner.geometry.shapes import Shape
+from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.targets import Edge, ScrewFreedom, Targets
-from planner.tools import wire_holder
+from planner.tooling import PlainTool, wire_holder
 
 FloatArray = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targe
 
 def s_curve(count: int = 400) -> tuple[Cell, Targets]:
     """One IRB 140 with a pointed tool that follows an S-curve, free to spin about the tool's axis."""
-    tool = Tool(
+    tool = PlainTool(
         "point",
         from_parts(np.eye(3), np.array([0.0, 0.0, 0.12])),
         0.5,
@@ -128,7 +129,7 @@ def spiral_pair(
     lean = from_rpy((0.0, 0.0, 0.02), (0.0, np.deg2rad(45.0), 0.0))
     ball = Shape("capsule", (0.005, 0.1), lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.06])))
     tcp = lean @ from_parts(np.eye(3), np.array([0.0, 0.0, 0.11]))
-    tool = Tool("ball", tcp, 0.5, np.array([0.04, 0.0, 0.06]), (ball,))
+    tool = PlainTool("ball", tcp, 0.5, np.array([0.04, 0.0, 0.06]), (ball,))
     arms = tuple(Arm(a.name, a.robot, a.base, tool, a.home) for a in two_arms(1.3).arms)
     share = np.linspace(0.0, 1.0, count - 2)
     angle, radius = 2.0 * np.pi * loops * share, 0.08 - 0.04 * share

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.cell.robots import forward
+from planner.verify import machines
 from planner.verify.context import Context
 from planner.verify.prove import RULES, Prover
 from planner.verify.wire import follow_wire
@@ -20,6 +22,8 @@ TARGETS = 220
 """Targets of each face: with entry, link and exit about 460 in all."""
 BOW_TARGETS = 100
 """Targets of each of two ruled faces; ways in and out make it about 400 in all."""
+POSES = 100_000
+"""Postures of each of two arms of which the flange is worked out."""
 
 
 def run() -> list[dict[str, Any]]:
@@ -50,6 +54,7 @@ def run() -> list[dict[str, Any]]:
         bows.append(_row(f"verify: bow, {name}", functools.partial(other.prove, texts), note, 3))
     return [
         *bows,
+        _poses(),
         _row("verify: whole proof", lambda: prover.prove(programs), f"{moves} moves, {len(RULES)} rules"),
         _row(
             "verify: cold, with the Drake model", lambda: Prover(problem, claims).prove(programs), "3 runs", 3
@@ -64,6 +69,24 @@ def run() -> list[dict[str, Any]]:
             "stops at the first fault",
         ),
     ]
+
+
+def _poses() -> dict[str, Any]:
+    """The flanges of two arms by the chains of their URDFs; the peer is the planner's own chain."""
+    arms = [machines.of(name) for name in ("irb140", "kr210_r2700")]
+    rng = np.random.default_rng(4)
+    q = [rng.uniform(arm.data.lower, arm.data.upper, (POSES, 6)) for arm in arms]
+
+    def ours() -> None:
+        for arm, rows in zip(arms, q, strict=True):
+            arm.flange(rows)
+
+    def planners() -> None:
+        for arm, rows in zip(arms, q, strict=True):
+            forward(arm.data, rows)
+
+    row = _row("verify: poses by URDF, 100,000 x 2", ours, "two arms; peer: the planner's own chain")
+    return row | {"ratio": _row("", planners, "")["median_s"] / row["median_s"]}
 
 
 def _row(name: str, work: Callable[[], object], note: str, repeats: int = 5) -> dict[str, Any]:

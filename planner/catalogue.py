@@ -150,8 +150,16 @@ def urdf_path(name: str) -> Path:
     return path
 
 
+def damaged(path: Path, what: str) -> TandemError:
+    """The error (``catalogue.missing_data``) of a file of Tandem that cannot be read: ``what`` says why."""
+    return _error(f"{path} is part of Tandem and cannot be read: {what}")
+
+
 def _missing(path: Path) -> TandemError:
-    message = f"{path} is missing, which is part of Tandem"
+    return _error(f"{path} is missing, which is part of Tandem")
+
+
+def _error(message: str) -> TandemError:
     return TandemError(
         Issue("catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout")
     )

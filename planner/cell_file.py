@@ -10,18 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planner.bow import bow
 from planner.catalogue import RobotData, robot
 from planner.controller_file import ControllerFile, controllers
-from planner.forming_tools import ball_tool, disk_tool, heat_tool
 from planner.geometry.mesh import read_mesh
 from planner.geometry.rigid import from_rpy
-from planner.grippers import gripper_plate, vacuum_cup
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.milling_tools import mill
-from planner.problem import Arm, Cell, Obstacle, Shape, Tool
+from planner.problem import Arm, Cell, Obstacle
 from planner.schema import Angle, FileName, Name, Positive, Strict, Unit, Vector
-from planner.tools import wire_holder
+from planner.tooling import (
+    FormingTool,
+    Mill,
+    Tool,
+    ball_tool,
+    bow,
+    disk_tool,
+    gripper_plate,
+    heat_tool,
+    mill,
+    plain,
+    vacuum_cup,
+    wire_holder,
+)
 from planner.units import DEG, LENGTH_UNITS, MM
 
 
@@ -295,10 +305,10 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
     if isinstance(spec, MillFile):
         return _mill(spec)
     shapes = tuple(shape(s, folder) for s in spec.shapes)
-    return Tool("plain", spec.tcp.matrix(), spec.mass_kg, np.array(spec.cog_mm) * MM, shapes)
+    return plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
 
 
-def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> Tool:
+def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> FormingTool:
     radius, length = spec.radius_mm * MM, spec.length_mm * MM
     try:
         if isinstance(spec, HeatToolFile):
@@ -313,7 +323,7 @@ def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> Tool:
         raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
 
 
-def _mill(spec: MillFile) -> Tool:
+def _mill(spec: MillFile) -> Mill:
     shank = None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM
     try:
         return mill(

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 
 @dataclasses.dataclass(frozen=True)

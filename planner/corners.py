@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.geometry.shapes import axis_ends
 from planner.geometry.vectors import dots, lengths
-from planner.problem import Tool
 from planner.targets import Targets, works
+from planner.tooling import Tool, working_solid
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -54,13 +55,13 @@ _SHARE: Final = 0.5
 
 
 def lever(tool: Tool) -> float:
-    """How far [mm] from its TCP a tool cuts: to the far end of a straight wire, or :data:`LEVER`, also for
-    what is no wire but a solid with corners."""
-    if tool.edge is None or tool.edge.vertices is not None:
+    """How far [mm] from its TCP a tool cuts: to the far end of its working solid's axis, or :data:`LEVER`,
+    also for a solid with corners."""
+    solid = working_solid(tool)
+    if solid is None or solid.vertices is not None:
         return LEVER
-    half = np.array([[0.0, 0.0, sign * 0.5 * tool.edge.size[1]] for sign in (-1.0, 1.0)])
-    ends = half @ tool.edge.pose[:3, :3].T + tool.edge.pose[:3, 3] - tool.tcp[:3, 3]
-    return max(LEVER, 1e3 * float(np.linalg.norm(ends, axis=1).max()))
+    off = axis_ends(solid) - tool.tcp[:3, 3]
+    return max(LEVER, 1e3 * float(np.linalg.norm(off, axis=1).max()))
 
 
 def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:

@@ -25,7 +25,7 @@ CODES: Final[dict[str, str]] = {
     "stock.grip_force": "a gripper does not hold the block firmly enough",
     "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
-    "catalogue.missing_data": "a data file that is part of Tandem is missing",
+    "catalogue.missing_data": "a data file that is part of Tandem is missing or cannot be read",
     "cell.body_name": "a body of the cell has a name that another body has, or that is reserved",
     # saved plans
     "output.folder": "the output folder cannot be written, or holds the problem file itself",
@@ -195,7 +195,8 @@ CODES: Final[dict[str, str]] = {
     "verify.stop_in_foam": "the wire stands still inside the stock",
     "verify.wire_power": "the wire's power is off in the stock, on at an operator's hands, or on too briefly",
     "verify.feed": "the wire's speed in the stock is outside the feed window",
-    "verify.kinematics": "a tool is not where the joints put it",
+    "verify.kinematics": "a link or a tool is not where the joints put it",
+    "verify.robot_model": "a robot's URDF cannot be followed, or is not of the robot that was planned with",
     "verify.clearance": "bodies of the cell come too near to each other",
     "verify.wire_clearance": "the wire comes too near to a body",
     "verify.surface": "too little of the cut surface is within tolerance of the wanted one",

@@ -15,8 +15,9 @@ from pydantic import Field
 from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh
 from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import transform
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Formed, Mesh, Part, Shape, Sheet, Stock
+from planner.problem import Formed, Mesh, Part, Sheet, Stock
 from planner.schema import FileName, Strict, Unit
 from planner.units import LENGTH_UNITS, MM
 

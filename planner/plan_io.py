@@ -27,7 +27,7 @@ from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1

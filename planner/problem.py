@@ -14,55 +14,15 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.shapes import Shape
 from planner.handshake import Handshake
 from planner.issues import Issue
 from planner.materials import Foam
 from planner.sheet_metals import SheetMetal
-from planner.tool_heads import Cutter, FormingHead
+from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
-ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Shape:
-    """A rigid shape at ``pose`` (4, 4) in the frame of the thing that it belongs to.
-
-    ``size`` [m]: box (x, y, z); cylinder and capsule (radius, length along z, a capsule's without its caps);
-    sphere (radius,); mesh () with ``vertices`` (V, 3) and ``faces`` (F, 3), its collision shape being the
-    convex hull.
-    """
-
-    kind: ShapeKind
-    size: tuple[float, ...]
-    pose: FloatArray
-    vertices: FloatArray | None = None
-    faces: NDArray[np.int64] | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Tool:
-    """A tool on a flange: ``tcp`` (4, 4) and ``shapes`` in the flange frame; mass [kg], centre of gravity
-    (3,) [m].
-
-    ``edge``: the rigid edge that cuts (the straight wire of a bow), a capsule in the flange frame; it alone
-    may pass the stock, in cut segments. ``footprint``: width and depth [m] of the face that holds a block,
-    centred on the TCP in its x and y, and ``holding``: the force [N] it holds with, for tools that hold one.
-    ``head``: the working end of a tool that forms sheets, ``cutter``: that of a milling tool; its solid is
-    then the ``edge``.
-    """
-
-    name: str
-    tcp: FloatArray
-    mass: float
-    cog: FloatArray
-    shapes: tuple[Shape, ...]
-    edge: Shape | None = None
-    footprint: tuple[float, float] | None = None
-    holding: float | None = None
-    head: FormingHead | None = None
-    cutter: Cutter | None = None
 
 
 @dataclasses.dataclass(frozen=True)

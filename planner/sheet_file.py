@@ -10,8 +10,9 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.cell_file import PoseFile
 from planner.geometry.rigid import from_parts, from_rpy
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Shape, Sheet, Stock
+from planner.problem import Sheet, Stock
 from planner.schema import Positive, Strict
 from planner.sheet_metals import sheet_metal
 from planner.units import DEG, MM

@@ -18,6 +18,7 @@ from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
 from planner.problem import Arm, Change, Problem, Setup, Stock
 from planner.schema import Angle, FileName, Name, Positive, Strict
+from planner.tooling import Gripper
 from planner.units import DEG, GRAVITY, MM
 
 SHAKES: Final = 3.0
@@ -170,10 +171,11 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
         yield _unknown_arm(f"{field}.held_by", str(name), known)
         return
     arm = known[name]
-    if arm.tool.footprint is None:
+    tool = arm.tool
+    if not isinstance(tool, Gripper):
         yield Issue(
             "stock.gripper",
-            f"{field}.held_by: arm {name} carries the tool {arm.tool.name}, which holds no block; give it a "
+            f"{field}.held_by: arm {name} carries the tool {tool.name}, which holds no block; give it a "
             "gripper_plate or a vacuum_cup",
             field=f"{field}.held_by",
             arm=name,
@@ -194,34 +196,34 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             field=f"{field}.support",
         )
     payload, needed = robot(arm.robot).payload, SHAKES * block.mass * GRAVITY
-    if arm.tool.mass + block.mass > payload:
+    if tool.mass + block.mass > payload:
         yield Issue(
             "stock.too_heavy",
-            f"{field}: the block of {block.mass:.2f} kg and the tool of {arm.tool.mass:.2f} kg are "
-            f"{block.mass + arm.tool.mass:.2f} kg, {robot(arm.robot).title} carries {payload:g} kg; take a "
+            f"{field}: the block of {block.mass:.2f} kg and the tool of {tool.mass:.2f} kg are "
+            f"{block.mass + tool.mass:.2f} kg, {robot(arm.robot).title} carries {payload:g} kg; take a "
             "lighter foam, a smaller block or a larger arm",
             field=f"{field}.held_by",
             arm=name,
-            value=block.mass + arm.tool.mass,
+            value=block.mass + tool.mass,
             limit=payload,
             unit="kg",
         )
-    elif arm.tool.holding is not None and needed > arm.tool.holding:
+    elif needed > tool.holding:
         yield Issue(
             "stock.grip_force",
-            f"{field}: {arm.tool.name} holds with {arm.tool.holding:.0f} N, the block of {block.mass:.2f} kg "
+            f"{field}: {tool.name} holds with {tool.holding:.0f} N, the block of {block.mass:.2f} kg "
             f"needs {needed:.0f} N ({SHAKES:g} times its weight, since the arm shakes it); take a larger "
             "gripper, or state its holding_n where it is known",
             field=f"{field}.held_by",
             arm=arm.name,
             value=needed,
-            limit=arm.tool.holding,
+            limit=tool.holding,
             unit="N",
         )
-    yield from _footprint(block, arm, field)
+    yield from _footprint(block, arm.name, tool, field)
 
 
-def _footprint(block: Stock, arm: Arm, field: str) -> Iterator[Issue]:
+def _footprint(block: Stock, arm: str, tool: Gripper, field: str) -> Iterator[Issue]:
     """The gripper must lie flat on the block's bottom face, and within it."""
     lean = float(np.arccos(np.clip(block.grip[2, 2], -1.0, 1.0)))
     gap = float(block.grip[2, 3] + block.lower[2])
@@ -229,24 +231,24 @@ def _footprint(block: Stock, arm: Arm, field: str) -> Iterator[Issue]:
         how = f"{lean / DEG:.1f} degrees off it" if lean > FLAT_ANGLE else f"{gap / MM:.1f} mm off it"
         yield Issue(
             "stock.footprint",
-            f"{field}.grip: the block's bottom face must lie on {arm.tool.name}, whose z points into the "
+            f"{field}.grip: the block's bottom face must lie on {tool.name}, whose z points into the "
             f"block, but is {how}; allowed are {FLAT_ANGLE / DEG:g} degrees and {FLAT_GAP / MM:g} mm: turn "
             f"the grip about z only, with {abs(block.lower[2]) / MM:g} as its z (the oversize below)",
             field=f"{field}.grip",
-            arm=arm.name,
+            arm=arm,
         )
         return
-    half = 0.5 * np.array(arm.tool.footprint)
+    half = 0.5 * np.array(tool.footprint)
     corners = np.array([[x, y, 0.0, 1.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
     on_block = corners @ np.linalg.inv(block.grip).T
     over = np.maximum(on_block[:, :2] - block.upper[:2], block.lower[:2] - on_block[:, :2]).max()
     if over > 1e-9:
         yield Issue(
             "stock.footprint",
-            f"{field}.grip: the face of {arm.tool.name} stands {over / MM:.1f} mm out of the block's bottom "
+            f"{field}.grip: the face of {tool.name} stands {over / MM:.1f} mm out of the block's bottom "
             "face; take a smaller gripper or move the grip",
             field=f"{field}.grip",
-            arm=arm.name,
+            arm=arm,
             value=float(over / MM),
             limit=0.0,
             unit="mm",

@@ -247,7 +247,7 @@ def urdf(name: str) -> str:
     upright = np.concatenate([np.eye(3)[None], frames[:6, :3, :3]])
     links = ["base_link", *(f"link_{i}" for i in range(1, 7))]
     out = ['<?xml version="1.0"?>', f"<!-- {robot.title}. Written by urdf/make_urdf.py; do not edit. -->"]
-    out.append(f'<robot name="{name}">')
+    out.append(f'<robot name="{name}" xmlns:drake="http://drake.mit.edu">')
     for colour, rgb in COLOURS[robot.family].items():
         out.append(f'  <material name="{colour}"><color rgba="{_numbers(rgb)} 1"/></material>')
     for link, rotation in zip(links, upright, strict=True):

@@ -14,7 +14,9 @@ from planner.catalogue import RobotData
 from planner.cell.distance import Solid
 from planner.cell.robots import link_frames
 from planner.geometry.rigid import from_parts
-from planner.problem import Cell, Shape, Stock
+from planner.geometry.shapes import Shape
+from planner.problem import Cell, Stock
+from planner.tooling import working_solid
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +24,8 @@ FloatArray = NDArray[np.float64]
 def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
     """Shapes by body, in the body's frame, of everything but the robots' links."""
     out = {f"{arm.name}/tool": arm.tool.shapes for arm in cell.arms}
-    out.update({f"{arm.name}/edge": (arm.tool.edge,) for arm in cell.arms if arm.tool.edge is not None})
+    solids = {arm.name: working_solid(arm.tool) for arm in cell.arms}
+    out.update({f"{name}/edge": (solid,) for name, solid in solids.items() if solid is not None})
     lower, upper = stock.lower, stock.upper
     x, y, z = (upper - lower).tolist()
     block = Shape("box", (x, y, z), from_parts(np.eye(3), 0.5 * (lower + upper)))

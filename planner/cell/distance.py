@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from planner.problem import Shape
+from planner.geometry.shapes import Shape
 
 FloatArray = NDArray[np.float64]
 

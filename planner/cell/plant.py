@@ -25,8 +25,10 @@ from planner.cell.distance import Solid
 from planner.cell.filters import FilteredPair, filter_pairs
 from planner.cell.robots import forward
 from planner.cell.solids import drake_shape
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Cell, Shape, Stock
+from planner.problem import Cell, Stock
+from planner.tooling import working_solid
 
 FloatArray = NDArray[np.float64]
 
@@ -148,7 +150,7 @@ class CellModel:
         for arm in self.cell.arms:
             rows = np.atleast_2d(q.get(arm.name, arm.home))
             out.update(body_poses(arm.name, self.robots[arm.name], self.bases[arm.name], rows))
-            if arm.tool.edge is not None:
+            if working_solid(arm.tool) is not None:
                 out[f"{arm.name}/edge"] = out[f"{arm.name}/tool"]
         if self.stock.held_by is not None:
             held = self.cell.arm(self.stock.held_by).tool.tcp @ self.stock.grip
@@ -220,7 +222,11 @@ def _new(
     flanges: dict[str, tuple[Any, Any]] = {}
     for arm in cell.arms:
         parser = Parser(plant=plant, scene_graph=builder.scene_graph(), model_name_prefix=arm.name)
-        (instance,) = parser.AddModels(str(catalogue.urdf_path(arm.robot)))
+        path = catalogue.urdf_path(arm.robot)
+        try:
+            (instance,) = parser.AddModels(str(path))
+        except RuntimeError as error:
+            raise catalogue.damaged(path, str(error)) from None
         instances.append(instance)
         mounts[arm.name] = _mount(plant, f"{arm.name}/mount", placed[arm.name])
         plant.WeldFrames(mounts[arm.name], plant.GetFrameByName("base_link", instance))

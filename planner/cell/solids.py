@@ -15,7 +15,7 @@ from pydrake.geometry import (
 )
 from pydrake.geometry import Shape as DrakeShape
 
-from planner.problem import Shape
+from planner.geometry.shapes import Shape
 
 
 def drake_shape(shape: Shape, solid: bool) -> DrakeShape:

@@ -34,7 +34,7 @@ from planner.geometry.closest import corner_normals
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
 from planner.sheet_metals import SheetMetal
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from planner.units import DEG, MM
 
 EDGE: Final = 1e-5

@@ -17,7 +17,7 @@ import shapely
 from planner.forming.inserting import insert
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass
 from planner.geometry.vectors import dots
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 
 MARGIN: Final = 4e-4
 """The support keeps so far [m] outside the border, by half of which straight moves may cut its bends."""

@@ -20,7 +20,8 @@ import numpy as np
 from planner.geometry.mesh import TriangleMesh, read_mesh
 from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import from_rpy
-from planner.problem import Part, Shape, Stock
+from planner.geometry.shapes import Shape
+from planner.problem import Part, Stock
 from planner.units import LENGTH_UNITS
 
 if TYPE_CHECKING:

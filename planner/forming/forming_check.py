@@ -19,10 +19,10 @@ from planner.forming.state_check import clear_issues
 from planner.forming.support import support_issues
 from planner.forming.thickness import steepest
 from planner.forming.values import Pass, ToolPath
-from planner.forming_tools import profile
 from planner.issues import Issue
 from planner.problem import Setup
 from planner.sheet_metals import thickness_doubt
+from planner.tooling import profile
 from planner.units import DEG, MM
 
 

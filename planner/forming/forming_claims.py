@@ -25,8 +25,8 @@ from planner.forming.opposite import FACING
 from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
-from planner.forming_tools import profile
 from planner.geometry.mesh import TriangleMesh
+from planner.tooling import profile
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,8 @@ from planner.forming.inserting import insert, shares
 from planner.forming.steady import steady_below, steady_normals
 from planner.forming.tilt import leaned, nozzle_below_flat
 from planner.forming.values import ContactPath, FloatArray, Pass
-from planner.forming_tools import profile
 from planner.geometry.vectors import dots
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead, profile
 from planner.units import DEG
 
 TURN: Final = 1.0 * DEG

@@ -15,7 +15,7 @@ from planner.forming.path_options import PathOptions
 from planner.forming.values import Pass
 from planner.issues import Issue, TandemError
 from planner.problem import Mesh, Part, Setup, Sheet
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead, FormingTool
 from planner.units import DEG, MM
 
 NAMED: Final = 5
@@ -111,9 +111,10 @@ def _heads(op: Forming, setup: Setup) -> dict[str, FormingHead]:
     for place, arm in enumerate(op.arms):
         tool = setup.cell.arm(arm).tool
         wanted = "heat_tool" if op.mode == "heat" and place == 1 else "ball_tool"
-        fits = tool.head is not None and (tool.head.kind == "heat") == (wanted == "heat_tool")
-        disk = tool.head is not None and tool.head.kind == "disk" and (place == 0 or op.mode != "dpif_p")
-        if tool.head is None or not fits or disk:
+        may = {"heat"} if wanted == "heat_tool" else {"ball"}
+        if op.mode == "dpif_p" and place == 1:
+            may.add("disk")
+        if not isinstance(tool, FormingTool) or tool.head.kind not in may:
             other = " or a disk_tool" if op.mode == "dpif_p" and place == 1 else ""
             what = f"{op.name}: arm {arm} carries the tool {tool.name}; mode {op.mode} wants {wanted}{other}"
             issues.append(Issue("forming.tool", what, field="cell.arms.tool", arm=arm))

@@ -22,7 +22,7 @@ from planner.forming.tilt import axes, below_flat, leaned, off_upright
 from planner.forming.touching import Lean, Touching
 from planner.forming.values import ContactPath, FloatArray, IntArray, Pass, ToolPath
 from planner.geometry.vectors import dots
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from planner.units import DEG, MM
 
 BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]

@@ -41,7 +41,7 @@ def clear_issues(
     tolerance: float,
 ) -> tuple[Issue, ...]:
     """Issues (forming.clear) of both tools of a pass, the forming one first in ``arms`` and ``profiles``
-    (K, 2) [m] (`planner.forming_tools.profile`): the deepest cut beyond ``tolerance`` [m] of each."""
+    (K, 2) [m] (`planner.tooling.profile`): the deepest cut beyond ``tolerance`` [m] of each."""
     tools = [(path.former, path.axis)]
     if path.support is not None and path.support_axis is not None:
         tools.append((path.support, path.support_axis))

@@ -27,7 +27,7 @@ from planner.forming.opposite import SHARE, opposite_path
 from planner.forming.tilt import axes
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.issues import Issue, Severity, TandemError
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from planner.units import DEG, MM
 
 _MIRROR: Final = np.array([1.0, 1.0, -1.0])

@@ -23,10 +23,11 @@ from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted, wanted
 from planner.hotwire.straight_route import Route, lay_out
 from planner.hotwire.straight_steps import actions, check_drops
-from planner.hotwire.straight_tool import Bow, bow_of
+from planner.hotwire.straight_tool import bow_of
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup
 from planner.targets import Targets
+from planner.tooling import Bow
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]

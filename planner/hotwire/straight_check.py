@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import inverse, transform
+from planner.geometry.shapes import Shape, corners
 from planner.hotwire import kerf as kerfs
 from planner.hotwire.kerf_flag import KerfFlag, explain
 from planner.hotwire.straight_cut import Cut
@@ -17,9 +18,9 @@ from planner.hotwire.straight_lines import Lines, chord, distance_to_polyline, e
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_section import holds, pieces_across
 from planner.hotwire.straight_spared import check_spared
-from planner.hotwire.straight_tool import Bow, corners
 from planner.issues import Issue, Severity
-from planner.problem import Ruled, Setup, Shape
+from planner.problem import Ruled, Setup
+from planner.tooling import Bow
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]

@@ -22,8 +22,8 @@ from planner.geometry.rulings import tessellate
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted
-from planner.hotwire.straight_tool import Bow
 from planner.problem import Ruled, Setup
+from planner.tooling import Bow
 from planner.units import MM
 
 THROUGH: Final = 1e-5

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
-from planner.hotwire.straight_tool import Bow
+from planner.tooling import Bow
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

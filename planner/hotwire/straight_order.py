@@ -12,6 +12,7 @@ from planner.hotwire.straight_operation import SIDES, Straight, SurfaceCut, Trim
 from planner.hotwire.straight_section import depths
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
+from planner.tooling import Bow
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -150,8 +151,8 @@ def _along(op: Straight, setup: Setup, axis: int, cut: TrimCut) -> int:
     if cut.along != "auto":
         return "xyz".index(cut.along)
     length = setup.stock.upper - setup.stock.lower
-    edge = setup.cell.arm(op.arms[0]).tool.edge
-    room = (np.inf if edge is None else edge.size[1]) - 2.0 * op.margin_mm * MM
+    tool = setup.cell.arm(op.arms[0]).tool
+    room = (tool.span if isinstance(tool, Bow) else np.inf) - 2.0 * op.margin_mm * MM
     level = np.abs(setup.stock.gravity) < 0.5
     choice = [k for k in range(3) if k != axis]
     return min(choice, key=lambda k: (length[k] > room, not level[k], length[k]))

@@ -10,10 +10,10 @@ import numpy as np
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_route import Route
-from planner.hotwire.straight_tool import Bow
 from planner.issues import Issue, Severity
 from planner.problem import Setup
 from planner.targets import Action
+from planner.tooling import Bow
 from planner.units import MM
 
 LEVEL: Final = 0.7

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.round_body import Round
 from planner.geometry.swept import least
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -15,7 +15,7 @@ from planner.milling.point import leant, tips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
 from planner.part_ruled_file import GuideFile, guide
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ from planner.milling.rulings import Strip, strips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
 from planner.problem import Part, Ruled
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

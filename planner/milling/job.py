@@ -17,7 +17,7 @@ from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.over import Over
 from planner.milling.values import Run
 from planner.problem import Mesh, Part, Setup
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter, Mill
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +100,7 @@ def job(op: Milling, setup: Setup, part: Part | None) -> Job:
 
 def _cutter(op: Milling, setup: Setup) -> Cutter:
     tool = setup.cell.arm(op.arms[0]).tool
-    if tool.cutter is None:
+    if not isinstance(tool, Mill):
         raise TandemError(
             Issue(
                 "milling.tool",

@@ -16,7 +16,7 @@ from planner.milling.over import Over, Places
 from planner.milling.point import leant, ridge_step, tips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]

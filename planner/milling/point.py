@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.vectors import dots
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 FloatArray = NDArray[np.float64]
 

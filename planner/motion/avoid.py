@@ -15,6 +15,7 @@ from planner.cell.distance import extent
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import transform
 from planner.motion.hinges import Rows
+from planner.tooling import working_solid
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -230,7 +231,7 @@ def _outermost(model: CellModel, arm: str) -> float:
 
 def _is_long(model: CellModel, arm: str) -> bool:
     """Whether a hand reaches farther than wire holders do: it holds a block or has a rigid edge."""
-    return model.stock.held_by == arm or model.cell.arm(arm).tool.edge is not None
+    return model.stock.held_by == arm or working_solid(model.cell.arm(arm).tool) is not None
 
 
 def _local_pairs(model: CellModel, arms: tuple[str, ...]) -> Pairs:

@@ -18,6 +18,7 @@ from planner.geometry.rigid import interpolate, inverse, transform
 from planner.motion.chain import Chain
 from planner.problem import Cell, Settings
 from planner.targets import Targets, works
+from planner.tooling import FormingTool, working_solid
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -96,8 +97,9 @@ class Scene:
         if self.model is None:
             return frozenset()
         tools = {arm: self.model.cell.arm(arm).tool for arm in self.chains}
-        pairs = {frozenset((f"{arm}/edge", "stock")) for arm, tool in tools.items() if tool.edge is not None}
-        heads = [f"{arm}/edge" for arm, tool in tools.items() if tool.head is not None]
+        works = [arm for arm, tool in tools.items() if working_solid(tool) is not None]
+        pairs = {frozenset((f"{arm}/edge", "stock")) for arm in works}
+        heads = [f"{arm}/edge" for arm, tool in tools.items() if isinstance(tool, FormingTool)]
         return frozenset(pairs | ({frozenset(heads)} if len(heads) > 1 else set()))
 
     def by_kind(self, targets: Targets, move: IndexArray) -> list[tuple[Pairs, IndexArray]]:

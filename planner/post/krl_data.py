@@ -16,7 +16,7 @@ from planner.post.krl_load import load_data
 from planner.post.krl_moves import written
 from planner.post.krl_status import status, turn
 from planner.post.program import Joints, Load, OperationProgram, TaskProgram
-from planner.problem import Tool
+from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from planner.post.krl_format import aggregate, frame
 from planner.post.loads import LEAST_MASS
 from planner.post.program import Load
 from planner.post.text import number
-from planner.problem import Tool
+from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 

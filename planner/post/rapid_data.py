@@ -15,7 +15,8 @@ from planner.post.program import Carry, Job, Joints, Load, OperationProgram, Tas
 from planner.post.rapid_format import identifier, jointtarget, pose, quoted, vector
 from planner.post.rapid_moves import own_zones
 from planner.post.text import number, short
-from planner.problem import Problem, Tool
+from planner.problem import Problem
+from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 

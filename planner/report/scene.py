@@ -13,9 +13,11 @@ from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, S
 
 from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
 from planner.cell.solids import drake_shape
-from planner.problem import Setup, Shape
+from planner.geometry.shapes import Shape
+from planner.problem import Setup
 from planner.report import solids, standing
 from planner.report.solids import Solid
+from planner.tooling import working_solid
 
 FloatArray = NDArray[np.float64]
 _PLAIN = (0.7, 0.72, 0.75, 1.0)
@@ -92,8 +94,9 @@ def mounted(setup: Setup) -> tuple[Piece, ...]:
     out = []
     for arm in setup.cell.arms:
         out += [_piece(f"{arm.name}/tool", shape, TOOL_COLOUR) for shape in arm.tool.shapes]
-        if arm.tool.edge is not None:
-            out.append(_piece(f"{arm.name}/edge", _seen(arm.tool.edge), HOT))
+        solid = working_solid(arm.tool)
+        if solid is not None:
+            out.append(_piece(f"{arm.name}/edge", _seen(solid), HOT))
     out.append(_piece("stock", standing.box(setup), STOCK_COLOUR))
     if setup.stock.held_by is None:
         out += [_piece("support", shape, SUPPORT_COLOUR) for shape in setup.stock.support]

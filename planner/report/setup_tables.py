@@ -12,6 +12,7 @@ from planner.plans import Plan
 from planner.problem import Setup
 from planner.report import markup, standing
 from planner.report.markup import Raw
+from planner.tooling import Gripper
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -73,7 +74,7 @@ def block(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
             ("grip: roll, pitch, yaw [deg]", lean),
             ("grip: quaternion w, x, y, z", quaternion_grip),
         ]
-        if tool.footprint is not None:
+        if isinstance(tool, Gripper):
             width, depth = (markup.fixed(v / MM, 0) for v in tool.footprint)
             items.append(("face of the gripper, centred on its TCP [mm]", Raw(f"{width} × {depth}")))
         if held is not None:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from planner import catalogue
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
-from planner.problem import Arm, Problem, Setup, Shape
+from planner.geometry.shapes import Shape, axis_ends
+from planner.problem import Arm, Problem, Setup
+from planner.tooling import Bow, Mill
 
 FloatArray = NDArray[np.float64]
 
@@ -34,10 +36,10 @@ def block(
 
 
 def cutter(setup: Setup, arms: tuple[str, ...]) -> Arm | None:
-    """The first of these arms whose tool has a straight wire, or None."""
-    tools = {name: setup.cell.arm(name).tool for name in arms}
-    found = next((name for name, tool in tools.items() if tool.edge is not None and tool.head is None), None)
-    return None if found is None else setup.cell.arm(found)
+    """The first of these arms whose tool cuts along a line, or None: a bow along its wire, a mill along its
+    axis."""
+    carriers = (setup.cell.arm(name) for name in arms)
+    return next((arm for arm in carriers if isinstance(arm.tool, Bow | Mill)), None)
 
 
 def wire_in_block(
@@ -47,18 +49,22 @@ def wire_in_block(
     bases: Mapping[str, FloatArray],
     q: Mapping[str, FloatArray],
 ) -> FloatArray:
-    """Both ends (T, 2, 3) [m] of a straight wire in the stock frame at joint angles {arm: (T, 6)}."""
+    """Both ends (T, 2, 3) [m] of a straight wire, or of a cutter's axis, in the stock frame at joint angles
+    {arm: (T, 6)}."""
     pose = inverse(block(setup, place, bases, q)) @ flanges(arm, bases, q[arm.name])
     return np.asarray(np.einsum("tij,kj->tki", pose[:, :3, :3], ends(arm)) + pose[:, None, :3, 3])
 
 
 def ends(arm: Arm) -> FloatArray:
-    """Both ends (2, 3) [m] of a straight wire in the flange frame; ``ValueError`` without one."""
-    edge = arm.tool.edge
-    if edge is None:
-        raise ValueError(f"tool {arm.tool.name} has no edge")
-    local = np.array([[0.0, 0.0, -0.5 * edge.size[1]], [0.0, 0.0, 0.5 * edge.size[1]]])
-    return local @ edge.pose[:3, :3].T + edge.pose[:3, 3]
+    """Both ends (2, 3) [m] of a straight wire, or of a cutter's axis, in the flange frame; ``ValueError`` for
+    tools without either."""
+    match arm.tool:
+        case Bow():
+            return axis_ends(arm.tool.wire)
+        case Mill():
+            return axis_ends(arm.tool.solid)
+        case _:
+            raise ValueError(f"tool {arm.tool.name} cuts along no line")
 
 
 def box(setup: Setup) -> Shape:

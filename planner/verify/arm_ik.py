@@ -1,8 +1,10 @@
 """Joint angles of a tool pose in closed form, per branch: the proof's own inverse kinematics.
 
-Derived here from the chain in :class:`planner.catalogue.OpwParameters` by intersecting two circles in the
-plane of axis 1; shares no code with the planner's solver. A branch is the number 4 * (wrist centre behind
-axis 1) + 2 * (wrist centre behind the lower arm) + (axis 5 negative), ABB's cfx of serial arms.
+Derived here from the form in :class:`planner.verify.arm_shape.ArmShape`, whose figures are those of the
+URDF's axes, by intersecting two circles in the plane of axis 1; shares no code with the planner's solver.
+Each solution is put through the chain of the URDF and counts only where that leads back to its pose. A
+branch is the number 4 * (wrist centre behind axis 1) + 2 * (wrist centre behind the lower arm) + (axis 5
+negative), ABB's cfx of serial arms.
 """
 
 from __future__ import annotations
@@ -10,22 +12,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import RobotData
 from planner.geometry.vectors import dots
+from planner.verify.machines import Machine
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 TURN = 2.0 * np.pi
+REPRODUCED = 1e-9
+"""How far off its pose [m, and in each entry of the rotation] a solution may be by the URDF's chain."""
 
 
-def solve(robot: RobotData, flange: FloatArray, branch: IntArray) -> FloatArray:
+def solve(machine: Machine, flange: FloatArray, branch: IntArray) -> FloatArray:
     """Serial joint angles (B, 6) [rad] of flange poses (B, 4, 4) in the base, on branches (B,); NaN out of
-    reach.
+    reach, and where the URDF's chain does not lead to the pose.
 
     Axes 1, 4 and 6 are in (-pi, pi] of the OPW angle; whole turns are for the caller (:func:`nearest_turns`).
     """
-    p = robot.opw
+    p = machine.shape
     rotation = flange[:, :3, :3]
     wrist = flange[:, :3, 3] - p.c4 * rotation[:, :, 2]
     behind, below, negative = (branch & 4) > 0, (branch & 2) > 0, (branch & 1) > 0
@@ -55,14 +59,16 @@ def solve(robot: RobotData, flange: FloatArray, branch: IntArray) -> FloatArray:
     theta[:, [1, 2, 4]] = wrapped(theta[:, [1, 2, 4]] + p.offsets[[1, 2, 4]]) - p.offsets[[1, 2, 4]]
     q = p.signs * (theta + p.offsets)
     # axis 3 of some arms reaches below -180 degrees: take the turn that lies within its limits
-    middle = 0.5 * (robot.lower + robot.upper)
+    middle = 0.5 * (machine.data.lower + machine.data.upper)
     q[:, 1:3] = middle[1:3] + wrapped(q[:, 1:3] - middle[1:3])
+    off = np.abs(machine.flange(q) - flange).max(axis=(1, 2), initial=0.0)
+    q[~(off <= REPRODUCED)] = np.nan
     return q
 
 
-def branch_of(robot: RobotData, q: FloatArray) -> IntArray:
+def branch_of(machine: Machine, q: FloatArray) -> IntArray:
     """Branch (...,) of serial joint angles (..., 6)."""
-    p = robot.opw
+    p = machine.shape
     theta = p.signs * q - p.offsets
     forearm, lean = np.hypot(p.a2, p.c3), np.arctan2(p.a2, p.c3)
     radial = p.a1 + p.c2 * np.sin(theta[..., 1]) + forearm * np.sin(theta[..., 1] + theta[..., 2] + lean)
@@ -95,14 +101,14 @@ def wrapped(angle: FloatArray) -> FloatArray:
     return np.asarray((angle + np.pi) % TURN - np.pi)
 
 
-def singularity_distance(robot: RobotData, q: FloatArray) -> FloatArray:
+def singularity_distance(machine: Machine, q: FloatArray) -> FloatArray:
     """Angle (...,) [rad] to the nearest singularity of serial angles (..., 6): wrist, stretched elbow, wrist
     above axis 1.
 
     The wrist's is |axis 5|; the elbow's the bend between lower arm and forearm; the shoulder's the angle at
     which the wrist centre is seen from the shoulder's height off axis 1.
     """
-    p = robot.opw
+    p = machine.shape
     theta = p.signs * q - p.offsets
     forearm, lean = np.hypot(p.a2, p.c3), np.arctan2(p.a2, p.c3)
     wrist = np.abs(wrapped(theta[..., 4]))

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import RobotData
 from planner.verify.arm_ik import TURN, branch_of, solve
+from planner.verify.machines import Machine
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -28,10 +28,10 @@ def quadrants(q: FloatArray) -> IntArray:
     return np.floor(q[..., _AXES] / QUADRANT).astype(np.int64)
 
 
-def select(robot: RobotData, flange: FloatArray, conf: IntArray) -> FloatArray:
+def select(machine: Machine, flange: FloatArray, conf: IntArray) -> FloatArray:
     """Joint angles (B, 6) that confdata (B, 4) select at flange poses (B, 4, 4) in the base; NaN where they
     select none."""
-    q = solve(robot, flange, conf[:, 3])
+    q = solve(machine, flange, conf[:, 3])
     for column, axis in enumerate(_AXES):
         middle = (conf[:, column] + 0.5) * QUADRANT
         q[:, axis] += TURN * np.round((middle - q[:, axis]) / TURN)
@@ -41,9 +41,9 @@ def select(robot: RobotData, flange: FloatArray, conf: IntArray) -> FloatArray:
     return q
 
 
-def fits(robot: RobotData, q: FloatArray, conf: IntArray) -> NDArray[np.bool_]:
+def fits(machine: Machine, q: FloatArray, conf: IntArray) -> NDArray[np.bool_]:
     """Whether confdata (B, 4) are the true ones of joint angles (B, 6), within ``TOLERANCE`` of a quadrant's
     border."""
     middle = (conf[:, :3] + 0.5) * QUADRANT
     quadrant = np.all(np.abs(q[:, _AXES] - middle) <= 0.5 * QUADRANT + TOLERANCE, axis=-1)
-    return np.asarray(quadrant & (branch_of(robot, q) == conf[:, 3]))
+    return np.asarray(quadrant & (branch_of(machine, q) == conf[:, 3]))

@@ -13,8 +13,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import RobotData
 from planner.verify.arm_ik import TURN, solve
+from planner.verify.machines import Machine
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -35,33 +35,33 @@ class Chosen:
     near_zero: tuple[int, ...]
 
 
-def straight_elbow(robot: RobotData) -> float:
+def straight_elbow(machine: Machine) -> float:
     """Axis 3 [rad] at which shoulder, elbow and wrist are in line, the arm being stretched."""
-    p = robot.opw
+    p = machine.shape
     return float(p.signs[2] * (p.offsets[2] - np.arctan2(p.a2, p.c3)))
 
 
-def status_of(robot: RobotData, q: FloatArray) -> IntArray:
+def status_of(machine: Machine, q: FloatArray) -> IntArray:
     """Status bits 0 to 2 (...,) of serial joint angles (..., 6)."""
-    p = robot.opw
+    p = machine.shape
     theta = p.signs * q - p.offsets
     forearm = np.hypot(p.a2, p.c3)
     lean = np.arctan2(p.a2, p.c3)
     radial = p.a1 + p.c2 * np.sin(theta[..., 1]) + forearm * np.sin(theta[..., 1] + theta[..., 2] + lean)
-    bent = p.signs[2] * (q[..., 2] - straight_elbow(robot)) >= 0.0
+    bent = p.signs[2] * (q[..., 2] - straight_elbow(machine)) >= 0.0
     return np.asarray((radial < 0.0) + 2 * bent + 4 * (q[..., 4] < 0.0), dtype=np.int64)
 
 
-def select(robot: RobotData, flange: FloatArray, status: int, turn: int) -> Chosen:
+def select(machine: Machine, flange: FloatArray, status: int, turn: int) -> Chosen:
     """All solutions at a flange pose (4, 4) in the base, within the limits, that have this Status and Turn.
 
     Solutions of all eight branches are looked at, with all whole turns of all axes that the limits allow.
     """
-    eight = solve(robot, np.tile(flange, (8, 1, 1)), np.arange(8))
+    eight = solve(machine, np.tile(flange, (8, 1, 1)), np.arange(8))
     eight = eight[np.isfinite(eight).all(axis=1)]
     found: list[FloatArray] = []
-    for q in eight[status_of(robot, eight) == status] if len(eight) else eight:
-        turns = [_turns(q[axis], robot.lower[axis], robot.upper[axis]) for axis in range(6)]
+    for q in eight[status_of(machine, eight) == status] if len(eight) else eight:
+        turns = [_turns(q[axis], machine.data.lower[axis], machine.data.upper[axis]) for axis in range(6)]
         for some in itertools.product(*turns):
             values = np.array(some)
             negative = np.array([bool(turn >> axis & 1) for axis in range(6)])

@@ -10,12 +10,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import robot
 from planner.cell import clearance
 from planner.cell.clearance import Pairs
 from planner.cell.plant import CellModel
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, TandemError
-from planner.problem import Setup, Shape
+from planner.problem import Setup
+from planner.tooling import working_solid
+from planner.verify import machines
 from planner.verify.context import Context
 
 FloatArray = NDArray[np.float64]
@@ -141,7 +143,7 @@ def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slic
 def lever(context: Context, index: int, arm: str) -> FloatArray:
     """How far any point of an arm is from each of its axes at most (6,) [m]."""
     setup = context.setups[index]
-    p = robot(setup.cell.arm(arm).robot).opw
+    p = machines.of(setup.cell.arm(arm).robot).shape
     tool = _hand(setup, arm)
     hand = abs(p.c4) + tool
     forearm = float(np.hypot(p.a2, p.c3))
@@ -154,7 +156,8 @@ def _hand(setup: Setup, arm: str) -> float:
     """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
     tool, stock = setup.cell.arm(arm).tool, setup.stock
     far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
-    shapes = (*tool.shapes, tool.edge) if tool.edge is not None else tool.shapes
+    solid = working_solid(tool)
+    shapes = tool.shapes if solid is None else (*tool.shapes, solid)
     far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
     if stock.held_by == arm:
         corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter, Mill
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
 from planner.verify.speed import during
@@ -110,7 +110,8 @@ class Milling:
 
     def mounted(self, index: int, arm: str) -> Cutter | None:
         """The cutter of the tool on ``arm`` in setup ``index``."""
-        return self.context.setups[index].cell.arm(arm).tool.cutter
+        tool = self.context.setups[index].cell.arm(arm).tool
+        return tool.cutter if isinstance(tool, Mill) else None
 
     def places(self, claim: SparesPart, radius: float) -> FloatArray:
         """Places (P, 3) of a face so near to one another that a solid of ``radius`` [m] between them is in it

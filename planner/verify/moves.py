@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import RobotData
-from planner.cell.robots import forward
 from planner.geometry.rigid import inverse, log_rotation
 from planner.geometry.vectors import dots
 from planner.verify import krl_status, time_law
 from planner.verify.arm_ik import branch_of, continued, solve
 from planner.verify.job import TaskText
+from planner.verify.machines import Machine
 from planner.verify.steps import MessageStep, MoveStep, SettingStep, Step, WaitStep
 from planner.verify.values import JointTarget, RobTarget, StatusTarget, poses
 
@@ -43,7 +42,7 @@ class Row:
 
     task: TaskText
     moves: tuple[MoveStep, ...]
-    robot: RobotData
+    robot: Machine
     base: FloatArray
     tool: FloatArray
     joint: NDArray[np.bool_]
@@ -56,19 +55,19 @@ class Row:
 
     def tcp(self, q: FloatArray) -> FloatArray:
         """TCP poses (..., 4, 4) in the world of joints (..., 6), with the tool of the first move."""
-        return np.asarray(self.base @ forward(self.robot, q) @ self.tool[0])
+        return np.asarray(self.base @ self.robot.flange(q) @ self.tool[0])
 
     def flanges(self) -> FloatArray:
         """Flange poses (N, 4, 4) in the world at the targets, for a row that is in the world."""
         out = self.pose @ inverse(self.tool)
-        out[self.joint] = self.base @ forward(self.robot, self.q[self.joint])
+        out[self.joint] = self.base @ self.robot.flange(self.q[self.joint])
         return np.asarray(out)
 
 
 def make_row(
     task: TaskText,
     moves: tuple[MoveStep, ...],
-    machine: RobotData,
+    machine: Machine,
     base: FloatArray,
     units: Mapping[str, str],
 ) -> Row:
@@ -102,22 +101,22 @@ def make_row(
             case StatusTarget():
                 q[i] = chosen(move, machine, base)
             case JointTarget(joints=values):
-                q[i] = machine.from_controller(values)
+                q[i] = machine.data.from_controller(values)
     ride = np.eye(4) if carrier is None else frame[int(np.argmin(joint))]
     pose = (np.linalg.inv(ride) if carrier is not None else np.eye(4)) @ frame @ poses(position, quaternion)
     if carrier is None:
-        pose[joint] = base @ forward(machine, q[joint]) @ tool[joint]
+        pose[joint] = base @ machine.flange(q[joint]) @ tool[joint]
     return Row(task, moves, machine, base, tool, joint, pose, q, conf, named, carrier, ride)
 
 
-def chosen(move: MoveStep, machine: RobotData, base: FloatArray) -> FloatArray:
+def chosen(move: MoveStep, machine: Machine, base: FloatArray) -> FloatArray:
     """The joints (6,) [rad, serial] that Status and Turn select for a move's target; NaN where they select
     none, or more than one. ``base`` (4, 4) in the world."""
     found = solutions(move, machine, base)
     return np.asarray(found.q[0]) if len(found.q) == 1 else np.full(6, np.nan)
 
 
-def solutions(move: MoveStep, machine: RobotData, base: FloatArray) -> krl_status.Chosen:
+def solutions(move: MoveStep, machine: Machine, base: FloatArray) -> krl_status.Chosen:
     """All that Status and Turn select for a move's target; nothing for other targets."""
     target = move.target
     if not isinstance(target, StatusTarget):
@@ -182,9 +181,9 @@ def _durations(row: Row, start: FloatArray, step: FloatArray, turn: FloatArray) 
         if row.joint[i]:
             past = row.q[i - 1] if i and row.joint[i - 1] else _behind(row, i, start)
             change = np.abs(row.q[i] - past)
-            ramps = np.sqrt(6.0 * change / row.robot.acceleration)
+            ramps = np.sqrt(6.0 * change / row.robot.data.acceleration)
             share = np.ones(6) if move.speed.axes is None else np.array(move.speed.axes)
-            fastest = share * row.robot.velocity
+            fastest = share * row.robot.data.velocity
             out[i] = max(out[i], float(np.max(1.5 * change / fastest)), float(ramps.max()))
             out[i] *= 1.02  # the controller's own ramps stay inside the limits
     return out

@@ -31,6 +31,7 @@ from planner.verify import (
     rules_frames,
     rules_handshake,
     rules_holder,
+    rules_kinematics,
     rules_krl,
     rules_mill_spindle,
     rules_milling,
@@ -66,6 +67,7 @@ TEXT: _RuleTable = (
     ("verify.files", rules_text.files),
     ("verify.digest", rules_text.digest),
 )
+ROBOTS: _RuleTable = (("verify.robot_model", rules_kinematics.robot_model),)
 TASKS: _RuleTable = (
     ("verify.task_list", rules_sync.task_list),
     ("verify.sync_order", rules_sync.sync_order),
@@ -123,7 +125,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.part", rules_part.part),
 )
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
-    ("verify.kinematics", rules_cell.kinematics),
+    ("verify.kinematics", rules_kinematics.kinematics),
     ("verify.clearance", rules_cell.bodies),
     ("verify.step_apart", handshake_apart.step_apart),
     ("verify.wire_clearance", rules_cell.wire_bodies),
@@ -164,14 +166,14 @@ NEEDED = (
 
 RULES: tuple[str, ...] = tuple(
     code
-    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
+    for table in (TEXT, ROBOTS, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
     for code, _ in table
 )
 """Codes of all rules."""
 
 TITLES: Mapping[str, str] = {
     code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
-    for table in (TEXT, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
+    for table in (TEXT, ROBOTS, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
     for code, rule in table
 }
 """What each rule asks, by code."""
@@ -207,9 +209,11 @@ class Prover:
 
     def _steps(self, context: Context, run: _Run) -> Iterator[None]:
         """Runs the rules one after the other and hands control back behind each."""
-        for code, rule in TEXT:
+        for code, rule in (*TEXT, *ROBOTS):
             run.add(code, rule(context))
             yield
+        if run.broken_any("verify.robot_model"):
+            return  # where arms are does not follow from their files
         if not context.readable:
             return
         for code, rule in TASKS:
@@ -260,7 +264,7 @@ class Prover:
         yield
         run.faces = (*rules_surface.with_end_error(context, wires, run.faces), *formed, *milled)
         models = functools.cache(functools.partial(self.model, context))
-        run.add("verify.kinematics", rules_cell.kinematics(context, models))
+        run.add("verify.kinematics", rules_kinematics.kinematics(context, models))
         yield
         outcome, run.looks, run.clearance = rules_cell.bodies(context, models)
         run.add("verify.clearance", outcome)

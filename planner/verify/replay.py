@@ -2,8 +2,9 @@
 
 Works on the posted, rounded values only. Straight moves are straight in their work object, turning at a
 constant rate. Where another arm carries the work object, that arm's motion comes first; the moves are then
-straight in the carried frame. The joints follow by the proof's own inverse kinematics on the branch that cfx
-names; where the language names none, on the one that the arm has at the start. See
+straight in the carried frame. Joints lead to poses by the chain that the robot's URDF states
+(:mod:`planner.verify.urdf_chain`), poses to joints by the proof's own inverse kinematics on the branch that
+cfx names; where the language names none, on the one that the arm has at the start. See
 :mod:`planner.verify.time_law` for the time within and between moves.
 """
 
@@ -16,12 +17,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
-from planner.verify import arm_ik, confdata, straight_moves, time_law
+from planner.verify import arm_ik, confdata, machines, straight_moves, time_law
 from planner.verify.job import JobText, Stage, TaskText, label
 from planner.verify.motion import Fault, Motion
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
@@ -59,7 +58,7 @@ class _Player:
         self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
         self.bases = bases
         self.arms = [task.arm for task in job.tasks]
-        self.robots = {arm.name: robot(arm.robot) for arm in self.arms}
+        self.robots = {arm.name: machines.of(arm.robot) for arm in self.arms}
         self.q = {arm.name: np.array(arm.home, dtype=np.float64) for arm in self.arms}
         self.clock = 0.0
         self.nodes = 0
@@ -132,7 +131,7 @@ class _Player:
         self._add(f"node_tcp/{arm.name}", np.full((nodes, 4, 4), np.nan))
 
     def _tcp(self, arm: Arm, q: FloatArray) -> FloatArray:
-        return np.asarray(self.bases[arm.name] @ forward(self.robots[arm.name], q) @ self.tools[arm.name])
+        return np.asarray(self.bases[arm.name] @ self.robots[arm.name].flange(q) @ self.tools[arm.name])
 
     # ---- one stage ----
 
@@ -249,15 +248,15 @@ class _Player:
         here = row.tcp(q)
         if row.carrier is None:
             return here
-        flange = self.bases[row.carrier] @ forward(self.robots[row.carrier], self.q[row.carrier])
+        flange = self.bases[row.carrier] @ self.robots[row.carrier].flange(self.q[row.carrier])
         return np.asarray(inverse(flange @ row.ride) @ here)
 
     def _carried(self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray]) -> _Carried:
         """The frame that carries a row's work: at the last samples of its arm, at the start and at nodes."""
         name = str(row.carrier)
         machine, base = self.robots[name], self.bases[name]
-        samples = base @ forward(machine, self.parts[f"q/{name}"][-1]) @ row.ride
-        start = base @ forward(machine, before[name]) @ row.ride
+        samples = base @ machine.flange(self.parts[f"q/{name}"][-1]) @ row.ride
+        start = base @ machine.flange(before[name]) @ row.ride
         if carrier is None or carrier.carrier is not None:
             nodes = np.tile(start, (len(row.moves), 1, 1))
         else:
@@ -304,7 +303,7 @@ class _Player:
                 nodes = np.concatenate([here[None], row.q[a:b]])
                 at_node, xi = time_law.offsets(part, np.diff(nodes, axis=0), when)
                 q[inside] = nodes[at_node] + xi
-                tcp[inside] = row.base @ forward(row.robot, q[inside]) @ row.tool[a]
+                tcp[inside] = row.base @ row.robot.flange(q[inside]) @ row.tool[a]
                 end = row.q[b - 1]
             else:
                 first = (
@@ -353,7 +352,7 @@ class _Player:
         self, row: Row, carried: _Carried | None, q: FloatArray, tool: FloatArray, sample: int
     ) -> FloatArray:
         """TCP (4, 4) of joints in the frame of the row's poses, at a sample."""
-        here = row.base @ forward(row.robot, q) @ tool
+        here = row.base @ row.robot.flange(q) @ tool
         return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
 
     def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:

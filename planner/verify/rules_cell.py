@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from planner.cell import clearance
 from planner.cell.edge import Against, edge
 from planner.cell.plant import CellModel
-from planner.geometry.rigid import from_parts
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
@@ -25,8 +24,6 @@ Models = Callable[[int], CellModel]
 BETWEEN = 1e-3
 """How much less than the wanted clearance is accepted between targets [m], a tenth of it at most."""
 REACH = 0.1
-_FK_SAMPLES = 60
-KINEMATICS = 1e-6
 NEAR_CLAMP = 0.02
 """Length of wire next to a clamp that is not held against that clamp [m]."""
 
@@ -34,44 +31,6 @@ NEAR_CLAMP = 0.02
 def accepted(wanted: float) -> float:
     """Least clearance [m] that passes where one is wanted."""
     return wanted - min(BETWEEN, 0.1 * wanted)
-
-
-def kinematics(context: Context, models: Models) -> Outcome:
-    """Drake's kinematics of the cell puts the tools, and the block that one holds, where the replay has
-    them."""
-    issues: list[Issue] = []
-    worst = 0.0
-    for index in range(len(context.setups)):
-        rows = np.flatnonzero(context.sample_setup == index)
-        if not len(rows):
-            continue
-        some = rows[np.unique(np.linspace(0, len(rows) - 1, _FK_SAMPLES).astype(np.int64))]
-        for k in some:
-            found, off = _placed(context, models(index), index, int(k))
-            issues += found
-            worst = max(worst, off)
-    return Outcome(tuple(issues), mm(worst), mm(KINEMATICS), "mm")
-
-
-def _placed(context: Context, model: CellModel, index: int, k: int) -> tuple[list[Issue], float]:
-    """Bodies that Drake has elsewhere at sample ``k``, and the largest distance [m]."""
-    motion = context.motion
-    drake = model.checker.UpdatePositions(model.stack({arm: q[k : k + 1] for arm, q in motion.q.items()})[0])
-    wanted = {f"{arm}/tool": (arm, model.cell.arm(arm).tool.tcp, motion.tcp[arm][k]) for arm in motion.q}
-    held = context.holder(index)
-    if held is not None and held.arm in motion.q:
-        wanted["stock"] = (held.arm, np.eye(4), context.stock_poses(index, np.array([k]))[0])
-    issues, worst = [], 0.0
-    for name, (arm, offset, there) in wanted.items():
-        pose = model.plant.EvalBodyPoseInWorld(drake, model.body(name))
-        here = from_parts(pose.rotation().matrix(), pose.translation()) @ offset
-        off = float(np.abs(here - there).max())
-        worst = max(worst, off)
-        if off > KINEMATICS:
-            message = f"{name} is {mm(off):.5f} mm off where the joints put it"
-            measure = (mm(off), mm(KINEMATICS), "mm")
-            issues.append(at_sample("verify.kinematics", message, motion, arm, k, measure))
-    return issues, worst
 
 
 def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearance.LeastClearance]:

@@ -9,7 +9,7 @@ from planner.claims import HoldsStock
 from planner.geometry.rigid import inverse, log_rotation
 from planner.issues import Issue
 from planner.problem import Stock
-from planner.problem import Tool as WantedTool
+from planner.tooling import Tool as WantedTool
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.setups import stays

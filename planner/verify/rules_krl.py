@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planner.catalogue import robot
 from planner.issues import Issue
+from planner.verify import machines
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.job import TaskText
@@ -133,7 +133,7 @@ def _chosen(
     context: Context, task: TaskText, move: MoveStep, target: StatusTarget
 ) -> tuple[list[str], tuple[int, ...]]:
     """What is wrong with Status and Turn of a move's target, and axes near zero."""
-    machine, base = robot(task.arm.robot), context.bases[task.arm.name]
+    machine, base = machines.of(task.arm.robot), context.bases[task.arm.name]
     bits = f"S {target.status} and T {target.turn}"
     found = solutions(move, machine, base)
     if len(found.q) != 1:

@@ -10,6 +10,7 @@ from planner.claims import FeedWindow
 from planner.claims_milling import MillsAlong
 from planner.issues import Issue
 from planner.problem import Stock
+from planner.tooling import Mill
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_pace import allowed
@@ -81,9 +82,9 @@ def spindle(context: Context, milling: Milling) -> Outcome:
     for index, setup in enumerate(context.setups):
         claims = [c for c in context.setup_claims[index].contacts if MILL in c.kinds]
         for arm in setup.cell.arms:
-            cutter = arm.tool.cutter
-            if cutter is None or arm.name not in motion.tcp:
+            if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
+            cutter = arm.tool.cutter
             labels = tuple(sorted({label.lower() for label in motion.node_label}))
             track = milling.track(index, arm.name, labels)
             inside = np.flatnonzero(_in_block(track, cutter.overhang, cutter.radius, context.stock(index)))

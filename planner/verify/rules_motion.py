@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planner.catalogue import robot
 from planner.issues import Issue
+from planner.verify import machines
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample, at_step
@@ -231,7 +232,7 @@ def singularity(context: Context) -> Outcome:
         if not len(rows):
             continue
         parts = np.array_split(rows, len(rows) // _CHUNK + 1)
-        machine, q = robot(task.arm.robot), context.motion.q[arm]
+        machine, q = machines.of(task.arm.robot), context.motion.q[arm]
         distance = np.concatenate([singularity_distance(machine, q[part]) for part in parts])
         k = int(np.argmin(distance))
         if distance[k] < least:

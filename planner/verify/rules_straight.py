@@ -9,7 +9,8 @@ from planner.claims import FollowsRulings, KerfWithin, StraightWire
 from planner.geometry.rigid import inverse
 from planner.geometry.vectors import dots
 from planner.issues import Issue
-from planner.problem import Stock, Tool
+from planner.problem import Stock
+from planner.tooling import Bow, Tool
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.result import CutFace
 from planner.verify.rules_wire import FEED_SLACK, wire_issue
@@ -24,7 +25,7 @@ ROUNDED = 1e-4
 PASSED = 1e-4
 """How much farther than half a kerf and the tolerance the wire may pass a guide line [m]."""
 EDGE = 1e-6
-"""How far a claimed wire may be off the tool's edge [m]."""
+"""How far a claimed wire may be off the bow's own [m]."""
 GUIDE_STEP = 0.002
 """Distance of the places of a guide line that must be passed [m]."""
 FINE = 0.001
@@ -34,7 +35,7 @@ _CHUNK = 400_000
 
 def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """Wherever a straight wire is in the foam, both its clamps are outside by the wanted length of wire; it
-    is the edge of the tool that is mounted."""
+    is the wire of the bow that is mounted."""
     issues, least, limit = [], np.inf, None
     for wire in wires:
         claim = wire.claim
@@ -62,16 +63,17 @@ def bow(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 def _is_edge(claim: StraightWire, tool: Tool) -> bool:
-    """Whether a claimed wire is the edge of a tool, either way round."""
-    if tool.edge is None:
+    """Whether a claimed wire is that of the tool, a bow, either way round."""
+    if not isinstance(tool, Bow):
         return False
-    half = 0.5 * tool.edge.size[1] * tool.edge.pose[:3, 2]
-    ends = np.stack([tool.edge.pose[:3, 3] - half, tool.edge.pose[:3, 3] + half])
+    wire = tool.wire
+    half = 0.5 * wire.size[1] * wire.pose[:3, 2]
+    ends = np.stack([wire.pose[:3, 3] - half, wire.pose[:3, 3] + half])
     back = inverse(tool.tcp)
     ends = ends @ back[:3, :3].T + back[:3, 3]
     said = np.stack([claim.start, claim.end])
     off = min(float(np.abs(ends - said).max()), float(np.abs(ends[::-1] - said).max()))
-    return off <= EDGE and abs(tool.edge.size[0] - claim.radius) <= EDGE
+    return off <= EDGE and abs(wire.size[0] - claim.radius) <= EDGE
 
 
 def free_lengths(start: FloatArray, end: FloatArray, stock: Stock) -> FloatArray:

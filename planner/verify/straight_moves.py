@@ -42,7 +42,7 @@ def poses(law: time_law.TimeLaw, nodes: FloatArray, delta: FloatArray, when: Flo
 
 def branches(row: Row, a: int, b: int, here: FloatArray) -> IntArray:
     """The branch (N,) of each of the straight moves a to b - 1, which begin at joints ``here`` (6,)."""
-    if row.robot.coupling is None and row.named[a:b].all():
+    if row.robot.data.coupling is None and row.named[a:b].all():
         return np.asarray(row.conf[a:b, 3])
     # KRL names no branch here, and cfx of parallel-rod arms is not settled: the arm keeps its own
     return np.full(b - a, arm_ik.branch_of(row.robot, here), dtype=np.int64)

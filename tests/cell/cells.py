@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from planner.geometry.rigid import from_rpy
-from planner.problem import Arm, Cell, Controller, Obstacle, Shape, Stock, Tool
-from planner.tools import plain, wire_holder
+from planner.geometry.shapes import Shape
+from planner.problem import Arm, Cell, Controller, Obstacle, Stock
+from planner.tooling import Tool, plain, wire_holder
 
 BLOCK = Stock(np.array([0.16, 0.70, 0.10]), None, np.eye(3))
 UP = (0.0, 0.0, 0.0)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.bow import bow
 from planner.cell.distance import Solid, signed_distance
 from planner.geometry.rigid import inverse, transform
-from planner.grippers import gripper_plate, vacuum_cup
-from planner.problem import Tool
+from planner.tooling import Gripper, Tool, bow, gripper_plate, vacuum_cup
 
 
 def distance(tool: Tool, points: np.ndarray) -> np.ndarray:
@@ -27,10 +25,9 @@ def at_tcp(tool: Tool, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("tilt", [0.0, np.pi / 4])
 def test_the_wire_runs_along_x_of_the_tcp_from_clamp_to_clamp(size: float, tilt: float) -> None:
     tool = bow(size, size, tilt=tilt)
-    assert tool.edge is not None
-    radius, length = tool.edge.size
+    radius, length = tool.wire.size
     assert (radius, length) == (0.0002, size)
-    ends = tool.edge.pose @ np.array([[0, 0, -length / 2, 1], [0, 0, length / 2, 1]]).T
+    ends = tool.wire.pose @ np.array([[0, 0, -length / 2, 1], [0, 0, length / 2, 1]]).T
     np.testing.assert_allclose(np.sort((inverse(tool.tcp) @ ends)[0]), [-size / 2, size / 2], atol=1e-12)
     np.testing.assert_allclose((inverse(tool.tcp) @ ends)[1:3], 0.0, atol=1e-12)
     wire = np.linspace(-0.5, 0.5, 41)[:, None] * [size, 0.0, 0.0]
@@ -53,8 +50,7 @@ def test_bows_are_light_enough_for_the_arms_that_carried_them() -> None:
 
 
 @pytest.mark.parametrize("tool", [gripper_plate(0.2, 0.1), vacuum_cup(0.06)])
-def test_a_gripper_ends_at_its_tcp(tool: Tool) -> None:
-    assert tool.footprint is not None
+def test_a_gripper_ends_at_its_tcp(tool: Gripper) -> None:
     half = 0.4 * np.array([*tool.footprint, 0.0])
     face = np.array([[0.0, 0.0, 0.0], half * [1, 0, 0], half * [0, 1, 0]])
     np.testing.assert_allclose(distance(tool, at_tcp(tool, face)), 0.0, atol=1e-9)

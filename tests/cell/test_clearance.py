@@ -10,7 +10,8 @@ import pytest
 from planner import catalogue
 from planner.cell import clearance, plant
 from planner.geometry.rigid import from_rpy
-from planner.problem import Obstacle, Shape
+from planner.geometry.shapes import Shape
+from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, WIDE, alone, facing
 
 RADIUS = 0.03

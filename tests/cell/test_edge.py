@@ -8,7 +8,8 @@ import pytest
 from planner.cell import clearance, plant
 from planner.cell.distance import Solid, signed_distance
 from planner.geometry.rigid import from_rpy
-from planner.problem import Obstacle, Shape
+from planner.geometry.shapes import Shape
+from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone, facing
 
 

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.bow import bow
 from planner.cell import clearance, plant
 from planner.cell.bodies import own_shapes
 from planner.geometry.rigid import from_rpy, inverse
-from planner.grippers import gripper_plate
-from planner.problem import Arm, Cell, Controller, Shape, Stock
+from planner.geometry.shapes import Shape
+from planner.problem import Arm, Cell, Controller, Stock
+from planner.tooling import bow, gripper_plate
 from tests.cell.cells import BLOCK, UP, WIDE, alone
 
 GRIP = from_rpy((0.01, -0.02, 0.0), (0.0, 0.0, 0.3))

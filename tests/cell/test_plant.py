@@ -10,8 +10,9 @@ import pytest
 from planner import catalogue
 from planner.cell import clearance, plant
 from planner.geometry.rigid import from_rpy
+from planner.geometry.shapes import Shape
 from planner.issues import TandemError
-from planner.problem import Obstacle, Shape
+from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, TABLE, UP, WIDE, alone, facing
 
 PLACE = from_rpy((0.0, 0.0, 0.5), UP)

@@ -7,7 +7,7 @@ import pytest
 
 from planner.cell.distance import Solid, signed_distance
 from planner.geometry.rigid import inverse, transform
-from planner.tools import REACH, wire_holder
+from planner.tooling import REACH, wire_holder
 
 OUT = {"along": (0, 0, 1), "across": (-1, 0, 0), "diagonal": (-np.sqrt(0.5), 0, np.sqrt(0.5))}
 

@@ -13,7 +13,7 @@ from planner import catalogue
 from planner.cell import clearance, plant
 from planner.cell.distance import Solid, signed_distance
 from planner.geometry.rigid import from_rpy, inverse, transform
-from planner.problem import Shape
+from planner.geometry.shapes import Shape
 from tests.cell.cells import BLOCK, alone
 
 FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))

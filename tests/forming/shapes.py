@@ -14,7 +14,7 @@ from planner.forming.feature_tree import FeatureTree, build
 from planner.forming.operation import Forming
 from planner.forming.values import ContactPath, Pass
 from planner.problem import Mesh
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 
 Array = NDArray[np.float64]
 T0 = 1e-3

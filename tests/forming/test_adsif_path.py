@@ -15,7 +15,7 @@ from planner.forming.values import Pass, ToolPath
 from planner.issues import TandemError
 from planner.problem import Mesh
 from planner.sheet_metals import sheet_metal
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from tests.forming.shapes import T0, Array, cone, operation, revolved, tree_of, upside_down
 
 METAL = sheet_metal("aa5754_o")

@@ -12,7 +12,7 @@ from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass
 from planner.problem import Mesh
 from planner.sheet_metals import sheet_metal
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from tests.forming.shapes import (
     BALL,
     T0,

@@ -7,8 +7,7 @@ import pytest
 
 from planner.forming.clamp import Clamp, clamp_issues
 from planner.forming.values import ContactPath, Pass, ToolPath
-from planner.forming_tools import profile
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead, profile
 
 REACH, BARS = 0.1, ((0.001, 0.011), (-0.06, 0.0))
 HEAD = FormingHead("ball", 0.006, 0.02, 0.05, 0.15)

@@ -13,9 +13,8 @@ from planner.forming.state import descendants, states
 from planner.forming.state_check import clear_issues, deepest
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass
-from planner.forming_tools import profile
 from planner.sheet_metals import sheet_metal
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead, profile
 from tests.forming.shapes import BALL, T0, cone_path, operation, revolved, tree_of
 
 METAL = sheet_metal("aluminium")

@@ -13,7 +13,7 @@ from planner.forming.support import support_issues, tool_path
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.issues import Severity, TandemError
 from planner.sheet_metals import sheet_metal
-from planner.tool_heads import FormingHead
+from planner.tooling import FormingHead
 from tests.forming.shapes import (
     BALL,
     T0,

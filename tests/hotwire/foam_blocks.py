@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from planner.bow import bow
-from planner.grippers import gripper_plate
 from planner.hotwire.straight_operation import Straight
 from planner.problem import Arm, Cell, Controller, Part, Ruled, Setup, Stock
-from planner.tools import wire_holder
+from planner.tooling import bow, gripper_plate, wire_holder
 
 SIZE = (0.30, 0.20, 0.10)
 

@@ -13,7 +13,7 @@ from planner.milling import body
 from planner.milling.job import job
 from planner.milling.mill_claims import claims
 from planner.milling.milling import MillingJob
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify import mill_body
 from tests.milling.small_mill import WALL, problem
 

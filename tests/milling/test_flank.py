@@ -9,7 +9,7 @@ from planner.milling import flank
 from planner.milling.point import ridge_step, tips
 from planner.milling.rulings import Strip, strips
 from planner.problem import Ruled
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 
 
 def cone(count: int = 400) -> Ruled:

@@ -11,6 +11,7 @@ import pytest
 from planner import pipeline, processes
 from planner.issues import Issue, Severity, TandemError
 from planner.motion import solve
+from planner.tooling import Mill
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
 ENGRAVE = {"engrave": [{"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}], "depth_mm": 0.5}
@@ -47,7 +48,7 @@ def test_a_tool_without_a_cutter(tmp_path: Path) -> None:
     tool = {"kind": "ball_tool"}
     data = dict(WALL)
     data["cell"] = {**WALL["cell"], "arms": [{**WALL["cell"]["arms"][0], "tool": tool}]}
-    assert read.cell.arms[0].tool.cutter is not None
+    assert isinstance(read.cell.arms[0].tool, Mill)
     assert "mill" in only(issues(tmp_path, data), "milling.tool").message
 
 

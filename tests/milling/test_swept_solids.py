@@ -12,7 +12,7 @@ from planner import processes
 from planner.claims_milling import SparesPart
 from planner.milling import body
 from planner.problem import Mesh
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify import mill_body
 from planner.verify.mill_rims import edges, rim_places, rim_step
 from tests.milling.small_mill import BALL, PANEL, WALL

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from bench.motion_jobs import HOME, arc_wire, block, s_curve, two_arms
 from planner.cell import plant
 from planner.geometry.rigid import from_parts
+from planner.geometry.shapes import Shape
 from planner.motion.scene import Scene
 from planner.motion.subset import subset
-from planner.problem import Obstacle, Settings, Shape
+from planner.problem import Obstacle, Settings
 from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]

@@ -21,7 +21,7 @@ from planner.motion.search import Found, search
 from planner.motion.solve import check, solve
 from planner.problem import Change, Problem, Settings
 from planner.targets import Targets
-from planner.tools import wire_holder
+from planner.tooling import wire_holder
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
 
 

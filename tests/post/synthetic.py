@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.bow import bow
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.claims import HoldsStock
 from planner.geometry.rigid import from_rpy, inverse
-from planner.grippers import gripper_plate
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock, Tool
+from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.targets import Action, Targets
+from planner.tooling import PlainTool, bow, gripper_plate
 
 HOME = np.deg2rad([0.0, 0.0, 0.0, 0.0, 30.0, 0.0])
 START = np.deg2rad([5.0, 20.0, 10.0, 15.0, 45.0, -25.0])
@@ -46,7 +45,7 @@ class Work:
 def tool(name="Holder", tcp=None, mass=1.25):
     """A tool with its TCP 150 mm out."""
     pose = from_rpy([0.0, 0.0, 0.15], [0.0, np.pi / 2, 0.0]) if tcp is None else tcp
-    return Tool(name, pose, mass, np.array([0.0, 0.0, 0.06]), ())
+    return PlainTool(name, pose, mass, np.array([0.0, 0.0, 0.06]), ())
 
 
 def problem(arms=("left", "right"), model="irb140", **controller):

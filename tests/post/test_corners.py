@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from planner import corners
-from planner.bow import bow
 from planner.claims import CutsSurface, KerfCurve, StraightWire
 from planner.claims_milling import MillsAlong, SparesPart
 from planner.post import krl_moves, rapid_moves
 from planner.post.write import programs
+from planner.tooling import bow
 from tests.post import synthetic
 from tests.post.reading import moves, numbers
 

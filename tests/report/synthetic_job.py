@@ -17,10 +17,12 @@ from planner.claims import (
     WireJoins,
 )
 from planner.geometry.rigid import from_rpy, inverse, log_pose
+from planner.geometry.shapes import Shape
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Shape, Stock, Tool
+from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Stock
 from planner.targets import Action, Edge, ScrewFreedom, Targets
+from planner.tooling import PlainTool
 from planner.verify.result import CutFace, Proof, RuleResult
 
 ARMS = ("left", "right")
@@ -42,12 +44,14 @@ class WireWork:
         return stock
 
 
-def tool(arm: str) -> Tool:
+def tool(arm: str) -> PlainTool:
     """A holder whose TCP looks along the flange's z (left arm) or against it (right arm)."""
     turn = [0, -0.5 * np.pi, 0] if arm == "left" else [0, 0.5 * np.pi, np.pi]
     body = Shape("box", (0.05, 0.03, 0.12), from_rpy([0, 0, 0.07], [0, 0, 0]))
     clamp = Shape("cylinder", (0.012, 0.05), from_rpy([0, 0, 0.145], [0, 0, 0]))
-    return Tool(f"holder_{arm}", from_rpy([0, 0, 0.17], turn), 0.8, np.array([0, 0, 0.06]), (body, clamp))
+    return PlainTool(
+        f"holder_{arm}", from_rpy([0, 0, 0.17], turn), 0.8, np.array([0, 0, 0.06]), (body, clamp)
+    )
 
 
 def amplitude(z: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import synthetic_job as job
 
-from planner.bow import bow
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.claims import (
@@ -19,12 +18,12 @@ from planner.claims import (
     StraightWire,
 )
 from planner.geometry.rigid import from_parts, from_rpy, inverse
-from planner.grippers import gripper_plate
 from planner.issues import Issue, Severity
 from planner.materials import foam
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Ruled, Setup, Stock
 from planner.targets import Action, Targets
+from planner.tooling import bow, gripper_plate
 
 FIRST = from_rpy([0.22, 0.0, 0.24], [0.0, 0.0, 0.0])
 KERF = KerfCurve(
@@ -71,7 +70,7 @@ def _straight(
     pose = {"left": inverse(place) @ poses}
     frame = {"left": "stock"}
     bows = left.tool
-    half = 0.5 * bows.edge.size[1]
+    half = 0.5 * bows.span
     claims: list[object] = [
         StraightWire("left", np.array([-half, 0, 0]), np.array([half, 0, 0]), 2e-4, 0.02),
         ContactOnlyIn(("cut",), "doWirePower", 5.0),

@@ -7,12 +7,11 @@ import dataclasses
 
 import numpy as np
 
-from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
 from planner.plans import OperationPlan
 from planner.targets import Action, Targets
-from planner.verify import arm_ik
+from planner.verify import arm_ik, machines
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,14 +30,14 @@ class Operation:
 
 def joints(arm, tcp):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the world."""
-    machine = robot(arm.robot)
+    machine = machines.of(arm.robot)
     flange = inverse(arm.base) @ tcp @ inverse(arm.tool.tcp)
     branch = np.full(len(tcp), int(arm_ik.branch_of(machine, arm.home)))
     q = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
-    assert np.abs(forward(machine, q) - flange).max() < 1e-9
-    assert (q > machine.lower).all(), (arm.name, np.rad2deg(q.min(axis=0)))
-    assert (q < machine.upper).all(), (arm.name, np.rad2deg(q.max(axis=0)))
+    assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
+    assert (q > machine.data.lower).all(), (arm.name, np.rad2deg(q.min(axis=0)))
+    assert (q < machine.data.upper).all(), (arm.name, np.rad2deg(q.max(axis=0)))
     return q
 
 

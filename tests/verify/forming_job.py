@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from planner.claims_forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, ToolGap
-from planner.forming_tools import ball_tool, profile
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.handshake import Handshake
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.targets import Action
+from planner.tooling import ball_tool, profile
 from tests.verify.by_hand import Operation, home_of, operation_plan
 
 DIGEST = "ef56" * 16

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.bow import bow
 from planner.claims import (
     ContactOnlyIn,
     CutsSurface,
@@ -23,11 +22,11 @@ from planner.claims import (
     StraightWire,
 )
 from planner.geometry.rigid import exp_twist, from_rpy
-from planner.grippers import gripper_plate
 from planner.materials import Foam
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.tooling import bow, gripper_plate
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
 

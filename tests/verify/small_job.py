@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.claims import (
     ContactOnlyIn,
@@ -28,8 +27,8 @@ from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.targets import Action, Targets
-from planner.tools import wire_holder
-from planner.verify import arm_ik
+from planner.tooling import wire_holder
+from planner.verify import arm_ik, machines
 
 LENGTH = 0.5
 KERF = 0.002
@@ -149,12 +148,12 @@ def way(count=24):
 
 def joints_at(arm, pose):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the stock frame, in the posture of home."""
-    machine = robot(arm.robot)
+    machine = machines.of(arm.robot)
     flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
     branch = np.full(len(pose), int(arm_ik.branch_of(machine, arm.home)))
     q = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
-    assert np.abs(forward(machine, q) - flange).max() < 1e-9
+    assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
     return q
 
 

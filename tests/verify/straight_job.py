@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.bow import bow
 from planner.claims import (
     ContactOnlyIn,
     CutsSurface,
@@ -27,6 +26,7 @@ from planner.geometry.rigid import from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.tooling import bow
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003

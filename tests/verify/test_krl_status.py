@@ -5,6 +5,7 @@ import pytest
 
 from planner.catalogue import robot, robot_names
 from planner.cell.robots import forward, link_frames
+from planner.verify import machines
 from planner.verify.arm_ik import singularity_distance
 from planner.verify.krl_status import NEAR_ZERO, select, status_of, straight_elbow
 
@@ -17,15 +18,15 @@ def turn_of(q):
 
 def samples(machine, count, seed):
     rng = np.random.default_rng(seed)
-    q = rng.uniform(machine.lower, machine.upper, (count, 6))
+    q = rng.uniform(machine.data.lower, machine.data.upper, (count, 6))
     return q[singularity_distance(machine, q) > np.deg2rad(1.0)]
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_they_select_the_joints_that_they_were_made_from(name):
-    machine = robot(name)
+    machine = machines.of(name)
     for q in samples(machine, 300, 7):
-        found = select(machine, forward(machine, q), int(status_of(machine, q)), turn_of(q))
+        found = select(machine, forward(machine.data, q), int(status_of(machine, q)), turn_of(q))
         assert len(found.q) == 1
         assert np.abs(found.q[0] - q).max() < 1e-9
         assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO) + 1)
@@ -35,9 +36,9 @@ def test_they_select_the_joints_that_they_were_made_from(name):
 def test_bits_are_what_the_manual_draws(name):
     """Bit 0 by the wrist's centre in the frame of axis 1, bit 1 by the side of the straight arm on which it
     is bent, both from the links' frames, and bit 2 by the sign of axis 5."""
-    machine = robot(name)
+    machine = machines.of(name)
     q = samples(machine, 500, 8)
-    frames = link_frames(machine, q)
+    frames = link_frames(machine.data, q)
     wrist = frames[:, 4, :3, 3]
     x = np.einsum("ni,ni->n", frames[:, 0, :3, 0], wrist - frames[:, 0, :3, 3])
     upper, fore = frames[:, 2, :3, 3] - frames[:, 1, :3, 3], wrist - frames[:, 2, :3, 3]
@@ -46,19 +47,19 @@ def test_bits_are_what_the_manual_draws(name):
     assert (status_of(machine, q) == wanted).all()
     stretched = np.zeros(6)
     stretched[2] = straight_elbow(machine)
-    frames = link_frames(machine, stretched)
+    frames = link_frames(machine.data, stretched)
     arm = [frames[i, :3, 3] for i in (1, 2, 4)]
     assert np.linalg.norm(np.cross(arm[1] - arm[0], arm[2] - arm[1])) < 1e-12
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_other_bits_select_no_joints_or_others(name):
-    machine = robot(name)
+    machine = machines.of(name)
     for q in samples(machine, 40, 9):
         if np.abs(q).min() < NEAR_ZERO:
             continue
         status, turn = int(status_of(machine, q)), turn_of(q)
-        flange = forward(machine, q)
+        flange = forward(machine.data, q)
         changed = [(status ^ (1 << bit), turn) for bit in range(3)]
         changed += [(status, turn ^ (1 << bit)) for bit in range(6)]
         for some in changed:

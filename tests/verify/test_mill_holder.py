@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims import SparesPart
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify.mill_body import signed, solids
 from planner.verify.mill_track import Milling, Track
 from planner.verify.rules_milling import _GOUGE, _step, mill_gouge

@@ -10,7 +10,7 @@ import trimesh
 from planner import catalogue
 from planner.cell.robots import forward
 from planner.claims import CutsSurface, KerfCurve
-from planner.verify import arm_ik, confdata, straight_moves, time_law
+from planner.verify import arm_ik, confdata, machines, straight_moves, time_law
 from planner.verify.context import Context
 from planner.verify.surface import Sweep, closest, cut_face
 from tests.verify import held_job, small_job
@@ -18,28 +18,28 @@ from tests.verify import held_job, small_job
 
 @pytest.mark.parametrize("name", catalogue.robot_names())
 def test_inverse_kinematics_undoes_forward_on_every_branch(name):
-    machine = catalogue.robot(name)
-    q = np.random.default_rng(3).uniform(machine.lower, machine.upper, (1000, 6))
+    machine = machines.of(name)
+    q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (1000, 6))
     branch = arm_ik.branch_of(machine, q)
     assert {0, 1, 4, 5} <= set(branch.tolist())
-    back = arm_ik.nearest_turns(arm_ik.solve(machine, forward(machine, q), branch), q)
+    back = arm_ik.nearest_turns(arm_ik.solve(machine, forward(machine.data, q), branch), q)
     regular = arm_ik.singularity_distance(machine, q) > 1e-2
     assert np.abs(back - q)[regular].max() < 1e-9
 
 
 def test_out_of_reach_is_nan():
-    machine = catalogue.robot("irb140")
+    machine = machines.of("irb140")
     pose = np.eye(4)[None]
     pose[0, 0, 3] = 3.0
     assert np.isnan(arm_ik.solve(machine, pose, np.zeros(1, dtype=int))).any()
 
 
 def test_confdata_alone_select_the_solution():
-    machine = catalogue.robot("irb140")
-    q = np.random.default_rng(5).uniform(machine.lower, machine.upper, (2000, 6))
+    machine = machines.of("irb140")
+    q = np.random.default_rng(5).uniform(machine.data.lower, machine.data.upper, (2000, 6))
     q = q[arm_ik.singularity_distance(machine, q) > 0.05]
     conf = np.concatenate([confdata.quadrants(q), arm_ik.branch_of(machine, q)[:, None]], axis=1)
-    assert np.abs(confdata.select(machine, forward(machine, q), conf) - q).max() < 1e-9
+    assert np.abs(confdata.select(machine, forward(machine.data, q), conf) - q).max() < 1e-9
     assert confdata.fits(machine, q, conf).all()
     wrong = conf + np.array([0, 1, 0, 0])
     assert not confdata.fits(machine, q, wrong)[np.abs(q[:, 3] % (np.pi / 2)) > 1e-3].any()

@@ -12,7 +12,7 @@ import pytest
 from planner import processes
 from planner.motion import solve
 from planner.post import write
-from planner.tool_heads import Cutter
+from planner.tooling import Cutter
 from planner.verify.mill_body import signed, solids, sweep
 from planner.verify.prove import Prover
 from planner.verify.result import Proof

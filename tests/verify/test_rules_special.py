@@ -14,9 +14,11 @@ from planner.catalogue import robot
 from planner.cell.plant import build
 from planner.claims import CutsSurface, FollowsPoses, KerfCurve, WireJoins
 from planner.geometry.rigid import from_rpy
+from planner.geometry.shapes import Shape
 from planner.issues import Issue
-from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Shape, Stock, Tool
-from planner.verify import rules_cell
+from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
+from planner.tooling import PlainTool
+from planner.verify import rules_kinematics
 from planner.verify.context import Context
 from planner.verify.poses import Poses
 from planner.verify.prove import RULES, Prover
@@ -149,12 +151,12 @@ def test_a_zone_between_a_joint_move_and_a_straight_one():
 def test_drake_must_put_the_tools_where_the_replay_has_them():
     context = Context(small_job.problem(), small_job.claims(), programs())
     model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
-    assert rules_cell.kinematics(context, lambda _: model).issues == ()
+    assert rules_kinematics.kinematics(context, lambda _: model).issues == ()
     motion = context.motion
     off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
-    off["left"].place[:, 0] += 2.0 * rules_cell.KINEMATICS
+    off["left"].place[:, 0] += 2.0 * rules_kinematics.KINEMATICS
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
-    found = rules_cell.kinematics(context, lambda _: model).issues
+    found = rules_kinematics.kinematics(context, lambda _: model).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}
 
 
@@ -196,7 +198,7 @@ def test_both_limits_of_a_parallel_rod_arm(axis2, axis3, broken):
         axis3 = float(np.rad2deg(machine.coupling.axis3_upper)) + 2.0
         serial = np.deg2rad(axis3 - axis2)
         assert machine.lower[2] < serial < machine.upper[2]
-    tool = Tool("tip", from_rpy([0.0, 0.0, 0.1], [0.0, 0.0, 0.0]), 1.0, np.array([0.0, 0.0, 0.05]), ())
+    tool = PlainTool("tip", from_rpy([0.0, 0.0, 0.1], [0.0, 0.0, 0.0]), 1.0, np.array([0.0, 0.0, 0.05]), ())
     arm = Arm("left", "irb4400_60", np.eye(4), tool, np.zeros(6))
     job = Problem(
         "rod",

@@ -1,14 +1,16 @@
-"""Built-in tools: the wire holder with a sliding clamp, and plain tools given by their shapes."""
+"""The wire holder: a sliding clamp that holds one end of an elastic wire."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts, from_rpy
-from planner.problem import Shape, Tool
+from planner.geometry.shapes import Shape
+from planner.tooling.base import OnFlange
 
 FloatArray = NDArray[np.float64]
 Mounting = Literal["along", "across", "diagonal"]
@@ -22,6 +24,16 @@ HOLDER_MASS: Final = 0.6
 """[kg], assumed: an aluminium plate and post, a ceramic block and a brass clamp of the sizes below."""
 
 
+@dataclasses.dataclass(frozen=True)
+class WireHolder(OnFlange):
+    """A holder for the ``side`` end of a wire, which leaves it as the ``mounting`` says; ``slide`` [m]: how
+    far its clamp is moved outward."""
+
+    mounting: Mounting
+    side: Side
+    slide: float
+
+
 def wire_holder(
     mounting: Mounting = "across",
     side: Side = "start",
@@ -30,7 +42,7 @@ def wire_holder(
     plate_radius: float = 0.034,
     mass: float = HOLDER_MASS,
     name: str | None = None,
-) -> Tool:
+) -> WireHolder:
     """A holder for one end of a wire: flange plate, post, insulated slide block, clamp.
 
     The TCP is where the wire leaves the clamp. Its x axis is the wire's tangent from the start arm to the
@@ -71,19 +83,13 @@ def wire_holder(
         Shape("box", (0.036, 0.036, 0.040), from_parts(along, block)),
         Shape("cylinder", (0.008, clamp), from_parts(along, corner + (slide - 0.5 * clamp) * out)),
     )
-    return Tool(
+    return WireHolder(
         name=name or f"wire_holder_{mounting}_{side}",
         tcp=from_parts(turn, corner + slide * out),
         mass=mass,
         cog=np.array([0.45 * block[0], 0.0, 0.45 * distance]),
         shapes=shapes,
+        mounting=mounting,
+        side=side,
+        slide=slide,
     )
-
-
-def plain(
-    name: str, tcp: FloatArray, shapes: tuple[Shape, ...], mass: float, cog: FloatArray | None = None
-) -> Tool:
-    """A tool of the user's own: ``tcp`` (4, 4) and shapes in the flange frame, mass [kg]; cog (3,) [m] or
-    half way."""
-    centre = 0.5 * tcp[:3, 3] if cog is None else cog
-    return Tool(name=name, tcp=tcp, mass=mass, cog=centre, shapes=shapes)

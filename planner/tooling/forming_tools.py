@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
@@ -9,8 +10,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts
-from planner.problem import Shape, Tool
-from planner.tool_heads import FormingHead
+from planner.geometry.shapes import Shape
+from planner.tooling.base import OnFlange
+from planner.tooling.heads import FormingHead, profile
 
 FloatArray = NDArray[np.float64]
 
@@ -22,9 +24,18 @@ ALUMINIUM: Final = 2700.0
 """Densities [kg/m^3]."""
 
 
+@dataclasses.dataclass(frozen=True)
+class FormingTool(OnFlange):
+    """A tool that forms or heats a sheet with its ``head``, whose ``solid`` in the flange frame goes from the
+    TCP to the holder."""
+
+    head: FormingHead
+    solid: Shape
+
+
 def ball_tool(
     radius: float, length: float, shaft_radius: float | None = None, neck: float = 0.0, tilt: float = 0.0
-) -> Tool:
+) -> FormingTool:
     """A ball of ``radius`` [m] whose centre is ``length`` [m] before the flange, on a shaft.
 
     The TCP is the ball's centre, so that turning the tool never moves the ball; its z axis points from the
@@ -48,7 +59,7 @@ def ball_tool(
 
 def disk_tool(
     radius: float, length: float, thickness: float, shaft_radius: float, rim: float = 0.002
-) -> Tool:
+) -> FormingTool:
     """A flat disk that lies on the sheet's back along the border; its TCP is the middle of its face.
 
     Raises ``ValueError`` for sizes that make no tool.
@@ -63,7 +74,7 @@ def disk_tool(
     return _tool("disk_tool", head, length, 0.0)
 
 
-def heat_tool(radius: float, length: float, standoff: float) -> Tool:
+def heat_tool(radius: float, length: float, standoff: float) -> FormingTool:
     """A heat gun or laser head whose TCP is the place that it heats, ``standoff`` [m] before its nozzle.
 
     Raises ``ValueError`` for sizes that make no tool.
@@ -74,26 +85,7 @@ def heat_tool(radius: float, length: float, standoff: float) -> Tool:
     return _tool("heat_tool", head, length + standoff, 0.0)
 
 
-def profile(head: FormingHead) -> FloatArray:
-    """Outline (K, 2) [m] of a head: distance behind the TCP along its axis and radius there, ascending.
-
-    A ball begins ``radius`` before the TCP, a disk at it, a nozzle ``standoff`` behind it.
-    """
-    if head.kind == "heat":
-        return np.array([[head.standoff, head.radius], [head.length, head.radius]])
-    if head.kind == "disk":
-        turn = np.linspace(0.0, 0.5 * np.pi, 9)
-        rim = np.stack([head.rim * (1 - np.cos(turn)), head.radius - head.rim + head.rim * np.sin(turn)], 1)
-        back = [[head.neck, head.radius], [head.neck, head.shaft_radius], [head.length, head.shaft_radius]]
-        return np.concatenate([rim, back])
-    thin = min(head.radius, head.shaft_radius)
-    turn = np.linspace(0.0, np.pi - np.arcsin(thin / head.radius), 25)
-    ball = head.radius * np.stack([-np.cos(turn), np.sin(turn)], 1)
-    neck = max(head.neck, float(ball[-1, 0]))
-    return np.concatenate([ball, [[neck, thin], [neck, head.shaft_radius], [head.length, head.shaft_radius]]])
-
-
-def _tool(name: str, head: FormingHead, length: float, tilt: float) -> Tool:
+def _tool(name: str, head: FormingHead, length: float, tilt: float) -> FormingTool:
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
     frame = from_parts(turn, turn @ np.array([0.0, 0.0, length]))
     holder = Shape("cylinder", HOLDER, from_parts(turn, turn @ np.array([0.0, 0.0, 0.5 * HOLDER[1]])))
@@ -101,14 +93,14 @@ def _tool(name: str, head: FormingHead, length: float, tilt: float) -> Tool:
     steel = np.pi * float(np.trapezoid(outline[:, 1] ** 2, outline[:, 0])) * STEEL
     aluminium = np.pi * HOLDER[0] ** 2 * HOLDER[1] * ALUMINIUM
     cog = (steel * 0.5 * (HOLDER[1] + length) + aluminium * 0.5 * HOLDER[1]) / (steel + aluminium)
-    return Tool(
+    return FormingTool(
         name=name,
         tcp=frame,
         mass=steel + aluminium,
         cog=turn @ np.array([0.0, 0.0, cog]),
         shapes=(holder,),
-        edge=_solid(head, frame),
         head=head,
+        solid=_solid(head, frame),
     )
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
 
 from planner.geometry.rigid import from_rpy
-from planner.problem import Shape, Tool
+from planner.geometry.shapes import Shape
+from planner.tooling.base import OnFlange
 
 PLATE: Final = 0.012
 """[m] thickness of the plate that lies on the foam."""
@@ -21,9 +23,18 @@ HEAD_MASS: Final = 0.25
 """[kg] flange plate and needle drive or suction unit, assumed."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Gripper(OnFlange):
+    """A tool that holds a block by its bottom face: ``footprint``, width and depth [m] of the face that does,
+    centred on the TCP in its x and y, and ``holding``, the force [N] it holds with."""
+
+    footprint: tuple[float, float]
+    holding: float
+
+
 def gripper_plate(
     width: float, depth: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
-) -> Tool:
+) -> Gripper:
     """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face, with the
     force ``holding`` [N] or what its area gives.
 
@@ -47,7 +58,7 @@ def gripper_plate(
 
 def vacuum_cup(
     radius: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
-) -> Tool:
+) -> Gripper:
     """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange,
     that holds with the force ``holding`` [N] or what its area gives.
 
@@ -79,9 +90,9 @@ def _tool(
     plate: float,
     footprint: tuple[float, float],
     holding: float,
-) -> Tool:
+) -> Gripper:
     mass = HEAD_MASS + plate
-    return Tool(
+    return Gripper(
         name=name,
         tcp=from_rpy((0.0, 0.0, reach), (0.0, 0.0, 0.0)),
         mass=round(float(mass), 3),

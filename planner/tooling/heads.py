@@ -52,3 +52,22 @@ class Cutter:
     overhang: float
     shank: float
     behind: FloatArray
+
+
+def profile(head: FormingHead) -> FloatArray:
+    """Outline (K, 2) [m] of a head: distance behind the TCP along its axis and radius there, ascending.
+
+    A ball begins ``radius`` before the TCP, a disk at it, a nozzle ``standoff`` behind it.
+    """
+    if head.kind == "heat":
+        return np.array([[head.standoff, head.radius], [head.length, head.radius]])
+    if head.kind == "disk":
+        turn = np.linspace(0.0, 0.5 * np.pi, 9)
+        rim = np.stack([head.rim * (1 - np.cos(turn)), head.radius - head.rim + head.rim * np.sin(turn)], 1)
+        back = [[head.neck, head.radius], [head.neck, head.shaft_radius], [head.length, head.shaft_radius]]
+        return np.concatenate([rim, back])
+    thin = min(head.radius, head.shaft_radius)
+    turn = np.linspace(0.0, np.pi - np.arcsin(thin / head.radius), 25)
+    ball = head.radius * np.stack([-np.cos(turn), np.sin(turn)], 1)
+    neck = max(head.neck, float(ball[-1, 0]))
+    return np.concatenate([ball, [[neck, thin], [neck, head.shaft_radius], [head.length, head.shaft_radius]]])

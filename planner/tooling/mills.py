@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Final
 
@@ -9,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import from_parts
-from planner.problem import Shape, Tool
-from planner.tool_heads import Cutter, CutterKind
+from planner.geometry.shapes import Shape
+from planner.tooling.base import OnFlange
+from planner.tooling.heads import Cutter, CutterKind
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +26,15 @@ SPINDLE: Final = 4500.0
 air (assumed; state ``mass_kg`` where it is known)."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Mill(OnFlange):
+    """A milling tool: its ``cutter``, and the ``solid`` in the flange frame that holds it from the tip to the
+    nose of the holder."""
+
+    cutter: Cutter
+    solid: Shape
+
+
 def mill(
     kind: CutterKind,
     radius: float,
@@ -35,7 +46,7 @@ def mill(
     spindle: tuple[float, float] = (0.050, 0.220),
     tilt: float = 0.0,
     mass: float | None = None,
-) -> Tool:
+) -> Mill:
     """A cutter of ``radius`` [m] whose tip is ``overhang`` [m] before the nose of its holder.
 
     ``holder``: (length, radius) [m] of its pieces from the nose to the spindle; ``spindle``: radius and
@@ -66,14 +77,14 @@ def mill(
         wide, high = 2.0 * BRACKET * spindle[0], middle
         shapes.append(Shape("box", (wide, wide, high), _behind(-0.5 * high)))
     weights, places = _weights(cutter, tcp, shapes[0])
-    return Tool(
+    return Mill(
         name=f"{kind}_mill",
         tcp=tcp,
         mass=float(weights.sum()) if mass is None else mass,
         cog=np.asarray(weights @ places / weights.sum()),
         shapes=tuple(shapes),
-        edge=_edge(cutter, tcp),
         cutter=cutter,
+        solid=_solid(cutter, tcp),
     )
 
 
@@ -107,7 +118,7 @@ def _behind(distance: float) -> FloatArray:
     return from_parts(np.eye(3), np.array([0.0, 0.0, -distance]))
 
 
-def _edge(cutter: Cutter, tcp: FloatArray) -> Shape:
+def _solid(cutter: Cutter, tcp: FloatArray) -> Shape:
     """The cutter as one solid in the flange frame: a capsule for a ball nose on a shank no thicker than
     itself, else a cylinder that holds it."""
     if cutter.kind == "ball" and cutter.shank <= cutter.radius and cutter.overhang > 2.0 * cutter.radius:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.rigid import from_parts, from_rpy
-from planner.problem import Shape, Tool
+from planner.geometry.rigid import from_parts, from_rpy, inverse, transform
+from planner.geometry.shapes import Shape, corners
+from planner.tooling.base import OnFlange
 
 FloatArray = NDArray[np.float64]
 
@@ -25,13 +27,43 @@ HEAD_MASS: Final = 0.35
 """[kg] flange plate, stem, clamps and spring, assumed."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Bow(OnFlange):
+    """A bow: its straight ``wire`` between the clamps is a capsule in the flange frame, along x of the TCP,
+    which is its middle."""
+
+    wire: Shape
+
+    @property
+    def span(self) -> float:
+        """Length [m] of the wire between its clamps."""
+        return float(self.wire.size[1])
+
+    @property
+    def radius(self) -> float:
+        """Radius [m] of the wire."""
+        return float(self.wire.size[0])
+
+    @property
+    def throat(self) -> float:
+        """Free depth [m] behind the middle of the wire: to the nearest solid of the bow there."""
+        to_tcp = inverse(self.tcp)
+        nearest = [-np.inf]
+        for shape in self.shapes:
+            points = transform(to_tcp @ shape.pose, corners(shape))
+            low, high = points.min(axis=0), points.max(axis=0)
+            if low[0] < 0.4 * self.span and high[0] > -0.4 * self.span:
+                nearest.append(float(high[2]))
+        return -max(nearest)
+
+
 def bow(
     span: float = 0.4,
     throat: float = 0.4,
     wire_diameter: float = 0.0004,
     tilt: float = 0.0,
     name: str | None = None,
-) -> Tool:
+) -> Bow:
     """A bow whose wire is ``span`` [m] long between its clamps and ``throat`` [m] away from the beam.
 
     Seed 004, 2.1.2.3 and 2.2.2.3, uses bows of 400 x 400 mm and 650 x 650 mm. The TCP is the middle of the
@@ -63,11 +95,11 @@ def bow(
     tubes = LINE_DENSITY * (2.0 * half + PRONG), 2.0 * LINE_DENSITY * throat
     mass = HEAD_MASS + sum(tubes)
     lever = (tubes[1] * 0.5 * throat) / mass
-    return Tool(
+    return Bow(
         name=name or f"bow_{span * 1e3:.0f}",
         tcp=at(0.0, throat),
         mass=round(mass, 3),
         cog=np.asarray(turn @ np.array([0.0, 0.0, lever, 1.0]))[:3].round(6),
         shapes=tuple(shapes),
-        edge=Shape("capsule", (0.5 * wire_diameter, span), along),
+        wire=Shape("capsule", (0.5 * wire_diameter, span), along),
     )

@@ -1,0 +1,103 @@
+"""What the proof shares with the planner is the table of docs/proof.md, and no more."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from planner import verify
+
+ROOT = Path(__file__).resolve().parents[2]
+VERIFY = Path(verify.__path__[0])
+NEVER = (
+    "planner.motion",
+    "planner.cell.robots",
+    "planner.hotwire",
+    "planner.forming",
+    "planner.milling",
+    "planner.post",
+    "planner.report",
+)
+"""Packages and modules of which nothing may be imported in the proof, by any way of writing it."""
+ROW = re.compile(r"^\| (`planner\.[^|]*) \| [^|]{10,} \|$", re.MULTILINE)
+
+
+def listed() -> set[str]:
+    """Modules in the table of the docs."""
+    text = (
+        (ROOT / "docs" / "proof.md").read_text("utf-8").split("## What the proof shares")[1].split("\n## ")[0]
+    )
+    return {name for row in ROW.findall(text) for name in re.findall(r"`([\w.]+)`", row)}
+
+
+def is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of Tandem outside of the proof that a file imports anywhere, also inside of functions."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: a relative import"
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            inside = {name for name in whole if is_module(name)}
+            found |= inside | ({str(node.module)} if inside != whole else set())
+    return {name for name in found if name.split(".")[0] == "planner" and name.split(".")[1:2] != ["verify"]}
+
+
+def all_imported() -> dict[str, set[str]]:
+    return {path.name: imported(path) for path in VERIFY.rglob("*.py")}
+
+
+def within(name: str, packages: tuple[str, ...]) -> bool:
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def test_every_import_is_in_the_table_and_every_row_is_used() -> None:
+    used = set().union(*all_imported().values())
+    assert len(listed()) > 10
+    assert sorted(used - listed()) == [], "shared, but not in docs/proof.md"
+    assert sorted(listed() - used) == [], "in docs/proof.md, but not shared"
+
+
+def test_no_kinematics_and_no_solver_of_the_planner() -> None:
+    wrong = {file: [m for m in some if within(m, NEVER)] for file, some in all_imported().items()}
+    assert {file: some for file, some in wrong.items() if some} == {}
+
+
+@pytest.mark.parametrize("name", ["importlib", "__import__", "exec", "eval"])
+def test_no_import_goes_round_the_table(name: str) -> None:
+    for path in VERIFY.rglob("*.py"):
+        names = {
+            node.id for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Name)
+        }
+        assert name not in names, path.name
+
+
+def test_the_planners_dimensions_are_only_compared() -> None:
+    """``RobotData.opw`` is what the planner solves with."""
+    users = set()
+    for path in VERIFY.rglob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+        if any(isinstance(node, ast.Attribute) and node.attr == "opw" for node in nodes):
+            users.add(path.name)
+    assert users == {"machines.py"}
+
+
+def test_nothing_of_the_planner_comes_along_in_a_fresh_process() -> None:
+    """But for its chain of joints, which the cell bounds distances with: ``verify.kinematics`` holds it
+    against Drake."""
+    code = "import sys, planner.verify.prove; print(*(m for m in sys.modules if m.startswith('planner')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = done.stdout.split()
+    assert "planner.verify.replay" in loaded
+    assert [m for m in loaded if within(m, NEVER)] == ["planner.cell.robots"]
