@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from planner.geometry.rigid import exp_twist
-from tests.verify.planner_faults import Fault, always, fields, given, of, result, value
+from tests.verify.planner_faults import Fault, fields, given, result
 
 
 def _scaled(share: float) -> Any:
@@ -111,7 +111,11 @@ FREEDOMS: Final = (
     Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _before}),
     Fault("posed_axis_wrong", "posed", {"posed:_freedom": result(_other_axis)}),
     Fault("posed_arms_swapped", "posed_two", {"posed:make_targets": result(_swapped)}),
-    Fault("posed_range_wide", "posed", {"posed:_freedom": fields(lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5)}),
+    Fault(
+        "posed_range_wide",
+        "posed",
+        {"posed:_freedom": fields(lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5)},
+    ),
     Fault("posed_turned", "posed", {"posed:_poses": result(_turned(0, 2.0))}),
     Fault("posed_position_shifted", "posed", {"posed:_poses": result(_moved_pose(x=0.001))}),
     Fault("posed_inch", "posed_two", {"posed:_poses": result(_moved_pose(z=0.0254))}),
@@ -122,16 +126,52 @@ KINEMATICS: Final = (
     Fault("opw_a1_off", "posed", {"motion.opw:inverse": _link("a1", 0.001)}),
     Fault("opw_joint_offset", "flank", {"motion.opw:inverse": result(_joint_off(1, 0.1))}),
     Fault("opw_joint_offset_krl", "posed_krl", {"motion.opw:inverse": result(_joint_off(2, 0.1))}),
-    Fault("kinematics_longer", "posed", {"motion.opw:inverse": _link("c3", 0.001), "cell.robots:link_frames": given(0, lambda robot: dataclasses.replace(robot, opw=dataclasses.replace(robot.opw, c3=robot.opw.c3 + 0.001)))}),
-    Fault("catalogue_opw_off", "posed", {"catalogue:robot": fields(opw=lambda opw: dataclasses.replace(opw, c2=opw.c2 + 0.001))}),
-    Fault("catalogue_offset_off", "ruled", {"catalogue:robot": fields(opw=lambda opw: dataclasses.replace(opw, offsets=opw.offsets + np.deg2rad(0.1)))}),
+    Fault(
+        "kinematics_longer",
+        "posed",
+        {
+            "motion.opw:inverse": _link("c3", 0.001),
+            "cell.robots:link_frames": given(
+                0,
+                lambda robot: dataclasses.replace(
+                    robot, opw=dataclasses.replace(robot.opw, c3=robot.opw.c3 + 0.001)
+                ),
+            ),
+        },
+    ),
+    Fault(
+        "catalogue_opw_off",
+        "posed",
+        {"catalogue:robot": fields(opw=lambda opw: dataclasses.replace(opw, c2=opw.c2 + 0.001))},
+    ),
+    Fault(
+        "catalogue_offset_off",
+        "ruled",
+        {
+            "catalogue:robot": fields(
+                opw=lambda opw: dataclasses.replace(opw, offsets=opw.offsets + np.deg2rad(0.1))
+            )
+        },
+    ),
     Fault("tool_off_in_motion", "posed", {"motion.chain:Chain.of": fields(tcp=_moved_pose(z=0.001))}),
     Fault("tool_turned_in_motion", "dsif", {"motion.chain:Chain.of": fields(tcp=_turned(0, 0.3))}),
     Fault("base_off_in_motion", "elastic", {"motion.chain:Chain.of": fields(base=_moved_pose(y=0.002))}),
     Fault("stock_off_in_motion", "flank", {"motion.scene:Scene.of": fields(stock=_moved_pose(z=0.002))}),
     Fault("stock_turned_in_motion", "ruled", {"motion.scene:Scene.of": fields(stock=_turned(2, 0.5))}),
-    Fault("place_off_in_plan", "wing", {"motion.solve:solve": fields(places=lambda places: tuple(_moved_pose(x=0.005)(p) for p in places))}),
-    Fault("holder_left_behind", "held", {"motion.scene:Scene.world": lambda old: lambda scene, targets, poses: {arm: (scene.stock @ poses[arm]) for arm in poses}}),
+    Fault(
+        "place_off_in_plan",
+        "wing",
+        {"motion.solve:solve": fields(places=lambda places: tuple(_moved_pose(x=0.005)(p) for p in places))},
+    ),
+    Fault(
+        "holder_left_behind",
+        "held",
+        {
+            "motion.scene:Scene.world": lambda old: (
+                lambda scene, targets, poses: {arm: (scene.stock @ poses[arm]) for arm in poses}
+            )
+        },
+    ),
 )
 
 WAYS: Final = (
@@ -141,15 +181,46 @@ WAYS: Final = (
 
 TIME: Final = (
     Fault("clock_ten_times", "spif", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),
-    Fault("clock_ten_times_wire", "elastic", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),
-    Fault("clock_tenth_wire", "ruled", {"motion.solve:solve": _plan_moved(lambda op: {"time": 10.0 * op.time})}),
-    Fault("clock_in_minutes", "gcode", {"motion.solve:solve": _plan_moved(lambda op: {"time": op.time / 60.0})}),
-    Fault("clock_krl_fast", "posed_krl", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),
-    Fault("clock_uneven", "ruled", {"motion.solve:solve": _plan_moved(lambda op: {"time": op.time[-1] * (np.arange(len(op.time)) / (len(op.time) - 1)) ** 1.5})}),
-    Fault("joint_speed_unbounded", "posed_fast", {"motion.operation:speed_limits": result(_scaled(100.0)), "motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)}),
-    Fault("acceleration_unbounded", "posed_fast", {"motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)}),
+    Fault(
+        "clock_ten_times_wire",
+        "elastic",
+        {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})},
+    ),
+    Fault(
+        "clock_tenth_wire", "ruled", {"motion.solve:solve": _plan_moved(lambda op: {"time": 10.0 * op.time})}
+    ),
+    Fault(
+        "clock_in_minutes", "gcode", {"motion.solve:solve": _plan_moved(lambda op: {"time": op.time / 60.0})}
+    ),
+    Fault(
+        "clock_krl_fast", "posed_krl", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}
+    ),
+    Fault(
+        "clock_uneven",
+        "ruled",
+        {
+            "motion.solve:solve": _plan_moved(
+                lambda op: {"time": op.time[-1] * (np.arange(len(op.time)) / (len(op.time) - 1)) ** 1.5}
+            )
+        },
+    ),
+    Fault(
+        "joint_speed_unbounded",
+        "posed_fast",
+        {
+            "motion.operation:speed_limits": result(_scaled(100.0)),
+            "motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r),
+        },
+    ),
+    Fault(
+        "acceleration_unbounded",
+        "posed_fast",
+        {"motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)},
+    ),
     Fault("tcp_speed_lost", "elastic", {"motion.timing:least_times": result(_scaled(0.05))}),
-    Fault("posed_too_fast", "posed_two", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.2 * op.time})}),
+    Fault(
+        "posed_too_fast", "posed_two", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.2 * op.time})}
+    ),
 )
 
 FAULTS: Final = (*FREEDOMS, *KINEMATICS, *WAYS, *TIME)

@@ -37,8 +37,9 @@ def _mirrored_curve(found: tuple[Any, Any]) -> tuple[Any, Any]:
     return [of(curve, points=_times(y=-1.0)) for curve in found[0]], found[1]
 
 
-def _first_layer(old: Any) -> Any:
-    return lambda path, unit, layer, field: old(path, unit, "low" if layer == "high" else layer, field)
+def _fewer_points(found: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Of each curve the second point is left out."""
+    return [of(curve, points=lambda p: np.delete(p, 1, axis=0)) for curve in found[0]], found[1]
 
 
 def _shrunk_holes(found: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -63,6 +64,15 @@ def _filled(found: tuple[Any, Any]) -> tuple[Any, Any]:
         )
 
     return [turned(r) if r.hole else r for r in found[0]], found[1]
+
+
+def _askew(found: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Rulings end where others should, by a tenth of the face's length."""
+    ruled = found[0]
+    count = len(ruled.end)
+    at = np.linspace(0.0, 1.0, count) ** 1.25 * (count - 1)
+    end = np.stack([np.interp(at, np.arange(count), ruled.end[:, k]) for k in range(3)], axis=-1)
+    return dataclasses.replace(ruled, end=end), found[1]
 
 
 def _flatter(made: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -96,7 +106,9 @@ FAULTS: Final = (
         "ruled_mesh",
         {"geometry.mesh:read_mesh": fields(vertices=_moved(z=0.002))},
     ),
-    Fault("mesh_rulings_shifted", "ruled_mesh", {"part_surface_file:build_mesh": _ruled(end=_moved(z=0.002))}),
+    Fault(
+        "mesh_rulings_shifted", "ruled_mesh", {"part_surface_file:build_mesh": _ruled(end=_moved(z=0.002))}
+    ),
     Fault("sheet_mesh_unit", "spif", {"geometry.mesh:read_mesh": given(1, lambda unit: 1.05 * unit)}),
     Fault(
         "sheet_mesh_deeper",
@@ -111,7 +123,11 @@ FAULTS: Final = (
     Fault(
         "sheet_mesh_aside",
         "spif",
-        {"part_sheet_file:build": fields(formed=lambda f: of(f, mesh=lambda m: of(m, vertices=_moved(x=0.003))))},
+        {
+            "part_sheet_file:build": fields(
+                formed=lambda f: of(f, mesh=lambda m: of(m, vertices=_moved(x=0.003)))
+            )
+        },
     ),
     # airfoils and wings
     Fault(
@@ -126,7 +142,6 @@ FAULTS: Final = (
     ),
     Fault("naca_half_thickness", "wing", {"geometry.airfoil:naca": result(lambda p: p * [1.0, 0.5])}),
     Fault("wing_twist_up", "wing", {"geometry.wing:_placed": given(3, lambda twist: -twist)}),
-    Fault("wing_sweep_lost", "wing", {"geometry.wing:skin": given(0, lambda p: of(p, sweep=lambda s: 0.0))}),
     Fault(
         "wing_sections_swapped",
         "wing",
@@ -136,14 +151,10 @@ FAULTS: Final = (
     # drawings
     Fault("dxf_unit", "ruled_file", {"geometry.dxf:read_dxf": given(1, lambda unit: 1.02 * unit)}),
     Fault("dxf_mirrored", "ruled_file", {"geometry.dxf:read_dxf": result(_mirrored_curve)}),
-    Fault("dxf_wrong_layer", "ruled_file", {"geometry.dxf:read_dxf": _first_layer}),
+    Fault("dxf_points_lost", "ruled_file", {"geometry.dxf:read_dxf": result(_fewer_points)}),
     # guides and rulings
     Fault("guides_end_lower", "ruled", {"part_ruled_file:build": _ruled(end=_moved(z=-0.001))}),
-    Fault(
-        "guides_paired_crosswise",
-        "ruled",
-        {"part_ruled_file:build": _ruled(end=lambda points: points[::-1])},
-    ),
+    Fault("guides_paired_askew", "ruled", {"part_ruled_file:build": result(_askew)}),
     Fault("guides_as_polygon", "ruled", {"geometry.curves:curve_points": _flat_curves}),
     Fault(
         "surface_inside_out",

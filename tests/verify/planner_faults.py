@@ -1,7 +1,7 @@
 """Faults put into the planner's own code, in memory, and what the proof says of the programs that come out.
 
 A fault stays in force from reading the problem to the proof's last rule, as a defect of the code base would,
-while the planner's own checks are switched off. Faults are in what the planner alone decides or reads; none is
+while the planner's own checks are off. Faults are in what the planner alone decides or reads; none is
 in what the proof may share by decision 0001: constants, the cell, plain vector algebra.
 """
 
@@ -14,6 +14,7 @@ import importlib
 import pkgutil
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -70,7 +71,7 @@ CHECKS: Final[Mapping[str, Change]] = {
 @dataclasses.dataclass(frozen=True)
 class Fault:
     """A fault by its name, the job (of ``JOBS``) that shows it, and what it changes: {module:name, without
-    ``planner.``: change}. ``mode``: the process and mode that it stands for in the sample."""
+    ``planner.``: change}."""
 
     name: str
     job: str
@@ -80,7 +81,7 @@ class Fault:
 @dataclasses.dataclass(frozen=True)
 class Verdict:
     """What came of a job. ``refused``: codes of the planner's own issues where it made no programs;
-    ``programs``: the texts; ``proven``; ``broken``: codes of rules that do not hold, or that could not run."""
+    ``programs``: the texts; ``proven``; ``broken``: codes of rules that do not hold."""
 
     refused: tuple[str, ...]
     programs: Mapping[str, str]
@@ -107,7 +108,9 @@ def fields(**changes: Callable[[Any], Any]) -> Change:
 
 def of(made: Any, **changes: Callable[[Any], Any]) -> Any:
     """A dataclass with changed fields."""
-    return dataclasses.replace(made, **{name: change(getattr(made, name)) for name, change in changes.items()})
+    return dataclasses.replace(
+        made, **{name: change(getattr(made, name)) for name, change in changes.items()}
+    )
 
 
 def given(number: int, change: Callable[[Any], Any]) -> Change:
@@ -183,6 +186,15 @@ def changed(changes: Mapping[str, Change]) -> Iterator[None]:
         _forget()
 
 
+def thing(target: str) -> Any:
+    """What a target names."""
+    where, _, name = target.partition(":")
+    held: Any = importlib.import_module(f"planner.{where}")
+    for part in name.split("."):
+        held = vars(held)[part]
+    return held.__func__ if isinstance(held, staticmethod) else held
+
+
 def _changes(target: str, change: Change) -> list[tuple[Any, str, Any, Any]]:
     """(where, name, old, new) of everything that a change of ``target`` touches."""
     where, _, name = target.partition(":")
@@ -239,9 +251,10 @@ def _planned(path: Path) -> Verdict:
 
 
 @functools.cache
-def clean(job: str, folder: Path) -> Verdict:
+def clean(job: str) -> Verdict:
     """The job without a fault."""
-    return run(job, folder, {})
+    with tempfile.TemporaryDirectory() as folder:
+        return run(job, Path(folder), {})
 
 
 def instructions(programs: Mapping[str, str]) -> dict[str, list[str]]:

@@ -54,7 +54,6 @@ WIRE: dict[str, Any] = {
     "length_mm": 520,
     "temperature_c": 300,
 }
-PLAIN: Final = {"joint_margin_deg": 2}
 
 
 def _cell(name: str) -> dict[str, Any]:
@@ -214,18 +213,6 @@ WALL: Final = {
 def ruled(folder: Path) -> Path:
     """A bow cuts one ruled face of a standing block."""
     return _write(folder, _straight(WALL))
-
-
-def two_faces(folder: Path) -> Path:
-    """A bow cuts the front and the back of a block, with a way around it between."""
-    front = WALL["ruled"][0]
-    back = {
-        "name": "back",
-        "start": {"bspline_mm": [[-80, -100, 30], [-80, -40, 36], [-80, 40, 34], [-80, 100, 28]]},
-        "end": {"bspline_mm": [[80, -100, 34], [80, -40, 30], [80, 40, 34], [80, 100, 32]]},
-    }
-    cuts = [{"surface": "front"}, {"surface": "back"}]
-    return _write(folder, _straight({"ruled": [front, back], "in_stock": {}}, cuts=cuts))
 
 
 def tapered(folder: Path) -> Path:
@@ -481,7 +468,7 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "dsif": lambda folder: forming(folder, "dsif"),
     "dpif_l": lambda folder: forming(folder, "dpif_l"),
     "dpif_p": lambda folder: forming(folder, "dpif_p"),
-    "adsif": lambda folder: forming(folder, "adsif", cone(25.0, 0.004, 0.02, 96)),
+    "adsif": lambda folder: forming(folder, "adsif", cone(25.0, 0.0025, 0.012, 96)),
     "heat": lambda folder: forming(folder, "heat"),
     "tpif": tpif,
     "two_features": two_features,
@@ -498,7 +485,6 @@ JOBS: Final[Mapping[str, Callable[[Path], Path]]] = {
     "elastic_thin": lambda folder: elastic(folder, 0.8, 800.0, shape_tol_mm=0.3),
     "elastic_heat": lambda folder: elastic(folder, kerf_mm=None, power_w=80),
     "tapered": tapered,
-    "two_faces": two_faces,
     "dsif_squeezed": lambda folder: forming(folder, "dsif", squeeze=0.9),
     "dpif_l_shifted": lambda folder: forming(folder, "dpif_l", shift_deg=20),
     "flank_rough": lambda folder: flank(folder, stepdown_mm=20),
