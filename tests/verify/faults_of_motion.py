@@ -95,11 +95,6 @@ def _jump(op: Any) -> dict[str, Any]:
     return {"q": q}
 
 
-def _swapped(targets: Any) -> Any:
-    a, b = targets.arms
-    return dataclasses.replace(targets, pose={a: targets.pose[b], b: targets.pose[a]})
-
-
 def _other_axis(freedom: Any) -> Any:
     """The free turn is about the next axis of the tool."""
     axis = {arm: np.concatenate([np.roll(t[:3], 1), t[3:]]) for arm, t in freedom.axis.items()}
@@ -110,7 +105,6 @@ FREEDOMS: Final = (
     Fault("spin_beyond_its_range", "posed", {"targets:Targets._pose": _twice}),
     Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _before}),
     Fault("posed_axis_wrong", "posed", {"posed:_freedom": result(_other_axis)}),
-    Fault("posed_arms_swapped", "posed_two", {"posed:make_targets": result(_swapped)}),
     Fault(
         "posed_range_wide",
         "posed",

@@ -329,9 +329,9 @@ FORMING: Final = (
         {"forming.opposite:opposite_path": given(2, lambda op: op.model_copy(update={"squeeze": 1.0}))},
     ),
     Fault(
-        "form_shift_angle_lost",
+        "form_support_turned",
         "dpif_l_shifted",
-        {"forming.opposite:opposite_path": given(2, lambda op: op.model_copy(update={"shift_deg": 35.0}))},
+        {"forming.support:opposite_path": fields(support=_off(y=0.0008))},
     ),
     Fault("form_border_off", "dpif_p", {"forming.border:border_curve": result(_wider_ring)}),
     Fault(

@@ -29,7 +29,7 @@ SAMPLE: Final = (
     "held_grip_off",
     "form_ball_too_deep",
     "form_support_farther",
-    "form_shift_angle_lost",
+    "form_support_turned",
     "form_border_off",
     "form_heat_other_place",
     "adsif_shifted",
