@@ -148,29 +148,15 @@ KINEMATICS: Final = (
         },
     ),
     Fault("tool_off_in_motion", "posed", {"motion.chain:Chain.of": fields(tcp=_moved_pose(z=0.001))}),
-    Fault("tool_turned_in_motion", "dsif", {"motion.chain:Chain.of": fields(tcp=_turned(0, 0.3))}),
-    Fault("base_off_in_motion", "elastic", {"motion.chain:Chain.of": fields(base=_moved_pose(y=0.002))}),
     Fault("stock_off_in_motion", "flank", {"motion.scene:Scene.of": fields(stock=_moved_pose(z=0.002))}),
-    Fault("stock_turned_in_motion", "ruled", {"motion.scene:Scene.of": fields(stock=_turned(2, 0.5))}),
-    Fault(
-        "place_off_in_plan",
-        "wing",
-        {"motion.solve:solve": fields(places=lambda places: tuple(_moved_pose(x=0.005)(p) for p in places))},
-    ),
-    Fault(
-        "holder_left_behind",
-        "held",
-        {
-            "motion.scene:Scene.world": lambda old: (
-                lambda scene, targets, poses: {arm: (scene.stock @ poses[arm]) for arm in poses}
-            )
-        },
-    ),
 )
 
 WAYS: Final = (
-    Fault("entry_straight", "behind", {"motion.entry:_way": _straight_way}),
-    Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way, "cell.clearance:free": _free}),
+    Fault("ways_unchecked", "plate", {"motion.entry:_way": _straight_way}),
+    Fault("ways_unchecked_wire", "elastic", {"motion.entry:_way": _straight_way}),
+    Fault("ways_unchecked_held", "held", {"motion.entry:_way": _straight_way}),
+    Fault("ways_unchecked_wing", "wing", {"motion.entry:_way": _straight_way}),
+    Fault("ways_unchecked_dish", "spif", {"motion.entry:_way": _straight_way}),
 )
 
 TIME: Final = (

@@ -230,7 +230,6 @@ ELASTIC: Final = (
     Fault("elastic_wire_too_soft", "elastic_thin", {"hotwire.wire:Wire.bending": result(_scaled(0.3))}),
     Fault("elastic_weight_upward", "elastic_thin", {"hotwire.wire:Wire.load": result(_scaled(-1.0))}),
     Fault("elastic_wire_shifted", "elastic", {"hotwire.elastic:_targets": _poses(0, _shift(z=0.002))}),
-    Fault("elastic_arms_swapped", "elastic", {"hotwire.elastic:_targets": result(_swapped_arms)}),
     Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic:_targets": _own_poses(_turn(2, 0.03))}),
     Fault("elastic_feed_times_ten", "elastic", {"hotwire.elastic:_targets": fields(feed=_scaled(10.0))}),
     Fault("elastic_travel_in_mm", "elastic", {"hotwire.elastic:_targets": fields(travel=_scaled(1e-3))}),
@@ -238,7 +237,6 @@ ELASTIC: Final = (
     Fault("elastic_power_late", "elastic", {"hotwire.elastic:_actions": result(_late)}),
     Fault("elastic_signal_other", "elastic", {"hotwire.elastic:_actions": result(_renamed)}),
     Fault("elastic_not_asked", "elastic", {"hotwire.elastic:_actions": result(_without("confirm"))}),
-    Fault("elastic_approach_in_foam", "elastic", {"hotwire.elastic_path:cut_range": result(_narrow)}),
     Fault("elastic_section_lost", "elastic", {"hotwire.elastic_path:cut_places": result(_thin_out)}),
     Fault("elastic_length_longer", "elastic", {"hotwire.elastic_wires:from_states": given(2, _scaled(1.02))}),
 )
@@ -352,7 +350,6 @@ FORMING: Final = (
     Fault("form_children_first", "two_features", {"forming.feature_order:in_place": _backward}),
     Fault("form_feature_lost", "two_features", {"forming.passes:passes": result(lambda p: p[:1])}),
     Fault("form_feature_twice", "two_features", {"forming.passes:passes": result(lambda p: (*p, p[-1]))}),
-    Fault("form_roles_swapped", "two_features", {"forming.job:Job.former": _other_arm}),
     Fault(
         "form_feature_level",
         "two_features",
@@ -391,13 +388,7 @@ MILLING: Final = (
     Fault("flank_axis_leans", "flank", {"milling.frames:poses": given(1, _leaning)}),
     Fault("lines_step_doubled", "lines", {"milling.point:ridge_step": result(_scaled(2.5))}),
     Fault("lines_tip_for_centre", "lines", {"milling.point:tips": result(_off(z=-0.001))}),
-    Fault(
-        "lines_ball_as_flat", "lines", {"milling.point:tips": given(3, lambda c: of(c, corner=_scaled(0.0)))}
-    ),
     Fault("lines_last_lost", "lines", {"milling.lines_cut:_offsets": result(lambda o: o[:-4])}),
-    Fault(
-        "lines_normal_flat", "lines", {"milling.lines_cut:_tool": given(2, lambda n: n * 0 + [0.0, 0.0, 1.0])}
-    ),
     Fault(
         "engrave_depth_doubled",
         "engrave",

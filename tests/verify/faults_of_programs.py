@@ -231,7 +231,6 @@ RAPID: Final = (
     ),
     Fault("post_corners_wide", "flank_rough", {"corners:room": result(lambda r: tuple(8.0 * v for v in r))}),
     Fault("post_joints_degrees", "posed", {"post.rapid_format:jointtarget": given(0, np.deg2rad)}),
-    Fault("post_entry_lost", "behind", {"post.steps:_joints": result(lambda steps: [steps[0], steps[-1]])}),
     Fault(
         "post_waits_ms",
         "ruled",
