@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
 from planner.materials import foam
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 from planner.tooling import bow, gripper_plate
 
@@ -102,7 +103,7 @@ def cut(
         feed_min=np.zeros(rows),
         travel=np.append(0.0, step),
         stop=stop,
-        segment=segment,
+        segment=tuple(map(Segment.read, segment)),
     )
 
 

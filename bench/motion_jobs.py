@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.geometry.shapes import Shape
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
+from planner.segments import Segment
 from planner.targets import Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool, wire_holder
 
@@ -81,7 +82,7 @@ def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targe
         feed_min=np.zeros(count),
         travel=travel,
         stop=stop,
-        segment=segment,
+        segment=tuple(map(Segment.read, segment)),
         coupled=True,
         edge=Edge(points, 0.0005),
     )
@@ -112,7 +113,7 @@ def s_curve(count: int = 400) -> tuple[Cell, Targets]:
         feed_min=np.zeros(count),
         travel=np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)),
         stop=stop,
-        segment=("path",) * count,
+        segment=(Segment("path"),) * count,
     )
     return cell, targets
 
@@ -157,5 +158,5 @@ def spiral_pair(
         feed_min=np.zeros(count),
         travel=np.append(0.0, np.max(step, axis=0)),
         stop=stop,
-        segment=("approach", *("cut/spiral",) * (count - 2), "retreat"),
+        segment=(Segment("approach"), *(Segment("cut", "spiral"),) * (count - 2), Segment("retreat")),
     )

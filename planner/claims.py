@@ -22,6 +22,7 @@ from planner.claims_forming import (
     ToolGap,
 )
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
+from planner.segments import Segment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +95,7 @@ class CutsSurface:
     part's side.
     """
 
-    segment: str
+    segment: Segment
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     kerf: KerfCurve
@@ -111,7 +112,7 @@ class FollowsRulings:
     half the kerf of its speed there, within ``tolerance`` [m].
     """
 
-    segment: str
+    segment: Segment
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     kerf: KerfCurve
@@ -123,7 +124,7 @@ class KerfWithin:
     """In ``segment`` the slot is between ``lower`` and ``upper`` [m] wide all along the wire inside the
     part's surface: narrower, a cold wire drags; wider, it burns the foam."""
 
-    segment: str
+    segment: Segment
     kerf: KerfCurve
     lower: float
     upper: float
@@ -135,7 +136,7 @@ class SlitAllowed:
     along ``way`` (3,), a unit vector, from where it lies through ``start`` and ``end`` (3,) [m, stock
     frame]."""
 
-    segment: str
+    segment: Segment
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     way: NDArray[np.float64]
@@ -183,7 +184,7 @@ class FeedWindow:
     [m/s].
     """
 
-    segment: str
+    segment: Segment
     lower: float
     upper: float
 

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.segments import Segment
+
 
 @dataclasses.dataclass(frozen=True)
 class FormsSheet:
@@ -19,7 +21,7 @@ class FormsSheet:
     ball within ``scallop`` (F,) [m], what the steps of the path leave standing at each triangle.
     """
 
-    segment: str
+    segment: Segment
     arm: str
     side: int
     radius: float
@@ -44,7 +46,7 @@ class ToolGap:
     how far the gap may be off where two controllers are one step apart.
     """
 
-    segment: str
+    segment: Segment
     arms: tuple[str, str]
     side: int
     radii: tuple[float, float]
@@ -62,7 +64,7 @@ class SupportsBorder:
     stays within ``tolerance`` [m] of the closed curve ``border`` (K, 3) [m] and never inside of it.
     """
 
-    segment: str
+    segment: Segment
     arm: str
     border: NDArray[np.float64]
     tolerance: float
@@ -75,7 +77,7 @@ class FollowsOpposite:
     face ``vertices``, ``faces`` within ``turn`` [rad]. Its z axis points at the sheet between that normal and
     the vertical, within ``aim`` [rad]."""
 
-    segment: str
+    segment: Segment
     arms: tuple[str, str]
     side: int
     vertices: NDArray[np.float64]
@@ -98,7 +100,7 @@ class SheetState:
     no point may be inside a tool by more than ``tolerance`` [m].
     """
 
-    segment: str
+    segment: Segment
     arms: tuple[str, ...]
     side: int
     start: float
@@ -112,7 +114,7 @@ class SheetState:
 class FormingFeed:
     """In ``segment`` the TCPs of ``arms`` move no faster than ``upper`` [m/s]."""
 
-    segment: str
+    segment: Segment
     arms: tuple[str, ...]
     upper: float
 
@@ -127,7 +129,7 @@ class SinksHolder:
     ``pulse`` [s] at least. The signal is switched at no other time.
     """
 
-    segment: str
+    segment: Segment
     arm: str
     side: int
     radius: float
@@ -142,4 +144,4 @@ class SinksHolder:
 class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]

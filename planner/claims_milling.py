@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.segments import Segment
 from planner.tooling import Cutter
 
 
@@ -19,7 +20,7 @@ class MillsSurface:
     surface, and nowhere takes more.
     """
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     vertices: NDArray[np.float64]
@@ -35,7 +36,7 @@ class MillsAlong:
     ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
     first one counts for nothing."""
 
-    segment: str
+    segment: Segment
     arm: str
     tip: NDArray[np.float64]
     axis: NDArray[np.float64]
@@ -50,7 +51,7 @@ class SparesPart:
     spindle, goes into the surface ``vertices``, ``faces`` by more than ``tolerance`` [m]; the cutter itself,
     where it engraves, ``depth`` [m] deeper."""
 
-    segments: tuple[str, ...]
+    segments: tuple[Segment, ...]
     arm: str
     cutter: Cutter
     vertices: NDArray[np.float64]

@@ -16,7 +16,8 @@ from planner.claims import CutsSurface, StraightWire
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.shapes import axis_ends
 from planner.geometry.vectors import dots, lengths
-from planner.targets import Targets, works
+from planner.segments import Segment
+from planner.targets import Targets
 from planner.tooling import Tool, working_solid
 
 FloatArray = NDArray[np.float64]
@@ -79,24 +80,24 @@ def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
     return np.array([lean, lean, LEVER * allowed / AIR])
 
 
-def deviations(targets: Targets, labels: Sequence[str]) -> FloatArray:
+def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
     """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
 
     A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
     it. A cutter may take a share of what its surfaces allow. Whatever follows poses or joins two arms keeps
     to :data:`DEVIATION` everywhere.
     """
-    least = np.full(len(labels), DEVIATION)
+    least = np.full(len(segments), DEVIATION)
     milled = [claim.tolerance for claim in targets.claims if isinstance(claim, SparesPart | MillsAlong)]
     if milled:
         tolerance = 1e3 * min(milled)
-        least = np.full(len(labels), min(DEVIATION, TIGHT_SHARE * tolerance))
+        least = np.full(len(segments), min(DEVIATION, TIGHT_SHARE * tolerance))
         part = max(float(least[0]), SURFACE_SHARE * tolerance)
-        return np.where(np.array([works(label) for label in labels]), part, least)
+        return np.where(np.array([segment.works for segment in segments]), part, least)
     if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
         return least
     surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
-    cutting = np.array([works(label) for label in labels])
+    cutting = np.array([segment.works for segment in segments])
     foam = max(DEVIATION, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
     return np.where(cutting | np.append(cutting[1:], False), foam, AIR)
 

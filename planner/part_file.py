@@ -38,6 +38,7 @@ from planner.part_surface_file import RuledMeshFile, StripsFile
 from planner.part_wing_file import WingFile
 from planner.problem import Mesh, Part, Ruled, Stock
 from planner.schema import Strict, Vector
+from planner.segments import fold
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -87,9 +88,12 @@ class PartFile(Strict):
             raise ValueError(f"give exactly one of {', '.join(KINDS)}; got {got}")
         if self.back is not None and self.front is None:
             raise ValueError("a back belongs to a front")
-        names = [ruled.name.lower() for ruled in self.ruled or ()]
+        names = [fold(ruled.name) for ruled in self.ruled or ()]
         if len(set(names)) != len(names):
-            raise ValueError("ruled: two surfaces have the same name; rename one")
+            raise ValueError(
+                "ruled: two surfaces have the same name, or names that programs cannot tell apart (case and "
+                "runs of underscores do not count); rename one"
+            )
         return self
 
 

@@ -2,7 +2,8 @@
 
 Plain JSON arrays are tuples; ``{"$list": [...]}`` is a list, ``{"$array": key}`` an array of ``plan.npz``,
 ``{"$type": name, ...}`` one of the value classes below, ``{"$float": "nan"}`` a number that JSON lacks and
-``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Nothing is pickled.
+``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Segments stand as their labels.
+Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from planner.claims import Claim, FreeAxis, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
+from planner.segments import Segment
 from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
 from planner.tooling import Cutter
 
@@ -50,6 +52,8 @@ _VALUES: Final[dict[str, type]] = {
         *get_args(Claim),
     )
 }
+_SEGMENTS: Final = {"segment", "segments"}
+"""Fields of those classes that hold segments."""
 _BROKEN: Final = (
     ValueError,
     KeyError,
@@ -125,6 +129,8 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
         return _encode(value.value, key, arrays)
     if value is None or isinstance(value, bool | int | str):
         return value
+    if isinstance(value, Segment):
+        return str(value)
     if isinstance(value, float):
         return value if math.isfinite(value) else {"$float": repr(value)}
     if isinstance(value, Issue):
@@ -171,6 +177,9 @@ def _decode(value: Any, arrays: Arrays) -> Any:
         return fields
     if value["$type"] == "Issue":
         return Issue.from_dict(fields)
+    for name in _SEGMENTS & set(fields):
+        own = fields[name]
+        fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
     return _VALUES[value["$type"]](**fields)
 
 

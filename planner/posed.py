@@ -23,6 +23,7 @@ from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup, Stock
 from planner.schema import Name, Strict
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 from planner.units import DEG, MM
 
@@ -60,7 +61,8 @@ class Posed(Strict):
     """Poses from a file.
 
     CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if
-    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys.
+    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys. ``segment`` is a kind, or
+    ``kind/name``, of letters, digits and ``_``, such as ``cut/front``.
     """
 
     name: Name
@@ -295,12 +297,12 @@ def _number(
     return number
 
 
-def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> str:
+def _segment(row: Mapping[str, Any], index: int, operation: Posed) -> Segment:
     value = row.get("segment") or "cut/path"
     if not isinstance(value, str) or not SEGMENT.fullmatch(value):
         what = f"segment is {repr(value)[:60]}; use <kind> or <kind>/<name> of letters, digits and _"
         raise TandemError(_fault(operation, index, what))
-    return value
+    return Segment.of(value)
 
 
 def _flag(row: Mapping[str, Any], index: int, operation: Posed) -> bool:

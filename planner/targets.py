@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from planner.claims import Claim
 from planner.geometry.rigid import exp_twist, log_pose
 from planner.issues import Issue
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
 PREFER: Final = 0.5
 """What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
-WORKING: Final = frozenset({"cut", "form", "mill"})
-"""Kinds of segments in which a tool's own edge works the stock, and may touch it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Targets:
     the way to target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there
     (fine point). ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move
     keeps the relation that the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
-    ``segment`` (N,): label of the segment that the move to target i belongs to, ``kind`` or ``kind/name``.
+    ``segment`` (N,): the segment that the move to target i belongs to.
     ``exhibits`` is named data for the report, by kind of picture.
     """
 
@@ -147,7 +146,7 @@ class Targets:
     feed_min: FloatArray
     travel: FloatArray
     stop: NDArray[np.bool_]
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     coupled: bool = False
     edge: Edge | None = None
     actions: tuple[Action, ...] = ()
@@ -162,11 +161,11 @@ class Targets:
 
     def name(self, index: int) -> str:
         """Readable name of a target: its segment and its number within the segment, from 1."""
-        label = self.segment[index]
+        own = self.segment[index]
         first = index
-        while first > 0 and self.segment[first - 1] == label:
+        while first > 0 and self.segment[first - 1] == own:
             first -= 1
-        return f"{label}/{index - first + 1}"
+        return f"{own}/{index - first + 1}"
 
     def neutral(self) -> FloatArray:
         """Values (N, F) of the freedoms nearest to zero within their bounds, or the preferred ones."""
@@ -196,16 +195,6 @@ class Targets:
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
                 pose = pose @ exp_twist(values[..., j, None] * freedom.axis[arm])
         return pose
-
-
-def segment_kind(label: str) -> str:
-    """The kind of a segment label: ``cut`` of ``cut/front``."""
-    return label.split("/", 1)[0]
-
-
-def works(label: str) -> bool:
-    """Whether an edge may touch the stock in a segment."""
-    return segment_kind(label) in WORKING
 
 
 def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ import pytest
 from planner import claims, plan_io
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
+from planner.segments import Segment
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 
 RNG = np.random.default_rng(3)
@@ -38,10 +39,14 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
     held = (
         claims.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
         claims.CutsSurface(
-            "cut/front", RNG.normal(size=(3, 3)), np.array([[0, 1, 2]]), claims.KerfCurve.constant(1e-3), 5e-4
+            Segment.read("cut/front"),
+            RNG.normal(size=(3, 3)),
+            np.array([[0, 1, 2]]),
+            claims.KerfCurve.constant(1e-3),
+            5e-4,
         ),
         claims.ContactOnlyIn(("cut",), "doWirePower", 2.0),
-        claims.FeedWindow("cut/front", 0.002, 0.01),
+        claims.FeedWindow(Segment.read("cut/front"), 0.002, 0.01),
         claims.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
     )
     return Targets(
@@ -53,7 +58,7 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
         feed_min=np.zeros(n),
         travel=RNG.random(n),
         stop=np.array([True, False, False, True]),
-        segment=("mount", "cut/front", "cut/front", "unmount"),
+        segment=tuple(map(Segment.read, ("mount", "cut/front", "cut/front_in", "unmount"))),
         coupled=True,
         edge=Edge(RNG.normal(size=(n, 5, 3)), 1e-3),
         actions=(Action(0, "confirm", "Mount the wire – 870,0 mm"), Action(0, "wait", seconds=2.5)),

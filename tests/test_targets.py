@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.geometry.rigid import exp_twist, from_parts
-from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange, segment_kind
+from planner.segments import Segment
+from planner.targets import ScrewFreedom, TableFreedom, Targets, lagrange
 
 
 def arc_pose(s: np.ndarray, curvature: float = 3.0) -> np.ndarray:
@@ -32,7 +33,7 @@ def make(count: int = 4) -> Targets:
         feed_min=np.zeros(count),
         travel=np.zeros(count),
         stop=np.zeros(count, dtype=bool),
-        segment=("mount", "cut/front", "cut/front", "retreat"),
+        segment=tuple(map(Segment.read, ("mount", "cut/front", "cut/front", "retreat"))),
     )
 
 
@@ -80,4 +81,3 @@ def test_lagrange_weights_reproduce_polynomials_and_sum_to_one() -> None:
 def test_names_count_within_the_segment() -> None:
     targets = make()
     assert [targets.name(i) for i in range(4)] == ["mount/1", "cut/front/1", "cut/front/2", "retreat/1"]
-    assert segment_kind("cut/front") == "cut"

@@ -55,7 +55,7 @@ def centres(outcome: Outcome, arm: str, segment: str) -> np.ndarray:
     mounted = outcome.problem.cell.arm(arm)
     flange = forward(robot(mounted.robot), operation.q[arm])
     tcp = inverse(outcome.plan.stock_pose) @ outcome.plan.bases[arm] @ flange @ mounted.tool.tcp
-    return np.asarray(tcp[[label == segment for label in operation.targets.segment], :3, 3])
+    return np.asarray(tcp[[str(one) == segment for one in operation.targets.segment], :3, 3])
 
 
 @pytest.mark.parametrize("name", ["alone", "together"])
@@ -98,7 +98,7 @@ def test_two_tools_hold_the_sheet_between_them(together: Outcome) -> None:
 def test_tools_keep_to_the_feed_and_stop_only_off_the_sheet(together: Outcome) -> None:
     (operation,) = together.plan.operations
     targets = operation.targets
-    forming = np.array([label == "form/f1" for label in targets.segment])
+    forming = np.array([str(one) == "form/f1" for one in targets.segment])
     way = centres(together, "left", "form/f1")
     speed = np.linalg.norm(np.diff(way, axis=0), axis=1) / np.diff(operation.time[forming])
     assert speed.max() <= 25.0 * MM * (1.0 + 1e-6)

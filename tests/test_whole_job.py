@@ -14,6 +14,7 @@ from planner.catalogue import data_dir, robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse, log_pose
 from planner.pipeline import Outcome
+from planner.segments import Segment
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def test_the_programs_are_proven_and_every_rule_ran(outcome: Outcome) -> None:
 
 
 def test_the_cut_faces_are_within_half_a_millimetre(outcome: Outcome) -> None:
-    assert {face.segment for face in outcome.proof.surfaces} == {"cut/front", "cut/back"}
+    assert {str(face.segment) for face in outcome.proof.surfaces} == {"cut/front", "cut/back"}
     for face in outcome.proof.surfaces:
         inside = np.abs(np.nan_to_num(face.deviation, nan=np.inf)) <= 0.5e-3
         assert face.area[inside].sum() >= 0.95 * face.area.sum()
@@ -107,10 +108,10 @@ def test_neighbouring_panels_agree_at_their_joints() -> None:
     for number in (1, 2, 3):
         result = planner.plan(planner.load(f"problems/column_capital/panel_{number}.yaml"))
         assert result.verified, result.issues
-        off.append({face.segment: face.largest for face in result.proof.surfaces})
+        off.append({str(face.segment): face.largest for face in result.proof.surfaces})
         for face in result.proof.surfaces:
             assert face.share >= face.wanted_share, face.segment
-        edges = next(face for face in result.proof.surfaces if face.segment == "cut/edges")
+        edges = next(face for face in result.proof.surfaces if face.segment == Segment.read("cut/edges"))
         assert edges.rms < 0.15e-3
     for one, other in ((0, 1), (1, 2)):
         for face in ("cut/front", "cut/back"):

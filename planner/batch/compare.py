@@ -160,7 +160,7 @@ def _segments(first: tuple[OperationPlan, ...], second: tuple[OperationPlan, ...
 
 def _runs(operation: OperationPlan) -> dict[str, slice]:
     """Targets of one label that follow each other, by label: ``cut``, and ``cut (2)`` when it comes again."""
-    labels = [str(label) for label in operation.targets.segment]
+    labels = [str(segment) for segment in operation.targets.segment]
     starts = [i for i, label in enumerate(labels) if i == 0 or labels[i - 1] != label]
     seen: Counter[str] = Counter()
     out = {}

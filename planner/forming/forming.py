@@ -28,7 +28,7 @@ from planner.forming.route import Route, lay_out
 from planner.forming.values import Pass, ToolPath
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup
-from planner.targets import Action, Targets, works
+from planner.targets import Action, Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -93,7 +93,7 @@ def _targets(
 ) -> Targets:
     op = made.operation
     count = len(route.segment)
-    forming = np.array([works(label) for label in route.segment])
+    forming = np.array([segment.works for segment in route.segment])
     placed = _poses(made, route)
     actions = _actions(made, setup, route, paths)
     steps = [np.linalg.norm(np.diff(route.centre[arm], axis=0), axis=1) for arm in op.arms]
@@ -141,6 +141,6 @@ def _actions(
         high = abs(one.start - one.end) / MM
         out.append(Action(0, "confirm", f"Blank holder {high:.2f} mm above its end, flat sheet on the die?"))
     out.append(Action(0, "confirm", "Sheet clamped and greased, nobody in the cell?"))
-    first = route.segment.index(f"{segment(one)}_in")
+    first = route.segment.index(segment(one).at("in"))
     out += holder.actions(made, one, path, first)
     return (*out, Action(len(route.segment) - 1, "confirm", "Tools off the sheet, take the part out?"))

@@ -15,6 +15,7 @@ from planner.forming.path_options import PathOptions
 from planner.forming.values import Pass
 from planner.issues import Issue, TandemError
 from planner.problem import Mesh, Part, Setup, Sheet
+from planner.segments import Segment
 from planner.tooling import FormingHead, FormingTool
 from planner.units import DEG, MM
 
@@ -79,9 +80,9 @@ class Job:
         )
 
 
-def segment(one: Pass) -> str:
-    """The label of the segment in which a pass is formed."""
-    return f"form/{one.name}"
+def segment(one: Pass) -> Segment:
+    """The segment in which a pass is formed."""
+    return Segment("form", one.name)
 
 
 def job(operation: Forming, setup: Setup, part: Part | None) -> Job:

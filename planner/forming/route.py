@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner.forming.job import Job, segment
 from planner.forming.values import Pass, ToolPath
 from planner.geometry.vectors import dots
+from planner.segments import Segment
 from planner.units import DEG
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Route:
 
     centre: dict[str, FloatArray]
     axis: dict[str, FloatArray]
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     stop: NDArray[np.bool_]
 
 
@@ -45,12 +46,12 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
     away = {arm: _away(job, arm, clearance) for arm in arms}
     centre: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
-    labels: list[str] = []
+    segments: list[Segment] = []
     stops: list[NDArray[np.bool_]] = []
     sharp = max(SHARP, 1.1 * job.operation.tangent_deg * DEG)
     for number, (one, path) in enumerate(paths):
         own = _by_arm(job, one, path)
-        count, name = len(path.former), segment(one)
+        count, formed = len(path.former), segment(one)
         first, last = number == 0, number == len(paths) - 1
         for arm in arms:
             points, axes = own[arm]
@@ -64,8 +65,9 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
                 turns.append(axes[-1:])
             centre[arm].append(np.array(row))
             axis[arm].append(np.concatenate(turns))
-        labels += ["approach", "approach"] if first else ["link"]
-        labels += [f"{name}_in", *[name] * (count - 1), f"{name}_out"] + (["retreat"] if last else [])
+        segments += [Segment("approach"), Segment("approach")] if first else [Segment("link")]
+        segments += [formed.at("in"), *[formed] * (count - 1), formed.at("out")]
+        segments += [Segment("retreat")] if last else []
         head, tail = (2 if first else 1), (2 if last else 1)
         within = _stops(path.contact.loop, most)
         for points, _ in own.values():
@@ -75,7 +77,7 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
     return Route(
         {arm: np.concatenate(centre[arm]) for arm in arms},
         {arm: np.concatenate(axis[arm]) for arm in arms},
-        tuple(labels),
+        tuple(segments),
         np.concatenate(stops),
     )
 

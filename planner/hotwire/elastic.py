@@ -37,6 +37,7 @@ from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
+from planner.segments import Segment
 from planner.targets import Action, Edge, Freedom, ScrewFreedom, Targets
 from planner.units import MM
 
@@ -131,7 +132,7 @@ class ElasticJob:
             ContactOnlyIn(("cut",), operation.signal, operation.heat_up_s),
         ]
         for name, face in _wanted(operation, part).items():
-            segment = f"cut/{name}"
+            segment = Segment("cut", name)
             out.append(
                 CutsSurface(
                     segment,
@@ -241,7 +242,7 @@ def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
 def _driven(op: ElasticWire, route: Route, off: FloatArray, miss: FloatArray) -> list[Issue]:
     """Half-way between targets, driven by its ends, the wire must be where it is wanted."""
     lost = np.array([not m < 1e-6 for m in miss], dtype=np.bool_)
-    cutting = np.array([label.startswith("cut") for label in route.segment], dtype=np.bool_)
+    cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     far = cutting & (off > 0.5 * op.shape_tol_mm * MM)
     if not (lost | far).any():
         return []
@@ -274,7 +275,7 @@ def _targets(
     start, end = route.wires.ends(shapes)
     points = route.wires.points(shapes)
     foam = np.asarray(np.any(box_distance(points, stock.box) < 0.0, axis=1))
-    cutting = np.array([label.startswith("cut") for label in route.segment], dtype=np.bool_)
+    cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     burning = cutting & foam & np.concatenate([[False], foam[:-1]])
     feed = np.where(cutting, op.feed_mm_s * MM, AIR_FEED)
     return Targets(

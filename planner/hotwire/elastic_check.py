@@ -21,6 +21,7 @@ from planner.hotwire.response import end_sensitivity, weight_deviation
 from planner.hotwire.stability import STABLE
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, Severity
+from planner.segments import Segment
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -99,7 +100,7 @@ def check(
 
 def _name(route: Route, index: int) -> str:
     """Where a target is, as a person says it."""
-    label = route.segment[index]
+    label = str(route.segment[index])
     p = route.p[index]
     return f"{label} at {p * 1e3:.0f} mm along the sweep" if np.isfinite(p) else label
 
@@ -178,11 +179,11 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
 
 def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
     """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
-    label = f"cut/{cut.face.name}"
+    segment = Segment("cut", cut.face.name)
     tol = op.shape_tol_mm * MM
     has = cut.sections.length > 0.0
     residual = np.abs(cut.fit.residual)
-    rows = np.nonzero(np.array(route.segment) == label)[0]
+    rows = np.nonzero(np.array(route.segment) == segment)[0]
     order = rows[np.argsort(route.p[rows])]
 
     def at_sections(values: FloatArray) -> FloatArray:
@@ -312,7 +313,7 @@ def best_split(points: FloatArray, length: float) -> tuple[float, float]:
 
 def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> list[Issue]:
     """In the air the wire stays clear of the block."""
-    air = np.array([not label.startswith("cut") for label in route.segment])
+    air = np.array([segment.kind != "cut" for segment in route.segment])
     wires = route.wires
     near = box_distance(wires.points(wires.shapes(65)), box).min(axis=1) - 0.5 * wire.thickness
     near = np.where(air, near, np.inf)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planner.hotwire.elastic_family import Family
 from planner.hotwire.elastic_planes import Spine
 from planner.hotwire.elastic_wires import Wires, between, box_distance, driven, from_states, join
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -41,12 +42,12 @@ class Face:
 
 @dataclasses.dataclass(frozen=True)
 class Route:
-    """The whole job's wires in order: ``segment`` labels, ``p`` place in the cut (NaN in the air),
+    """The whole job's wires in order: ``segment``, ``p`` place in the cut (NaN in the air),
     ``stop``.
     """
 
     wires: Wires
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     p: FloatArray
     stop: BoolArray
 
@@ -94,13 +95,13 @@ def lay_out(
     ``two_runs`` goes on anew.
     """
     parts: list[Wires] = []
-    labels: list[str] = []
+    segments: list[Segment] = []
     places: list[FloatArray] = []
     stops: list[int] = []
 
-    def add(label: str, wires: Wires, p: FloatArray | None = None) -> None:
+    def add(segment: Segment, wires: Wires, p: FloatArray | None = None) -> None:
         parts.append(wires)
-        labels.extend([label] * len(wires))
+        segments.extend([segment] * len(wires))
         places.append(np.full(len(wires), np.nan) if p is None else p)
 
     forward = True
@@ -115,26 +116,26 @@ def lay_out(
             count = 2 * max(1, int(np.ceil(0.5 * LEAD / AIR_STEP)))
             shift = -LEAD * (1.0 - np.arange(count + 1) / count)
             lead = wires[np.zeros(count + 1, dtype=np.intp)].moved(shift[:, None] * sense)
-            add("mount", lead[:1])
-            add("transit", lead[1 : count // 2 + 1])
-            add("approach", lead[count // 2 + 1 :])
-            stops += [0, len(labels) - 1]
+            add(Segment("mount"), lead[:1])
+            add(Segment("transit"), lead[1 : count // 2 + 1])
+            add(Segment("approach"), lead[count // 2 + 1 :])
+            stops += [0, len(segments) - 1]
         else:
             link = _link(parts[-1][-1:], wires[:1], box, margin, radius, two_runs)
             for leg in link:
-                add("link", leg)
-                stops.append(len(labels) - 1)
-        add(f"cut/{face.name}", wires[1:], p[1:])
-        stops.append(len(labels) - 1)
+                add(Segment("link"), leg)
+                stops.append(len(segments) - 1)
+        add(Segment("cut", face.name), wires[1:], p[1:])
+        stops.append(len(segments) - 1)
     count = max(2, int(np.ceil(LEAD / AIR_STEP)))
     shift = LEAD * (1.0 + np.arange(count)) / count
     away = parts[-1][np.full(count, len(parts[-1]) - 1)].moved(shift[:, None] * sense)
-    add("retreat", away[:-1])
-    add("unmount", away[-1:])
-    stops.append(len(labels) - 1)
-    stop = np.zeros(len(labels), dtype=np.bool_)
+    add(Segment("retreat"), away[:-1])
+    add(Segment("unmount"), away[-1:])
+    stops.append(len(segments) - 1)
+    stop = np.zeros(len(segments), dtype=np.bool_)
     stop[stops] = True
-    return Route(join(parts), tuple(labels), np.concatenate(places), stop)
+    return Route(join(parts), tuple(segments), np.concatenate(places), stop)
 
 
 def _link(a: Wires, b: Wires, box: FloatArray, margin: float, radius: float, over: bool) -> list[Wires]:
@@ -176,7 +177,7 @@ def refine(
     Returns the route, that deviation (N,) on the way to each target, and the largest misses (N,) of the
     solver over the length.
     """
-    by_name = {f"cut/{face.name}": face for face in faces}
+    by_name = {Segment("cut", face.name): face for face in faces}
     for turn in range(5):
         wanted, p = _halfway(route, by_name)
         now, miss, _ = driven(route.wires[:-1], route.wires[1:], 0.5)
@@ -188,16 +189,14 @@ def refine(
     return route, np.concatenate([[0.0], off]), np.concatenate([[0.0], miss])
 
 
-def _halfway(route: Route, by_name: dict[str, Face]) -> tuple[Wires, FloatArray]:
+def _halfway(route: Route, by_name: dict[Segment, Face]) -> tuple[Wires, FloatArray]:
     """The wanted wires half-way of every move, and their places in the cut."""
     count = len(route.wires) - 1
     middle = between(route.wires[:-1], route.wires[1:], np.full(count, 0.5))
     frame, bend, p = middle.frame.copy(), middle.bend.copy(), np.full(count, np.nan)
-    label = np.array(route.segment[1:])
+    label = np.array(route.segment)
     for name, face in by_name.items():
-        rows = np.nonzero(
-            (label == name) & np.isfinite(route.p[:-1]) & (np.array(route.segment[:-1]) == name)
-        )[0]
+        rows = np.nonzero((label[1:] == name) & np.isfinite(route.p[:-1]) & (label[:-1] == name))[0]
         if rows.size:
             p[rows] = 0.5 * (route.p[rows] + route.p[rows + 1])
             exact = face.wires(p[rows])
@@ -222,10 +221,10 @@ def _insert(route: Route, rows: NDArray[np.intp], wires: Wires, p: FloatArray) -
     at = rows + 1
     frame = np.insert(route.wires.frame, at, wires.frame[rows], axis=0)
     bend = np.insert(route.wires.bend, at, wires.bend[rows], axis=0)
-    segment = np.insert(np.array(route.segment), at, np.array(route.segment)[at])
+    taken = np.insert(np.arange(len(route.segment)), at, at)
     return Route(
         dataclasses.replace(route.wires, frame=frame, bend=bend),
-        tuple(str(s) for s in segment),
+        tuple(route.segment[i] for i in taken),
         np.insert(route.p, at, p[rows]),
         np.insert(route.stop, at, False),
     )

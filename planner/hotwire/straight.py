@@ -116,7 +116,7 @@ def _targets(
     issues: list[Issue],
 ) -> Targets:
     stock, cutter = setup.stock, op.arms[0]
-    cutting = np.array([label.startswith("cut/") for label in route.segment], dtype=np.bool_)
+    cutting = np.array([segment.kind == "cut" for segment in route.segment], dtype=np.bool_)
     in_foam = fastest(route.lines, stock.box)
     inside = np.isfinite(chord(route.lines, stock.box)[0])
     burning = cutting & inside & np.concatenate([[False], inside[:-1]])
@@ -144,8 +144,8 @@ def _targets(
 
 def _feeds(op: Straight, todo: list[Wanted], route: Route) -> FloatArray:
     """Upper limit (N,) [m/s] of the wire's speed on the way to each target."""
-    known = {one.segment + way: op.feed(one.cut) for one in todo for way in ("", "_in", "_out")}
-    return np.array([known.get(label, AIR_FEED) for label in route.segment])
+    known = {way: op.feed(one.cut) for one in todo for way in one.segment.ways}
+    return np.array([known.get(segment, AIR_FEED) for segment in route.segment])
 
 
 def _in_air(pose: FloatArray, span: float) -> FloatArray:

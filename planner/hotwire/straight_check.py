@@ -20,6 +20,7 @@ from planner.hotwire.straight_section import holds, pieces_across
 from planner.hotwire.straight_spared import check_spared
 from planner.issues import Issue, Severity
 from planner.problem import Ruled, Setup
+from planner.segments import Segment
 from planner.tooling import Bow
 from planner.units import MM
 
@@ -57,7 +58,7 @@ def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
             f"{op.name}: {name} has an inner corner that the wire leaves round: {left.max() / MM:.2f} mm "
             f"stay at {_place(foot.start[k])}; take a thinner slot or round the corner",
             Severity.WARNING,
-            field=name,
+            field=str(name),
             value=float(left.max() / MM),
             limit=op.shape_tol_mm,
             unit="mm",
@@ -71,7 +72,7 @@ def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
                 "straight.corner",
                 f"{op.name}: {name} is bent inward more tightly than half a kerf, {made.half[k, e] / MM:.2f} "
                 f"mm, at {_place(feet[k])}; take a thinner slot, or a larger radius there",
-                field=name,
+                field=str(name),
                 value=float(made.half[k, e] / MM),
                 unit="mm",
             )
@@ -93,7 +94,7 @@ def _crossing(op: Straight, cut: Cut) -> Iterator[Issue]:
                 f"{op.name}: beside {cut.wanted.segment} the wire at {_place(points[k])} takes "
                 f"{near[k] / MM:.2f} mm off another piece of the same surface: it crosses itself, or a gap "
                 "is narrower than the slot; take a thinner slot or change the outline",
-                field=cut.wanted.segment,
+                field=str(cut.wanted.segment),
                 value=float(near[k] / MM),
                 limit=allowed / MM,
                 unit="mm",
@@ -113,7 +114,7 @@ def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> 
             "straight.slit",
             f"{what}: {how}; glue it, or cut the part in two there",
             Severity.NOTE,
-            field=cut.wanted.segment,
+            field=str(cut.wanted.segment),
             value=start.through / MM,
             unit="mm",
         )
@@ -121,7 +122,7 @@ def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> 
     yield Issue(
         "straight.lead",
         f"{what}: {how}; give another lead, or move the pieces apart",
-        field=cut.wanted.segment,
+        field=str(cut.wanted.segment),
         value=start.through / MM,
         limit=0.0,
         unit="mm",
@@ -174,7 +175,7 @@ def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness
 
 
 def check_bow(
-    op: Straight, bow: Bow, lines: Lines, segment: tuple[str, ...], box: FloatArray, pose: FloatArray
+    op: Straight, bow: Bow, lines: Lines, segment: tuple[Segment, ...], box: FloatArray, pose: FloatArray
 ) -> Iterator[Issue]:
     """The wire is long enough between its clamps, and the beam has room behind it at some turn of the bow."""
     first, last = chord(lines, grown(box, op.margin_mm * MM))
@@ -222,7 +223,7 @@ def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> Fl
 
 
 def check_holder(
-    op: Straight, setup: Setup, cuts: list[Cut], lines: Lines, segment: tuple[str, ...]
+    op: Straight, setup: Setup, cuts: list[Cut], lines: Lines, segment: tuple[Segment, ...]
 ) -> Iterator[Issue]:
     """No wire that cuts comes within the margin of the plate that holds the block, and what is cut free is
     what the plate holds."""
@@ -242,7 +243,7 @@ def check_holder(
         )
         return
     to_stock = inverse(setup.stock.grip) @ inverse(tool.tcp)
-    cutting = np.array([label.startswith("cut/") for label in segment])
+    cutting = np.array([one.kind == "cut" for one in segment])
     for shape in tool.shapes:
         own = inverse(to_stock @ shape.pose)
         local = Lines(transform(own, lines.start), transform(own, lines.end))

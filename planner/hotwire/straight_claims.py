@@ -56,7 +56,7 @@ def claims(
             low, high = op.kerf_range_mm
             out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
         feed = op.feed_min_mm_s * MM, op.feed(cut.cut)
-        out += [FeedWindow(cut.segment + way, *feed) for way in ("", "_in", "_out")]
+        out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
     stock = setup.stock
     if stock.held_by is not None and stock.mass is not None:
         middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
@@ -70,17 +70,17 @@ def slits(cuts: list[Cut]) -> tuple[SlitAllowed, ...]:
     for cut in cuts:
         if cut.start is None or cut.start.through <= THROUGH:
             continue
-        way = cut.start.way
-        for suffix, line, on in (
-            ("_in", cut.into[[-1]], cut.on.lines[[0]]),
-            ("_out", cut.out[[0]], cut.on.lines[[-1]]),
+        way, own = cut.start.way, cut.wanted.segment
+        for segment, line, on in (
+            (own.at("in"), cut.into[[-1]], cut.on.lines[[0]]),
+            (own.at("out"), cut.out[[0]], cut.on.lines[[-1]]),
         ):
             # the slit ends where the wire meets the surface
             start, end = (
                 at[0] + ((to[0] - at[0]) @ way) * way
                 for at, to in zip((line.start, line.end), (on.start, on.end), strict=True)
             )
-            out.append(SlitAllowed(cut.wanted.segment + suffix, start, end, way))
+            out.append(SlitAllowed(segment, start, end, way))
     return tuple(out)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.hotwire.straight_cut import Cut
-from planner.hotwire.straight_operation import Straight
+from planner.hotwire.straight_operation import Straight, SurfaceCut
 from planner.tooling import Bow
 from planner.units import DEG, MM
 
@@ -20,7 +20,7 @@ def exhibits(op: Straight, bow: Bow, cuts: list[Cut]) -> dict[str, Any]:
     """Exhibits by name, in the forms that the report knows."""
     out: dict[str, Any] = {"setup": _setup(op, bow), "cuts": _cuts(cuts)}
     for cut in cuts:
-        if not cut.wanted.name.startswith("trim_"):
+        if isinstance(cut.wanted.cut, SurfaceCut):
             out |= _along(op, cut)
     return out
 

@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from planner.hotwire.hot_wire import HotWireOperation
 from planner.problem import Stock
 from planner.schema import Angle, Far, Name, Strict
+from planner.segments import fold
 from planner.units import MM
 
 Side = Literal["left", "right", "front", "back", "bottom", "top"]
@@ -136,8 +137,12 @@ class Straight(HotWireOperation):
             if any(cut.feed_mm_s is not None and cut.feed_mm_s < self.feed_min_mm_s for cut in self.cuts):
                 raise ValueError("cuts: feed_mm_s of a cut must not be below feed_min_mm_s")
             names = self.segments
-            if len(set(names)) != len(names):
-                raise ValueError("cuts: each surface and each side is cut once")
+            if len({fold(name) for name in names}) != len(names):
+                raise ValueError(
+                    "cuts: each surface and each side is cut once, and no surface has the name of a side "
+                    "that is trimmed (trim_left; case and runs of underscores do not count); drop or rename "
+                    "one"
+                )
         return self
 
     @property

@@ -12,6 +12,7 @@ from planner.hotwire.straight_operation import SIDES, Straight, SurfaceCut, Trim
 from planner.hotwire.straight_section import depths
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
+from planner.segments import Segment, clash
 from planner.tooling import Bow
 from planner.units import MM
 
@@ -34,14 +35,26 @@ class Wanted:
     cut: SurfaceCut | TrimCut
 
     @property
-    def segment(self) -> str:
-        """Label of the targets on the surface; those of the ways in and out add ``_in`` and ``_out``."""
-        return f"cut/{self.name}"
+    def segment(self) -> Segment:
+        """The segment of the targets on the surface; the ways in and out are its other phases."""
+        return Segment("cut", self.name)
 
 
 def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim,
-    straight.lead."""
+    straight.lead, problem.duplicate_name."""
+    out = _listed(op, setup, part)
+    both = clash(one.segment for one in out)
+    if both is not None:
+        what = (
+            f"{op.name}: two surfaces are called {both[0].name!r} and {both[1].name!r}, which programs "
+            "cannot tell apart; rename one"
+        )
+        raise TandemError(Issue("problem.duplicate_name", what, field="part"))
+    return out
+
+
+def _listed(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     ruled = () if part is None else part.ruled
     if op.cuts == "all":
         if not ruled:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines, join
 from planner.hotwire.straight_links import AIR_STEP, link
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -26,12 +27,12 @@ STRAIGHT_ON: Final = 0.94
 class Route:
     """All wires of the job in order, pointing the same way along the wire all the time.
 
-    ``segment`` labels, ``stop`` (N,) where the motion stops, ``cut`` (N,) index of the cut on whose surface
+    ``segment``, ``stop`` (N,) where the motion stops, ``cut`` (N,) index of the cut on whose surface
     a wire is, -1 elsewhere, ``place`` (N,) its number there. ``ends`` {index of a cut: its last target}.
     """
 
     lines: Lines
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     stop: BoolArray
     cut: IntArray
     place: IntArray
@@ -41,48 +42,48 @@ class Route:
 def lay_out(cuts: list[Cut], box: FloatArray, clear: float, half: float, down: FloatArray) -> Route:
     """The route through all cuts; see :func:`planner.hotwire.straight_links.link` for the figures."""
     parts: list[Lines] = []
-    labels: list[str] = []
+    segments: list[Segment] = []
     stops: list[int] = []
     owner: list[IntArray] = []
     place: list[IntArray] = []
     ends: dict[int, int] = {}
 
-    def add(label: str, lines: Lines, cut: int = -1, first: int = 0) -> None:
+    def add(segment: Segment, lines: Lines, cut: int = -1, first: int = 0) -> None:
         """Lines of one segment; from number ``first`` on they are on the surface of a cut."""
         parts.append(lines)
-        labels.extend([label] * len(lines))
+        segments.extend([segment] * len(lines))
         on_it = np.arange(len(lines)) >= (first if cut >= 0 else len(lines))
         owner.append(np.where(on_it, cut, -1))
         place.append(np.where(on_it, np.arange(len(lines)) - first, -1))
 
     for number, cut in enumerate(cuts):
-        name = cut.wanted.segment
+        own = cut.wanted.segment
         into, on, out = cut.into, cut.on.lines, cut.out
         if parts and parts[-1].direction[-1] @ into.direction[0] < 0.0:  # the wire has no front end
             into, on, out = (Lines(x.end, x.start) for x in (into, on, out))
         if not parts:
-            add("approach", _lead(into, on)[::-1])
+            add(Segment("approach"), _lead(into, on)[::-1])
             stops.append(0)
         else:
-            first = len(labels) - 1
-            add("link", link(parts[-1][-1:], into[:1], box, clear, half, down))
+            first = len(segments) - 1
+            add(Segment("link"), link(parts[-1][-1:], into[:1], box, clear, half, down))
             stops += (first + _corners(join([parts[-2][-1:], parts[-1]]))).tolist()
-        stops.append(len(labels) - 1)
+        stops.append(len(segments) - 1)
         # the move that reaches the first wire beside the surface still belongs to the way in
-        add(f"{name}_in", join([into[1:], on[:1]]), number, len(into) - 1)
-        add(name, on[1:], number)
+        add(own.at("in"), join([into[1:], on[:1]]), number, len(into) - 1)
+        add(own, on[1:], number)
         place[-1] += 1
         if cut.turns:
-            stops.append(len(labels) + cut.turns - 1)
-        add(f"{name}_out", out)
-        ends[number] = len(labels) - 1
-        stops.append(len(labels) - 1)
+            stops.append(len(segments) + cut.turns - 1)
+        add(own.at("out"), out)
+        ends[number] = len(segments) - 1
+        stops.append(len(segments) - 1)
         last = out
-    add("retreat", _lead(last.reversed(), last.reversed()[1:])[1:])
-    stops.append(len(labels) - 1)
-    stop = np.zeros(len(labels), dtype=np.bool_)
+    add(Segment("retreat"), _lead(last.reversed(), last.reversed()[1:])[1:])
+    stops.append(len(segments) - 1)
+    stop = np.zeros(len(segments), dtype=np.bool_)
     stop[stops] = True
-    return Route(join(parts), tuple(labels), stop, np.concatenate(owner), np.concatenate(place), ends)
+    return Route(join(parts), tuple(segments), stop, np.concatenate(owner), np.concatenate(place), ends)
 
 
 def _corners(lines: Lines) -> IntArray:

@@ -72,7 +72,7 @@ def _beside(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -
                 f"{op.name}: {what} of {cut.wanted.segment} takes {depth / MM:.2f} mm off {other.name} at "
                 f"{_place(point)}; move the pieces apart, take a thinner slot"
                 + ("" if code == "straight.crossing" else " or give another lead"),
-                field=cut.wanted.segment,
+                field=str(cut.wanted.segment),
                 value=depth / MM,
                 limit=allowed / MM,
                 unit="mm",
@@ -117,7 +117,7 @@ def _own_side(op: Straight, cut: Cut) -> Iterator[Issue]:
         "straight.lead",
         f"{op.name}: the lead of {cut.wanted.segment} comes through the part, {depth / MM:.1f} mm below its "
         f"surface, to {_place(foot.start[0])}; give a lead on the outer side, or auto",
-        field=cut.wanted.segment,
+        field=str(cut.wanted.segment),
         value=depth / MM,
         limit=0.0,
         unit="mm",
@@ -148,7 +148,7 @@ def _through(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) 
                     f"{op.name}: the way {word} of {cut.wanted.segment} goes straight on through the part, "
                     f"into which it comes through {other.name} at {_place(place)}; make both one surface "
                     "with a corner, or move them apart",
-                    field=cut.wanted.segment,
+                    field=str(cut.wanted.segment),
                 )
                 return
 

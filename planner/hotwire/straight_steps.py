@@ -65,7 +65,7 @@ def check_drops(op: Straight, cuts: list[Cut], setup: Setup) -> Iterator[Issue]:
             f"{op.name}: what is above {cut.wanted.segment} drops by the slot of {slot:.1f} mm before "
             f"{cuts[later[0]].wanted.segment} is cut in it; set spacers: true, or cut it later",
             Severity.WARNING,
-            field=cut.wanted.segment,
+            field=str(cut.wanted.segment),
             value=slot,
             unit="mm",
         )

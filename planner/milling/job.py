@@ -17,6 +17,7 @@ from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.over import Over
 from planner.milling.values import Run
 from planner.problem import Mesh, Part, Setup
+from planner.segments import clash
 from planner.tooling import Cutter, Mill
 from planner.units import MM
 
@@ -70,7 +71,8 @@ class Job:
 
 
 def job(op: Milling, setup: Setup, part: Part | None) -> Job:
-    """The job, from the problem alone. Raises ``TandemError`` with the codes ``milling.*``."""
+    """The job, from the problem alone. Raises ``TandemError`` with the codes ``milling.*``, and
+    ``problem.duplicate_name``."""
     cutter = _cutter(op, setup)
     box = setup.stock.box
     faults: list[Issue] = []
@@ -95,7 +97,15 @@ def job(op: Milling, setup: Setup, part: Part | None) -> Job:
             faults += error.issues
     if faults:
         raise TandemError(faults)
-    return Job(op, cutter, tuple(done), _faces(op, part), box, tuple(notes))
+    whole = Job(op, cutter, tuple(done), _faces(op, part), box, tuple(notes))
+    both = clash(run.segment for run in whole.runs)
+    if both is not None:
+        what = (
+            f"{op.name}: two passes would be called {both[0].name!r} and {both[1].name!r}, which programs "
+            "cannot tell apart (passes of patterns, files and roughing are numbered); rename one of the cuts"
+        )
+        raise TandemError(Issue("problem.duplicate_name", what, field="operations.cuts"))
+    return whole
 
 
 def _cutter(op: Milling, setup: Setup) -> Cutter:

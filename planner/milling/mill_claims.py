@@ -15,6 +15,7 @@ from planner.milling.job import Done, Job
 from planner.milling.operation import FlankCut
 from planner.milling.route import ends
 from planner.milling.values import Run, ToolPath
+from planner.segments import Phase
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -36,11 +37,11 @@ def claims(job: Job) -> tuple[Claim, ...]:
         for run in one.runs:
             feed = _feed(job, one, run)
             fast = max(feed, op.rapid_mm_s * MM)
-            out.append(FeedWindow(f"mill/{run.name}_in", 0.0, max(feed, op.plunge_mm_s * MM)))
-            out.append(FeedWindow(f"mill/{run.name}", 0.0, feed))
-            out.append(FeedWindow(f"mill/{run.name}_out", 0.0, fast))
+            out.append(FeedWindow(run.segment.at("in"), 0.0, max(feed, op.plunge_mm_s * MM)))
+            out.append(FeedWindow(run.segment, 0.0, feed))
+            out.append(FeedWindow(run.segment.at("out"), 0.0, fast))
         out += _shape(job, one)
-        segments = tuple(f"mill/{run.name}" for run in one.runs)
+        segments = tuple(run.segment for run in one.runs)
         for face in job.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
@@ -67,32 +68,32 @@ def _shape(job: Job, one: Done) -> list[Claim]:
     if one.face is not None:
         # roughing passes leave the surface to the last one
         finish = one.runs[-1:] if isinstance(one.cut, FlankCut) else one.runs
-        segments = tuple(f"mill/{run.name}" for run in finish)
+        segments = tuple(run.segment for run in finish)
         mesh = (one.face.mesh.vertices, one.face.mesh.faces)
         out.append(MillsSurface(segments, op.arms[0], job.cutter, *mesh, one.tolerance, op.share))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
     for run in one.runs:
-        for way, (tip, axis, feed) in _ways(job, run).items():
-            out.append(MillsAlong(f"mill/{run.name}{way}", op.arms[0], tip, axis, feed, near, TURN))
+        for phase, (tip, axis, feed) in _ways(job, run).items():
+            out.append(MillsAlong(run.segment.at(phase), op.arms[0], tip, axis, feed, near, TURN))
     return out
 
 
-def _ways(job: Job, run: Run) -> dict[str, tuple[FloatArray, FloatArray, FloatArray]]:
+def _ways(job: Job, run: Run) -> dict[Phase, tuple[FloatArray, FloatArray, FloatArray]]:
     """Tips and axes (N, 3) of a pass with the feeds (N,) [m/s] on the way to each, and of the ways from the
-    safe plane and back to it, by what they add to its name: nothing else of the block is to be milled than
+    safe plane and back to it, by phase: nothing else of the block is to be milled than
     what lies along these."""
     path, main = run.path, _followed(run)
     start, end = ends(job.operation, run, job.box)
     plunge, rapid = job.operation.plunge_mm_s * MM, job.operation.rapid_mm_s * MM
     return {
-        "_in": (
+        "in": (
             np.concatenate([start[None], path.tip[: run.first + 1]]),
             np.concatenate([path.axis[:1], path.axis[: run.first + 1]]),
             np.concatenate([[plunge, plunge], path.feed[1 : run.first + 1]]),
         ),
         "": (main.tip, main.axis, np.concatenate([main.feed[1:2], main.feed[1:]])),
-        "_out": (
+        "out": (
             np.concatenate([path.tip[run.last :], end[None]]),
             np.concatenate([path.axis[run.last :], path.axis[-1:]]),
             np.concatenate([[rapid], path.feed[run.last + 1 :], [rapid]]),

@@ -113,7 +113,7 @@ def _actions(made: Job, route: Route) -> tuple[Action, ...]:
 def _between(made: Job, route: Route) -> Iterator[Action]:
     """What is asked on the safe plane between passes, with the spindle standing, and waits within them."""
     op = made.operation
-    starts = [i for i, label in enumerate(route.segment) if label in ("approach", "link")]
+    starts = [i for i, segment in enumerate(route.segment) if segment.kind in ("approach", "link")]
     for number, (run, start) in enumerate(zip(made.runs, starts, strict=True)):
         if run.before and number > 0:
             yield Action(start, "off", signal=op.signal)

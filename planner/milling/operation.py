@@ -10,6 +10,7 @@ from planner.milling.gcode_file import GCodeCut
 from planner.part_ruled_file import GuideFile
 from planner.problem import Stock
 from planner.schema import Angle, Name, Strict
+from planner.segments import fold
 
 Orient = Literal["best", "base"]
 SafeSide = Literal["top", "left", "right", "front", "back"]
@@ -161,9 +162,10 @@ class Milling(Strict):
     @model_validator(mode="after")
     def _names(self) -> Self:
         names = self.segments
-        if len({name.lower() for name in names}) != len(names):
+        if len({fold(name) for name in names}) != len(names):
             raise ValueError(
-                "cuts: each surface is cut once, and each pattern has a name of its own; rename or drop one"
+                "cuts: each surface is cut once, and each pattern has a name of its own, where case and runs "
+                "of underscores do not count; rename or drop one"
             )
         return self
 

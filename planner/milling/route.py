@@ -14,6 +14,7 @@ from planner.geometry.vectors import dots
 from planner.issues import Issue, TandemError
 from planner.milling.operation import Milling, SafeSide
 from planner.milling.values import Run
+from planner.segments import Segment
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Route:
     axis: FloatArray
     feed: FloatArray
     reach: FloatArray
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     stop: NDArray[np.bool_]
 
 
@@ -59,7 +60,7 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
     axes: list[FloatArray] = []
     feeds: list[FloatArray] = []
     reach: list[float] = []
-    labels: list[str] = []
+    segments: list[Segment] = []
     stops: list[NDArray[np.bool_]] = []
     rapid, plunge = op.rapid_mm_s * MM, op.plunge_mm_s * MM
     for number, run in enumerate(passes):
@@ -70,9 +71,9 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
         feeds += [np.array([rapid, plunge]), path.feed[1:], np.array([rapid])]
         reach += [0.0, *[run.reach] * count, 0.0]
         into, out = run.first + 1, count - 1 - run.last
-        labels += ["approach" if number == 0 else "link"]
-        labels += [f"mill/{run.name}_in"] * into + [f"mill/{run.name}"] * (run.last - run.first)
-        labels += [f"mill/{run.name}_out"] * (out + 1)
+        segments += [Segment("approach" if number == 0 else "link")]
+        segments += [run.segment.at("in")] * into + [run.segment] * (run.last - run.first)
+        segments += [run.segment.at("out")] * (out + 1)
         stops.append(np.concatenate([[True], _stops(path.tip), [True]]))
     # the way up of the last pass goes on as the retreat
     tip, axis = np.concatenate(tips), np.concatenate(axes)
@@ -82,7 +83,7 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
         np.concatenate([axis, axis[-1:]]),
         np.append(np.concatenate(feeds), rapid),
         np.array([*reach, 0.0]),
-        (*labels, "retreat"),
+        (*segments, Segment("retreat")),
         np.append(np.concatenate(stops), True),
     )
 

@@ -9,6 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.segments import Segment
+
 FloatArray = NDArray[np.float64]
 
 CUT: Final = "cut"
@@ -67,7 +69,7 @@ def joined(paths: Sequence[ToolPath]) -> ToolPath:
 class Run:
     """One pass of the cutter from where it comes down to where it is lifted off.
 
-    ``name`` is that of its segment without the kind. Rows up to ``first`` of ``path`` lead in, rows after
+    ``name`` is that of its segment. Rows up to ``first`` of ``path`` lead in, rows after
     ``last`` lead out; what is between cuts. ``reach`` [m]: how far behind the tip the cutter works, for the
     feed of its fastest point. ``before``: what the operator is asked before the pass, with the spindle
     standing. ``waits``: rows of ``path`` at which the tool waits, and how long [s]. ``follow``: the way that
@@ -82,6 +84,11 @@ class Run:
     before: str = ""
     waits: tuple[tuple[int, float], ...] = ()
     follow: ToolPath | None = None
+
+    @property
+    def segment(self) -> Segment:
+        """The segment of the moves that cut; those that lead in and out are its other phases."""
+        return Segment("mill", self.name)
 
 
 def plain_path(tip: FloatArray, axis: FloatArray, feed: float | FloatArray) -> ToolPath:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from planner.geometry.rigid import inverse
 from planner.geometry.vectors import dots
 from planner.motion.scene import Scene, holders
-from planner.targets import Targets, segment_kind
+from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -123,7 +123,7 @@ def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray
 def guarded(targets: Targets, samples: Dense) -> FloatArray:
     """Way (K - 1,) [m] of the guarded point to each sample but the first, in cuts; 0 elsewhere."""
     before = np.where(samples.move[1:] == samples.move[:-1], samples.share[:-1], 0.0)
-    cuts = np.array([segment_kind(label) == "cut" for label in targets.segment])
+    cuts = np.array([segment.kind == "cut" for segment in targets.segment])
     return np.asarray((targets.travel * cuts)[samples.move[1:]] * (samples.share[1:] - before))
 
 

@@ -17,7 +17,7 @@ from planner.cell.plant import CellModel
 from planner.geometry.rigid import interpolate, inverse, transform
 from planner.motion.chain import Chain
 from planner.problem import Cell, Settings
-from planner.targets import Targets, works
+from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
 
 FloatArray = NDArray[np.float64]
@@ -231,4 +231,4 @@ def holders(targets: Targets) -> list[tuple[str, str | None]]:
 
 def cutting(targets: Targets) -> NDArray[np.bool_]:
     """(N,) whether an edge works the stock on the move to each target."""
-    return np.array([works(label) for label in targets.segment], dtype=bool)
+    return np.array([segment.works for segment in targets.segment], dtype=bool)

@@ -16,7 +16,8 @@ from planner.motion.rrt import connect
 from planner.motion.scene import Scene
 from planner.motion.search import Found
 from planner.motion.subset import subset
-from planner.targets import Edge, Freedom, TableFreedom, Targets, segment_kind
+from planner.segments import Segment
+from planner.targets import Edge, Freedom, TableFreedom, Targets
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ def mend(scene: Scene, targets: Targets, found: Found) -> Targets | None:
     """
     ways: dict[int, list[FloatArray]] = {}
     for i in range(1, targets.count):
-        if segment_kind(targets.segment[i]) == TRANSIT and targets.coupled:
+        if targets.segment[i].kind == TRANSIT and targets.coupled:
             way = _Transit(scene, targets, found, i).way()
             if way:
                 ways[i] = way
@@ -140,10 +141,10 @@ class _Transit:
             ok[good] = self.scene.free(moved, {a: v[good] for a, v in q.items()}, np.arange(len(good)))
         return ok
 
-    def _moved(self, motions: FloatArray, label: str) -> Targets:
-        """Target i - 1 at motions (K, 4, 4), as targets of the segment ``label``."""
+    def _moved(self, motions: FloatArray, segment: Segment) -> Targets:
+        """Target i - 1 at motions (K, 4, 4), as targets of a segment."""
         rows = np.zeros(len(motions), dtype=np.intp)
-        return moved(subset(self.source, rows), motions, label)
+        return moved(subset(self.source, rows), motions, segment)
 
     def _search(self, goal: FloatArray) -> list[FloatArray] | None:
         """A way over x, y, z and yaw of the pair, found by trees from both ends."""
@@ -173,7 +174,7 @@ class _Transit:
         return corners
 
 
-def moved(targets: Targets, motions: FloatArray, label: str) -> Targets:
+def moved(targets: Targets, motions: FloatArray, segment: Segment) -> Targets:
     """Targets whose poses, tables and edge are moved by rigid motions (N, 4, 4) of the work frame."""
     edge = targets.edge
     if edge is not None:
@@ -184,7 +185,7 @@ def moved(targets: Targets, motions: FloatArray, label: str) -> Targets:
         pose={arm: motions @ pose for arm, pose in targets.pose.items()},
         freedoms=tuple(_moved_freedom(f, motions) for f in targets.freedoms),
         edge=edge,
-        segment=(label,) * len(motions),
+        segment=(segment,) * len(motions),
     )
 
 
@@ -212,7 +213,7 @@ def _insert(targets: Targets, ways: Mapping[int, list[FloatArray]]) -> Targets:
         motions.append(np.eye(4))
     index, added = np.array(rows, dtype=np.intp), np.array(new)
     owner = np.searchsorted(place, np.arange(len(rows)))
-    out = moved(subset(targets, index), np.array(motions), "")
+    out = moved(subset(targets, index), np.array(motions), targets.segment[0])
     edge = out.edge
     points = (
         edge.points if edge is not None else np.stack([out.pose[a][:, :3, 3] for a in targets.arms], axis=1)

@@ -96,8 +96,8 @@ def drifts(
             ways.append(np.concatenate([start[arm][None], position]))
         moved = change(ways[0], ways[1], meets)
         row = int(np.argmax(moved))
-        labels = next(iter(parts.values())).labels
-        out.append(Drift(operation.name, moved, float(moved[row]), row, labels[row]))
+        segments = next(iter(parts.values())).segments
+        out.append(Drift(operation.name, moved, float(moved[row]), row, segments[row]))
     return tuple(out)
 
 
@@ -108,7 +108,7 @@ def issues(job: Job) -> tuple[Issue, ...]:
             "post.handshake_drift",
             f"operation {drift.name}: {sentence(drift)}",
             Severity.NOTE,
-            target=f"{drift.label}, move {drift.row + 1}",
+            target=f"{drift.segment}, move {drift.row + 1}",
             value=drift.worst * 1e3,
             unit="mm",
             hint="meet at more moves (every), shorten the moves, or use one MultiMove controller",
@@ -121,6 +121,6 @@ def sentence(drift: Drift) -> str:
     """The drift in words."""
     return (
         "with one arm ahead of the other between two meetings the distance of the TCPs differs from the "
-        f"planned one by up to {drift.worst * 1e3:.3f} mm, at move {drift.row + 1} ({drift.label}); on half "
-        f"of the moves by {float(np.median(drift.change)) * 1e3:.3f} mm at most"
+        f"planned one by up to {drift.worst * 1e3:.3f} mm, at move {drift.row + 1} ({drift.segment}); on "
+        f"half of the moves by {float(np.median(drift.change)) * 1e3:.3f} mm at most"
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
 from planner.post.text import number, plain
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +54,13 @@ def name(text: str, length: int = NAME_LENGTH) -> str:
 def comment(text: str) -> list[str]:
     """Comment lines of plain text, wrapped."""
     return [f"; {line}" for line in textwrap.wrap(plain(text), 100)]
+
+
+def mark(segment: Segment) -> str:
+    """The label by which a comment says which segment begins; names that have more than letters, digits and
+    underscores as programs can tell them."""
+    label = str(segment)
+    return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
 
 
 def told(text: str) -> list[str]:

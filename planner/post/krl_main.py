@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.post import krl_handshake
 from planner.post.krl_data import Data
-from planner.post.krl_format import asked, comment, told
+from planner.post.krl_format import asked, comment, mark, told
 from planner.post.krl_moves import Lines
 from planner.post.krl_ptp import UNKNOWN, percent
 from planner.post.layout import Part
@@ -168,7 +168,7 @@ class Main:
             }
         for number, part in enumerate(parts):
             seconds = short(float(track.duration[part.first : part.last].sum()), 2)
-            out += comment(f"Segment {part.label}: {part.last - part.first} moves, {seconds} s.")
+            out += comment(f"Segment {mark(part.segment)}: {part.last - part.first} moves, {seconds} s.")
             for row in range(part.first, part.last):
                 out += lines.of(row, fresh=number == 0 and row == part.first)
                 out += [calls[row]] if row in calls else []

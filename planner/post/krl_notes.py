@@ -59,7 +59,7 @@ def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
         off = float(rows.turn[worst]) ** 2 / 16.0
         if off > TURN_OFF:
             count = int(np.sum(rows.turn**2 / 16.0 > TURN_OFF))
-            place = f"{operation.labels[worst]}, move {worst + 1}"
+            place = f"{operation.segments[worst]}, move {worst + 1}"
             message = (
                 f"operation {operation.name}: {count} moves of arm {task.arm.name} turn so far at once that "
                 f"a controller that swivels and rotates the tool may be {np.rad2deg(off):.2f} degrees off "

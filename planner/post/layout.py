@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.issues import Issue, TandemError
 from planner.post.program import Job, OperationProgram, Run, splittable
+from planner.segments import Segment
 
 IntArray = NDArray[np.int64]
 
@@ -23,7 +24,7 @@ _GRAIN = 200
 class Part:
     """Rows ``first`` to ``last`` - 1 of an operation's tracks, of one segment; ``module`` counts from 1."""
 
-    label: str
+    segment: Segment
     operation: int
     first: int
     last: int
@@ -60,7 +61,7 @@ def parts(
                 ):
                     out[-1] = dataclasses.replace(before, last=high)
                 else:
-                    out.append(Part(run.label, number, low, high, load.module))
+                    out.append(Part(run.segment, number, low, high, load.module))
     return tuple(out)
 
 
@@ -73,7 +74,7 @@ class _Load:
 
     def add(self, program: OperationProgram, first: int, last: int, sizes: IntArray) -> None:
         """Place a span of moves that must stay together; sets ``module``."""
-        segments = 1 + sum(program.labels[i] != program.labels[i - 1] for i in range(first + 1, last))
+        segments = 1 + sum(program.segments[i] != program.segments[i - 1] for i in range(first + 1, last))
         need = int(sizes.sum()) + self.frame * segments
         if last - first > self.max_moves or need + self.frame > self.max_bytes:
             got = f"operation {program.name}: {last - first} moves ({need} bytes) from target row {first} on"
@@ -107,7 +108,9 @@ def _spans(runs: Sequence[Run], program: OperationProgram, grain: int) -> list[t
     edges = [0]
     for row in np.flatnonzero(places).tolist():
         inside = (
-            program.meets[row] and row + 1 < len(places) and program.labels[row] == program.labels[row + 1]
+            program.meets[row]
+            and row + 1 < len(places)
+            and program.segments[row] == program.segments[row + 1]
         )
         if not inside or row + 1 - edges[-1] >= grain:
             edges.append(row + 1)

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from planner.catalogue import RobotData
 from planner.handshake import Handshake
 from planner.problem import Arm
-from planner.targets import Action, segment_kind
+from planner.segments import Segment
+from planner.targets import Action
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -110,10 +111,10 @@ class Track:
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """Rows ``first`` to ``last`` - 1 of the operation's track: one visit of the segment ``label``."""
+    """Rows ``first`` to ``last`` - 1 of the operation's track: one visit of ``segment``."""
 
     operation: int
-    label: str
+    segment: Segment
     first: int
     last: int
     synchronised: bool
@@ -137,7 +138,7 @@ class OperationProgram:
     ids: IntArray
     stop: BoolArray
     meets: IntArray
-    labels: tuple[str, ...]
+    segments: tuple[Segment, ...]
     steps: tuple[Step, ...]
 
 
@@ -160,14 +161,14 @@ class Drift:
 
     ``change`` (M,) [m] of the moves: the most by which the distance of the TCPs may differ from the planned
     one in the interval between meetings that the move belongs to. ``worst`` [m] at the move ``row``, of the
-    segment ``label``.
+    ``segment``.
     """
 
     name: str
     change: FloatArray
     worst: float
     row: int
-    label: str
+    segment: Segment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,6 +201,6 @@ def splittable(program: OperationProgram) -> BoolArray:
     wire would wait, and where the arms meet anyway."""
     out = program.stop.copy()
     for i in np.flatnonzero(out[:-1] & (program.meets[:-1] == 0)):
-        inside = program.labels[i] == program.labels[i + 1] and segment_kind(program.labels[i]) == "cut"
+        inside = program.segments[i] == program.segments[i + 1] and program.segments[i].kind == "cut"
         out[i] = not inside
     return out

@@ -270,7 +270,7 @@ class _Task:
         seconds = (
             short(float(operation.track.duration[rows].sum()), 2) if operation.track is not None else "0"
         )
-        body = comment(f"Segment {part.label}: {part.last - part.first} moves, {seconds} s.")
+        body = comment(f"Segment {part.segment}: {part.last - part.first} moves, {seconds} s.")
         moves = self.moves[part.operation][rows]
         if self.partner is not None:
             calls = [rapid_handshake.call(self.partner, number) for number in operation.meets[rows].tolist()]

@@ -37,6 +37,7 @@ from planner.post.program import (
     Track,
 )
 from planner.problem import Arm, Problem, Settings, Setup
+from planner.segments import Segment
 from planner.targets import Action, Targets
 
 MAX_TASKS = 2
@@ -133,7 +134,7 @@ class _Builder:
             arm: _track(plan, arms[arm], frames[arm], keep, stop, duration, *written[arm])
             for arm in targets.arms
         }
-        labels = tuple(targets.segment[i] for i in keep)
+        segments = tuple(targets.segment[i] for i in keep)
         self.steps = {arm: [] for arm in self.arms}
         self._meet(f"all tasks are ready for operation {plan.name}")
         homes = {arm: arms[arm].home for arm in self.arms}
@@ -151,7 +152,7 @@ class _Builder:
             from_home = number > 0 or opened
             self._alone(arm, steps[1:] if from_home else steps, f"{arm} stands at its first target")
         self._actions(targets, -1, keep)
-        self._blocks(number, targets, keep, labels, meets, duration)
+        self._blocks(number, targets, keep, segments, meets, duration)
         for arm in reversed(plan.order):
             steps = _joints((plan.q[arm][-1], *plan.exit[arm], homes[arm]), "exit")
             self._alone(arm, steps[1:], f"{arm} is home again")
@@ -165,7 +166,7 @@ class _Builder:
                 ids,
                 stop,
                 meets,
-                labels,
+                segments,
                 tuple(self.steps[arm]),
             )
             for arm in self.arms
@@ -202,7 +203,7 @@ class _Builder:
         number: int,
         targets: Targets,
         keep: IntArray,
-        labels: Sequence[str],
+        segments: Sequence[Segment],
         meets: IntArray,
         duration: FloatArray,
     ) -> None:
@@ -213,7 +214,7 @@ class _Builder:
         for first, last in itertools.pairwise(edges):
             if together:
                 self.blocks += 1
-            runs = _runs(number, labels, first, last, together)
+            runs = _runs(number, segments, first, last, together)
             for arm in targets.arms:
                 self.steps[arm] += [SyncOn(self.blocks), *runs, SyncOff(self.blocks)] if together else runs
             marked = np.flatnonzero(meets[first:last]) + first
@@ -224,9 +225,9 @@ class _Builder:
             self._actions(targets, last - 1, keep)
 
 
-def _runs(number: int, labels: Sequence[str], first: int, last: int, together: bool) -> list[Run]:
-    edges = [first, *(i for i in range(first + 1, last) if labels[i] != labels[i - 1]), last]
-    return [Run(number, labels[a], a, b, together) for a, b in itertools.pairwise(edges)]
+def _runs(number: int, segments: Sequence[Segment], first: int, last: int, together: bool) -> list[Run]:
+    edges = [first, *(i for i in range(first + 1, last) if segments[i] != segments[i - 1]), last]
+    return [Run(number, segments[a], a, b, together) for a, b in itertools.pairwise(edges)]
 
 
 def _joints(stations: Sequence[FloatArray], place: str) -> list[Step]:
@@ -375,13 +376,13 @@ def _track(
 ) -> Track:
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
-    labels = [plan.targets.segment[i] for i in keep]
+    segments = [plan.targets.segment[i] for i in keep]
     room = corners.room(
         position[stations],
         quaternion[stations],
         duration,
         stop,
         corners.levers(plan.targets, arm.name, arm.tool),
-        corners.deviations(plan.targets, labels),
+        corners.deviations(plan.targets, segments),
     )
     return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

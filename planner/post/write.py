@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, krl, krl_notes, languages, rapid
+from planner.post import handshake_drift, krl, krl_notes, languages, names, rapid
 from planner.post.handshake import refusals as refused
 from planner.post.program import Job
 from planner.post.steps import build
@@ -28,7 +28,11 @@ def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = N
 def refusals(problem: Problem, targets: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why no program can be written for these targets, one an operation, however they are planned."""
     alone = problem.cell.controller.sync == "handshake"
-    return (*languages.refusals(problem, targets), *(refused(problem, targets) if alone else ()))
+    return (
+        *languages.refusals(problem, targets),
+        *names.refusals(problem, targets),
+        *(refused(problem, targets) if alone else ()),
+    )
 
 
 def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:

@@ -24,7 +24,7 @@ from planner.claims import CutsSurface, FeedWindow, WireJoins
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report.charts import Band
-from planner.targets import segment_kind
+from planner.segments import Segment
 from planner.units import MM
 from planner.verify.result import Proof
 
@@ -126,11 +126,11 @@ def motion(problem: Problem, plan: Plan, proof: Proof | None) -> Motion:
     starts = operation_starts(plan)
     arms = _proven(problem, series)
     if arms:
-        bands = _bands(tuple(str(v) for v in series.get("label", ())), np.asarray(series["time"]))
+        bands = _bands([Segment.read(str(v)) for v in series.get("label", ())], np.asarray(series["time"]))
         feed = _proven_feed(plan, series)
         source = "replayed from the programs' text, from home to home"
-        named = {label.lower() for op in plan.operations for label in op.targets.segment}
-        work = tuple((band.start, band.end) for band in bands if band.name.lower() in named)
+        named = {segment.key for op in plan.operations for segment in op.targets.segment}
+        work = tuple((band.start, band.end) for band in bands if band.name in named)
         return Motion(arms, _clearance(series), feed, _wires(plan, series), bands, source, work, _gap(series))
     rows = [_bands(op.targets.segment, op.time + t) for op, t in zip(plan.operations, starts, strict=True)]
     bands = tuple(band for row in rows for band in row)
@@ -237,11 +237,11 @@ def _wires(plan: Plan, series: Mapping[str, Any]) -> tuple[WireMotion, ...]:
 def _proven_feed(plan: Plan, series: Mapping[str, Any]) -> Feed:
     """Speeds of the wires' fastest points inside the stock, with the windows that the claims state."""
     windows = {
-        c.segment.lower(): c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
+        c.segment.key: c for op in plan.operations for c in op.targets.claims if isinstance(c, FeedWindow)
     }
     rows = []
     for n in _numbers(series, "feed"):
-        labels = [str(v).lower() for v in series[f"wire/{n}/label"]]
+        labels = [str(v) for v in series[f"wire/{n}/label"]]
         lower = np.array([windows[v].lower if v in windows else np.nan for v in labels])
         upper = np.array([windows[v].upper if v in windows else np.nan for v in labels])
         rows.append(np.stack([series[f"wire/{n}/time"], series[f"wire/{n}/feed"], lower, upper]))
@@ -261,11 +261,11 @@ def _feed(plan: Plan, starts: list[float]) -> Feed:
     return Feed(*joined)
 
 
-def _bands(labels: tuple[str, ...], time: FloatArray) -> tuple[Band, ...]:
-    """Runs of equal labels (T,); a label belongs to the way to its instant."""
-    count = min(len(labels), len(time))
-    first = [i for i in range(1, count) if i == 1 or labels[i] != labels[i - 1]]
+def _bands(segments: Sequence[Segment], time: FloatArray) -> tuple[Band, ...]:
+    """Runs of one segment of T; it belongs to the way to its instant."""
+    count = min(len(segments), len(time))
+    first = [i for i in range(1, count) if i == 1 or segments[i] != segments[i - 1]]
     return tuple(
-        Band(float(time[a - 1]), float(time[b - 1]), labels[a], segment_kind(labels[a]))
+        Band(float(time[a - 1]), float(time[b - 1]), str(segments[a]), segments[a].kind)
         for a, b in itertools.pairwise([*first, count])
     )

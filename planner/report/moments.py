@@ -14,7 +14,6 @@ from planner.problem import Mesh, Problem, Setup
 from planner.report import cell_picture, scene, standing, sweep
 from planner.report.cell_picture import Moment, Picture
 from planner.report.replay3d import LEFT
-from planner.targets import works
 
 FloatArray = NDArray[np.float64]
 SHARE = 0.62
@@ -65,14 +64,14 @@ def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Mo
 
 
 def _cuts(operation: OperationPlan) -> list[NDArray[np.intp]]:
-    """Rows of each run of equal labels of work."""
-    labels = operation.targets.segment
-    cut = np.array([works(label) for label in labels])
+    """Rows of each run of one segment of work."""
+    segments = operation.targets.segment
+    cut = np.array([segment.works for segment in segments])
     starts = np.flatnonzero(
-        cut & np.array([i == 0 or labels[i] != labels[i - 1] for i in range(len(labels))])
+        cut & np.array([i == 0 or segments[i] != segments[i - 1] for i in range(len(segments))])
     )
     return [
-        np.arange(a, next((i for i in range(a, len(labels)) if labels[i] != labels[a]), len(labels)))
+        np.arange(a, next((i for i in range(a, len(segments)) if segments[i] != segments[a]), len(segments)))
         for a in starts
     ]
 

@@ -61,7 +61,8 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
 def _verdict(proof: Proof) -> str:
     """The proof as JSON: verdict, rules, issues, faces without their points."""
     faces = [
-        {k: v for k, v in vars(face).items() if not isinstance(v, np.ndarray)} for face in proof.surfaces
+        {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
+        for face in proof.surfaces
     ]
     found = aggregate(proof.issues)
     data = {

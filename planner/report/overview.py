@@ -97,7 +97,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
         shown = sorted(proof.surfaces, key=lambda f: f.share - f.wanted_share)
         for face in shown[:MOST_FACES]:
             low = face.share < face.wanted_share
-            out.append(_tile(f"{face.segment} within tolerance", f"{100 * face.share:.1f}", "%", low))
+            out.append(_tile(f"{face.title} within tolerance", f"{100 * face.share:.1f}", "%", low))
         held = sum(rule.passed for rule in proof.rules)
         if proof.rules:
             out.append(_tile("rules held", f"{held}", f"of {len(proof.rules)}", held < len(proof.rules)))

@@ -59,12 +59,12 @@ def render(
         sections.append(markup.section("cell", "Cell", *shown))
     if proof is not None and proof.surfaces:
         ruled = {
-            claim.segment.lower(): (claim.start, claim.end)
+            claim.segment.key: (claim.start, claim.end)
             for operation in (plan.operations if plan is not None else ())
             for claim in operation.targets.claims
             if isinstance(claim, FollowsRulings)
         }
-        faces = "".join(verdicts.face(face, ruled.get(face.segment.lower())) for face in proof.surfaces)
+        faces = "".join(verdicts.face(face, ruled.get(face.segment.key)) for face in proof.surfaces)
         sections.append(markup.section("part", "Simulated part against the wanted one", faces))
     sections += drawn
     if problem is not None and plan is not None and plan.operations:

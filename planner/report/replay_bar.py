@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.report.track import Track
-from planner.targets import segment_kind
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 _COLOURS: Final = {
@@ -113,7 +113,7 @@ def bar(name: str, run: Track, clock: Clock = ()) -> str:
     end = float(max(time[-1], 1e-3))
     data = {
         "end": round(end, 3),
-        "segments": _segments(time, run.segment),
+        "segments": [(a, b, str(one), colour) for a, b, one, colour in _segments(time, run.segment)],
         "clock": [(round(a, 3), round(b, 3)) for a, b in clock],
         "stops": [(round(at - float(run.time[0]), 3), text) for at, text in run.stops],
     }
@@ -135,16 +135,17 @@ def bar(name: str, run: Track, clock: Clock = ()) -> str:
 
 
 def clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
-    """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done, leads to the
-    replay's: what has the same label in both begins and ends together, and so does the whole.
+    """How the programs' clock, ``time`` (S,) [s] with the ``labels`` (S,) of what is done (keys of
+    segments), leads to the replay's: what has the same label in both begins and ends together, and so does
+    the whole.
 
     The replay shows the ways from and to home at a pace of its own, so the clocks differ by more than a
     shift.
     """
-    shown = [(label, a, b) for a, b, label, _ in _segments(run.time - run.time[0], run.segment)]
+    shown = [(one, a, b) for a, b, one, _ in _segments(run.time - run.time[0], run.segment)]
     out: list[tuple[float, float]] = []
     for label, first, last in _runs(labels):
-        found = next((i for i, one in enumerate(shown) if one[0] == label), None)
+        found = next((i for i, one in enumerate(shown) if one[0].key == label), None)
         if found is not None:
             _, start, end = shown[found]
             shown = shown[found + 1 :]
@@ -164,13 +165,13 @@ def _runs(labels: Sequence[str]) -> list[tuple[str, int, int]]:
     ]
 
 
-def _segments(time: np.ndarray, labels: tuple[str, ...]) -> list[tuple[float, float, str, str]]:
-    """Runs of equal labels: start, end, label, colour; a label belongs to the way to its keyframe."""
-    out: list[tuple[float, float, str, str]] = []
-    for i in range(1, len(labels)):
+def _segments(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[float, float, Segment, str]]:
+    """Runs of one segment: start, end, segment, colour; it belongs to the way to its keyframe."""
+    out: list[tuple[float, float, Segment, str]] = []
+    for i in range(1, len(segments)):
         a, b = round(float(time[i - 1]), 3), round(float(time[i]), 3)
-        if out and out[-1][2] == labels[i]:
+        if out and out[-1][2] == segments[i]:
             out[-1] = (out[-1][0], b, *out[-1][2:])
         else:
-            out.append((a, b, labels[i], _COLOURS.get(segment_kind(labels[i]), _OTHER)))
+            out.append((a, b, segments[i], _COLOURS.get(segments[i].kind, _OTHER)))
     return out

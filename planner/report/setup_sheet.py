@@ -19,7 +19,6 @@ from planner.report import exhibits, markup, standing
 from planner.report.inputs import kerf_range, operation_starts
 from planner.report.markup import Raw
 from planner.report.setup_tables import block, measure, tools
-from planner.targets import segment_kind
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -142,7 +141,7 @@ def _straight(wire: StraightWire) -> list[tuple[object, object]]:
 def _cutting(operation: OperationPlan) -> list[tuple[object, object]]:
     """Range of speeds in the foam, and of the kerf that they make."""
     claims = operation.targets.claims
-    windows = [c for c in claims if isinstance(c, FeedWindow) and segment_kind(c.segment) == "cut"]
+    windows = [c for c in claims if isinstance(c, FeedWindow) and c.segment.kind == "cut"]
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     out: list[tuple[object, object]] = []
     if windows:

@@ -14,7 +14,7 @@ from planner.geometry.rigid import inverse, transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import standing
-from planner.targets import segment_kind, works
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,7 +23,7 @@ PACE: Final = 0.25
 """Share of the joint speed limits at which the replay shows entry and exit, which have no clock."""
 PAUSE: Final = 2.0
 """Time [s] for which the replay shows a change of setup, half of it before and half of it after."""
-SETUP: Final = "setup"
+SETUP: Final = Segment("setup")
 """Segment of a replay in which the operator changes the setup."""
 FRAME: Final = 0.01
 """Time [s] in which things change place between two setups."""
@@ -41,7 +41,7 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """Keyframes: ``time`` (T,) [s] ascending; ``q`` {arm: (T, 6)}; ``segment`` (T,) labels; ``stops``: time,
+    """Keyframes: ``time`` (T,) [s] ascending; ``q`` {arm: (T, 6)}; ``segment`` (T,); ``stops``: time,
     text.
 
     ``setup`` (T,) counts from 0; ``block`` (T, 4, 4) is the stock's pose in the world. ``wire`` (T, P, 3) in
@@ -51,7 +51,7 @@ class Track:
 
     time: FloatArray
     q: Mapping[str, FloatArray]
-    segment: tuple[str, ...]
+    segment: tuple[Segment, ...]
     setup: IntArray
     block: FloatArray
     wire: FloatArray | None
@@ -68,7 +68,7 @@ class _Rows:
     time: list[FloatArray]
     q: dict[str, list[FloatArray]]
     wire: list[FloatArray]
-    segment: list[str]
+    segment: list[Segment]
     operation: list[int]
     stops: list[tuple[float, str]]
 
@@ -86,11 +86,11 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
         setup = setups[standing.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
             _change(rows, setup, index, here)
-        here = _alone(rows, problem, index, operation.entry, operation.order, here, "entry")
+        here = _alone(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
         here = _work(rows, setup, plan, index, operation, here)
-        here = _alone(rows, problem, index, operation.exit, operation.order[::-1], here, "exit")
+        here = _alone(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
     if not rows.time:
-        _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, ("home",))
+        _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
     pick = _keys(time, rows.segment, keys)
     return _sampled(rows, time, pick, problem, plan)
@@ -116,7 +116,7 @@ def _alone(
     paths: Mapping[str, FloatArray],
     order: tuple[str, ...],
     here: dict[str, FloatArray],
-    label: str,
+    segment: Segment,
 ) -> dict[str, FloatArray]:
     """The arms' own ways, one after the other, at a modest pace."""
     for name in order:
@@ -128,7 +128,7 @@ def _alone(
         step = np.max(np.abs(np.diff(path, axis=0)) / (PACE * robot.velocity), axis=1)
         time = rows.end() + np.concatenate([[0.0], np.cumsum(step)])
         q = {**{a: q[None] for a, q in here.items()}, name: path}
-        _append(rows, index, time, q, None, (label,) * len(time))
+        _append(rows, index, time, q, None, (segment,) * len(time))
         here = {**here, name: path[-1]}
     return here
 
@@ -180,7 +180,7 @@ def _append(
     time: FloatArray,
     q: Mapping[str, FloatArray],
     wire: FloatArray | None,
-    segment: tuple[str, ...],
+    segment: tuple[Segment, ...],
 ) -> None:
     count = len(time)
     rows.time.append(time)
@@ -191,11 +191,11 @@ def _append(
     rows.operation += [index] * count
 
 
-def _keys(time: FloatArray, labels: Sequence[str], keys: int) -> FloatArray:
+def _keys(time: FloatArray, segments: Sequence[Segment], keys: int) -> FloatArray:
     """Times of the keyframes: most at equal steps, the rest at rows outside the work, which pass quickly."""
     even = np.linspace(time[0], time[-1], max(2, int(0.6 * keys)))
-    working = np.array([works(label) for label in labels])
-    still = np.array([label == SETUP for label in labels])
+    working = np.array([segment.works for segment in segments])
+    still = np.array([segment == SETUP for segment in segments])
     change = np.flatnonzero(working[1:] != working[:-1])
     rest = np.flatnonzero(~working)
     rest = rest[:: max(1, -(-len(rest) // max(1, int(0.35 * keys))))]
@@ -216,7 +216,7 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
 
     q = {arm: mix(np.concatenate(parts)) for arm, parts in rows.q.items()}
     nearest = np.where(share > 1e-9, right, left)
-    labels = tuple(rows.segment[i] for i in nearest)
+    segments = tuple(rows.segment[i] for i in nearest)
     operation = np.array(rows.operation)[nearest]
     index = np.array([standing.setup_index(problem, i) for i in range(len(plan.operations))] or [0])
     setup = index[operation]
@@ -227,9 +227,9 @@ def _sampled(rows: _Rows, time: FloatArray, pick: FloatArray, problem: Problem, 
         block[own] = standing.block(problem.setups[k], plan.places[k], plan.bases, held)
     wire = mix(np.concatenate(rows.wire))
     shown = np.asarray(np.isfinite(wire).all(axis=(1, 2)), dtype=np.bool_)
-    sweeps = _sweeps(problem, plan, q, labels, operation, wire, block)
+    sweeps = _sweeps(problem, plan, q, segments, operation, wire, block)
     edges = [op.targets.edge for op in plan.operations if op.targets.edge is not None]
-    base = (pick, q, labels, setup, block)
+    base = (pick, q, segments, setup, block)
     if not edges or not shown.any():
         return Track(*base, None, np.zeros(len(pick), dtype=bool), 0.0, tuple(rows.stops), sweeps)
     # A hidden wire waits where it is next or was last seen, so that nothing flies in from afar.
@@ -242,13 +242,13 @@ def _sweeps(
     problem: Problem,
     plan: Plan,
     q: Mapping[str, FloatArray],
-    labels: tuple[str, ...],
+    segments: tuple[Segment, ...],
     operation: IntArray,
     wire: FloatArray,
     block: FloatArray,
 ) -> tuple[Sweep, ...]:
     """For each operation and each run of keyframes that cut, with the keyframe before it."""
-    cutting = np.array([segment_kind(label) == "cut" for label in labels])
+    cutting = np.array([segment.kind == "cut" for segment in segments])
     out = []
     for index, made in enumerate(plan.operations):
         own = np.flatnonzero(cutting & (operation == index))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from planner.issues import Issue, Severity
 from planner.report import heatmap, markup
 from planner.report.markup import Raw
-from planner.targets import segment_kind
 from planner.units import MM
 from planner.verify.result import CutFace, RuleResult
 
@@ -78,7 +77,7 @@ def rules(results: Sequence[RuleResult]) -> Raw:
 def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Raw:
     """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
-    tool, words = _WORDS.get(segment_kind(cut.segment), ("wire", heatmap.CUT))
+    tool, words = _WORDS.get(cut.segment.kind, ("wire", heatmap.CUT))
     items = [
         (f"within {_allowed(cut)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),
@@ -93,7 +92,7 @@ def face(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> 
         cut.points,
         cut.deviation,
         cut.tolerance,
-        Raw(f"Simulated less wanted: {markup.text(cut.segment)}{tag}"),
+        Raw(f"Simulated less wanted: {markup.text(cut.title)}{tag}"),
         rulings,
         words,
     )

@@ -166,15 +166,17 @@ class Context:
         return np.asarray(self.spans.of_stage[self.motion.stage])
 
     @cached_property
-    def of_segment(self) -> dict[str, int]:
-        """Index of the setup that claims a segment."""
+    def _setup_of(self) -> dict[int, int]:
         return {
-            claim.segment.lower(): index
+            id(claim): index
             for index, setup in enumerate(self.setup_claims)
             for group in setup.groups
             for claim in group
-            if isinstance(claim, CutsSurface | FollowsRulings | KerfWithin | FeedWindow)
         }
+
+    def setup_of(self, claim: Claim) -> int:
+        """Index of the setup whose operation has a claim: two setups may work on one segment."""
+        return self._setup_of[id(claim)]
 
     def stock(self, index: int) -> Stock:
         """The block as setup ``index`` finds it."""

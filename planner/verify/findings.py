@@ -43,7 +43,7 @@ def at_node(code: str, message: str, motion: Motion, arm: str, node: int) -> Iss
         index=node,
         target=f"ID {ident}" if ident else None,
         line=int(motion.node_line[arm][node]) or None,
-        field=motion.node_label[node],
+        field=str(motion.node_segment[node]),
         time=float(motion.time[motion.node_sample[node]]),
     )
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from planner.claims import Claim, FollowsPoses
 from planner.claims_forming import FormsSheet, SheetState, ToolGap
+from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_track import Pieces, Track, pieces, track
-from planner.verify.setups import FORMING_WAYS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -126,9 +126,9 @@ class Forming:
         """All gaps that are claimed; without knots where the arms never form the segment together."""
         return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
 
-    def of(self, segment: str) -> Formed | None:
+    def of(self, segment: Segment) -> Formed | None:
         """The pass of a segment, None where its tools follow poses without a face."""
-        return next((one for one in self.formed if one.claim.segment.lower() == segment.lower()), None)
+        return next((one for one in self.formed if one.claim.segment.key == segment.key), None)
 
     @cached_property
     def states(self) -> tuple[tuple[int, SheetState], ...]:
@@ -138,7 +138,7 @@ class Forming:
     @cached_property
     def gapped(self) -> frozenset[str]:
         """Segments in which two tools hold the sheet between them."""
-        return frozenset(claim.segment.lower() for _, claim in self.by_setup if isinstance(claim, ToolGap))
+        return frozenset(claim.segment.key for _, claim in self.by_setup if isinstance(claim, ToolGap))
 
     @cached_property
     def labels(self) -> frozenset[str]:
@@ -146,11 +146,11 @@ class Forming:
         led = {claim.arm for _, claim in self.by_setup if isinstance(claim, FollowsPoses)}
         names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet)]
         names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
-        return frozenset(name.lower() + way for name in names for way in FORMING_WAYS)
+        return frozenset(way.key for name in names for way in name.ways)
 
-    def _track(self, segment: str, index: int, arms: tuple[str, ...]) -> Track:
+    def _track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
         """The track of a segment, worked out once."""
-        key = (segment.lower(), index, arms)
+        key = (segment.key, index, arms)
         if key not in self._tracks:
             self._tracks[key] = track(self.context, segment, index, arms)
         return self._tracks[key]

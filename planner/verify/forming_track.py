@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from planner.geometry.rigid import inverse
 from planner.geometry.vectors import dots, lengths
+from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.poses import Poses
-from planner.verify.setups import FORMING_WAYS
 from planner.verify.speed import during
 
 FloatArray = NDArray[np.float64]
@@ -46,13 +46,12 @@ class Track:
         return _turned(self.back, self.poses[column].z[self.rows])
 
 
-def track(context: Context, segment: str, index: int, arms: tuple[str, ...]) -> Track:
+def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
     """The track of a segment in setup ``index``; no rows where the programs have none, or an arm is
     missing."""
     motion = context.motion
-    labels = np.asarray([label.lower() for label in motion.node_label])
-    own = np.isin(labels, [segment.lower()])
-    chosen = np.isin(labels, [segment.lower() + way for way in FORMING_WAYS])
+    own = motion.node_label == segment.key
+    chosen = np.isin(motion.node_label, [way.key for way in segment.ways])
     rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
     if any(arm not in motion.tcp for arm in arms):
         rows = rows[:0]

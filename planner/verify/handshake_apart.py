@@ -145,7 +145,7 @@ def _drifts(context: Context, found: Intervals) -> tuple[list[Issue], float, flo
     for index, setup in enumerate(context.setup_claims):
         here = context.spans.of_stage[found.stage] == index
         for claim in (c for group in setup.groups for c in group if isinstance(c, ToolGap)):
-            rows = np.flatnonzero(here & (labels == claim.segment.lower()))
+            rows = np.flatnonzero(here & (labels == claim.segment.key))
             limits += [claim.handshake] if len(rows) else []
             over = rows[change[rows] > claim.handshake]
             for k in over[np.argsort(-change[over])][:_SHOWN].tolist():
@@ -278,8 +278,8 @@ def _forming(context: Context, index: int, found: Intervals) -> NDArray[np.bool_
     motion, setup = context.motion, context.setup_claims[index]
     names = frozenset.intersection(*(setup.forms(task.arm.name) for task in context.job.tasks))
     claims = (c for group in setup.groups for c in group)
-    names |= {c.segment.lower() for c in claims if isinstance(c, ToolGap)}
-    other = np.array([label.lower() not in names for label in motion.node_label], dtype=np.int64)
+    names |= {c.segment.key for c in claims if isinstance(c, ToolGap)}
+    other = np.isin(motion.node_label, sorted(names), invert=True).astype(np.int64)
     count = np.concatenate([[0], np.cumsum(other)])
     first, last = motion.node[np.minimum(found.first + 1, found.last)], motion.node[found.last]
     return np.asarray(count[last + 1] == count[first])

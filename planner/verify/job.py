@@ -251,19 +251,3 @@ def _lone_stages(task: TaskText, asked: set[str]) -> tuple[Stage, ...]:
         else:
             last.append(step)
     return tuple(Stage(inside, ident, {task.name: tuple(steps)}) for inside, ident, steps in stages)
-
-
-_LABEL = re.compile(
-    r"^(mount|unmount|transit|approach|cut|form|mill|link|retreat|entry|exit|lead)(?:_([^_].*?))?(?:__\d+)?$",
-    re.I,
-)
-
-
-def label(procedure: str) -> str:
-    """Segment label of a procedure's name: ``cut_front`` is ``cut/front``, and so is ``cut_front__2``, its
-    second visit; other names are taken as they are."""
-    found = _LABEL.match(procedure)
-    if found is None:
-        return procedure.lower()
-    kind, name = found.group(1).lower(), found.group(2)
-    return f"{kind}/{name.lower()}" if name else kind

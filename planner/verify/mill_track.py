@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
+from planner.segments import Segment
 from planner.tooling import Cutter, Mill
 from planner.verify.context import Context
 from planner.verify.mill_follow import Followed, follow, looks
@@ -24,8 +25,6 @@ BoolArray = NDArray[np.bool_]
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
 
-WAYS = ("", "_in", "_out")
-"""What the moves that mill, the way down onto the block and the way off it add to a segment's name."""
 FINEST = 0.4e-3
 """Places of a face are no nearer to one another than this [m]; their number is bounded by ``MOST``."""
 MOST = 240_000
@@ -103,10 +102,10 @@ class Milling:
     @cached_property
     def labels(self) -> frozenset[str]:
         """Labels of all moves in which a face is spared, a surface made or a curve followed."""
-        names: list[str] = []
+        names: list[Segment] = []
         for _, claim in self.by_setup:
             names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
-        return frozenset(name.lower() + way for name in names for way in WAYS)
+        return frozenset(way.key for name in names for way in name.ways)
 
     def mounted(self, index: int, arm: str) -> Cutter | None:
         """The cutter of the tool on ``arm`` in setup ``index``."""
@@ -124,7 +123,7 @@ class Milling:
         return self._places[key]
 
     def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
-        """The track of ``arm`` in setup ``index`` on moves of these labels, in lower case."""
+        """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""
         key = (index, arm, labels)
         if key not in self._tracks:
             self._tracks[key] = self._track(*key)
@@ -134,7 +133,7 @@ class Milling:
         """How the claimed way is followed at those samples of its track whose rows come first; None where the
         track has none."""
         key = (index, id(claim))  # claims live as long as this does
-        track = self.track(index, claim.arm, (claim.segment.lower(),))
+        track = self.track(index, claim.arm, (claim.segment.key,))
         if key not in self._followed and len(track.rows):
             some = looks(track.tip, track.axis, claim.tolerance)
             self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
@@ -149,7 +148,7 @@ class Milling:
 
     def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         context, motion = self.context, self.context.motion
-        names = np.asarray([label.lower() for label in motion.node_label])
+        names = motion.node_label
         chosen = np.isin(names, labels)[motion.node] & (context.sample_setup == index)
         rows = np.flatnonzero(during(chosen))
         if arm not in motion.tcp or not len(rows):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.segments import Segment
 from planner.verify.poses import Poses
 from planner.verify.steps import Step
 
@@ -34,9 +36,9 @@ class Motion:
 
     Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
     {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
-    sample at which the move ends, ``node_label``, ``node_stop``, ``node_stage``, ``node_ids``, ``node_line``
-    {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm has no such
-    target).
+    sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
+    ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
+    has no such target).
     """
 
     time: FloatArray
@@ -45,7 +47,7 @@ class Motion:
     q: Mapping[str, FloatArray]
     tcp: Mapping[str, Poses]
     node_sample: IntArray
-    node_label: tuple[str, ...]
+    node_segment: tuple[Segment, ...]
     node_stop: NDArray[np.bool_]
     node_stage: IntArray
     node_ids: IntArray
@@ -66,9 +68,19 @@ class Motion:
         """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
         return differences(self.time, self.q[arm], 2)
 
+    @functools.cached_property
+    def node_label(self) -> NDArray[np.str_]:
+        """The label (K,) of each move's segment, as the programs say it: the ``key`` of a claimed one."""
+        return np.array([str(segment) for segment in self.node_segment], dtype=np.str_)
+
+    @functools.cached_property
+    def node_kind(self) -> NDArray[np.str_]:
+        """The kind (K,) of each move's segment."""
+        return np.array([segment.kind for segment in self.node_segment], dtype=np.str_)
+
     def labels(self, rows: IntArray | slice = slice(None)) -> NDArray[np.str_]:
         """Labels (M,) of the moves under way at samples ``rows`` (M,), else at all."""
-        return np.asarray(self.node_label)[self.node[rows]]
+        return self.node_label[self.node[rows]]
 
 
 def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:

@@ -20,11 +20,13 @@ from numpy.typing import NDArray
 from planner.geometry.rigid import inverse
 from planner.issues import Issue, TandemError
 from planner.problem import Arm
+from planner.segments import Segment
 from planner.verify import arm_ik, confdata, machines, straight_moves, time_law
-from planner.verify.job import JobText, Stage, TaskText, label
+from planner.verify.job import JobText, Stage, TaskText
 from planner.verify.motion import Fault, Motion
 from planner.verify.moves import Row, between, holds, make_law, make_row, waits
 from planner.verify.poses import Poses
+from planner.verify.segment_names import said
 from planner.verify.steps import Step
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +65,7 @@ class _Player:
         self.clock = 0.0
         self.nodes = 0
         self.parts: dict[str, list[np.ndarray]] = {}
-        self.labels: list[str] = []
+        self.segments: list[Segment] = []
         self.events: list[tuple[float, int, str, Step]] = []
         self.faults: list[Fault] = []
         self.tools = {arm.name: arm.tool.tcp for arm in self.arms}
@@ -76,7 +78,7 @@ class _Player:
             ):
                 self.tools = dict(self.mounted[number])
             self._stage(number, stage)
-        if not self.labels:
+        if not self.segments:
             self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
             self._still()
         p = {key: self._joined(key) for key in list(self.parts)}
@@ -88,7 +90,7 @@ class _Player:
             q={name: p[f"q/{name}"] for name in names},
             tcp={name: Poses.joined(self.tcp.pop(name)) for name in names},
             node_sample=p["node_sample"],
-            node_label=tuple(self.labels),
+            node_segment=tuple(self.segments),
             node_stop=p["node_stop"],
             node_stage=p["node_stage"],
             node_ids=p["node_ids"],
@@ -116,7 +118,7 @@ class _Player:
             self._add(key, np.zeros(1, dtype=np.int64))
         self._add("node_stop", np.ones(1, dtype=bool))
         self._add("node_duration", np.zeros(1))
-        self.labels.append("")
+        self.segments.append(Segment(""))
         for arm in self.arms:
             self._hold(arm, 1, 1)
 
@@ -224,7 +226,7 @@ class _Player:
         self._add("node_stage", np.full(count, number, dtype=np.int64))
         self._add("node_ids", np.array([move.id or 0 for move in rows[0].moves], dtype=np.int64))
         self._add("node_duration", duration)
-        self.labels += [label(move.procedure) for move in rows[0].moves]
+        self.segments += [said(move.procedure) for move in rows[0].moves]
         by_arm = {row.task.arm.name: row for row in rows}
         before = dict(self.q)
         for arm in sorted(self.arms, key=lambda arm: self._rank(by_arm.get(arm.name))):

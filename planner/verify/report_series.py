@@ -49,7 +49,7 @@ def series(
         way /= np.maximum(np.diff(motion.time, prepend=motion.time[:1] - 1.0), 1e-6)
         out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
     out["targets/time"] = motion.time[motion.node_sample]
-    out["targets/label"] = np.asarray(motion.node_label)
+    out["targets/label"] = motion.node_label
     if clearance is not None:
         out["clearance/time"] = motion.time[looks]
         out["clearance/distance"] = clearance.distance

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.issues import Issue, has_errors
+from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 
@@ -40,9 +41,10 @@ class CutFace:
     and negative where too much is cut, NaN where the wire did not pass. ``area`` (M,) [m^2] is each point's
     share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed. ``allowed`` (M,)
     [m] where the tolerance is not the same everywhere, ``tolerance`` being its greatest; else empty.
+    ``more``: how many other segments cut it too.
     """
 
-    segment: str
+    segment: Segment
     points: FloatArray
     deviation: FloatArray
     area: FloatArray
@@ -55,6 +57,12 @@ class CutFace:
     share_with_error: float = float("nan")
     speed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     allowed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    more: int = 0
+
+    @property
+    def title(self) -> str:
+        """What people call it: the segment, and how many more cut it."""
+        return f"{self.segment} and {self.more} more" if self.more else str(self.segment)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from planner.claims_forming import FormingFeed, FormsInOrder
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.formed_part import envelope
@@ -45,7 +46,7 @@ def gouge(context: Context, forming: Forming) -> Outcome:
         deep = claim.radius - room
         k = int(np.argmax(deep))
         if deep[k] - claim.tolerance > worst:
-            worst, limit, where = float(deep[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+            worst, limit, where = float(deep[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
         for i in spread(deep > claim.tolerance):
             what = (
                 f"in {claim.segment} the ball cuts {mm(deep[i]):.3f} mm into the face or the flat sheet; "
@@ -86,7 +87,7 @@ def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, 
         return Outcome(tuple(issues), where=NONE), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
-    return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.segment), tuple(faces)
+    return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.title), tuple(faces)
 
 
 def _lifted(one: Formed) -> float:
@@ -104,11 +105,10 @@ def _unclaimed(context: Context, forming: Forming) -> list[Issue]:
     arm = context.job.tasks[0].arm.name
     issues = []
     seen: set[str] = set()
-    for node, label in enumerate(motion.node_label):
-        name = label.lower()
-        if name.split("/")[0] == "form" and name not in forming.labels and name not in seen:
+    for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
+        if segment.kind == "form" and name not in forming.labels and name not in seen:
             seen.add(name)
-            what = f"the programs form in {label}, of which the problem claims nothing"
+            what = f"the programs form in {segment}, of which the problem claims nothing"
             issues.append(at_node("verify.formed", what, motion, arm, node))
     return issues
 
@@ -120,18 +120,18 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
     arm = context.job.tasks[0].arm.name
     issues: list[Issue] = []
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormsInOrder)]
-    labels = [label.lower() for label in motion.node_label]
+    said = motion.node_segment
     setups = context.spans.of_stage[motion.node_stage]
     for index in range(len(context.setups)):
-        wanted = [name.lower() for where, claim in claims if where == index for name in claim.segments]
-        found: list[tuple[str, int]] = []
+        wanted = [one.folded for where, claim in claims if where == index for one in claim.segments]
+        found: list[tuple[Segment | None, int]] = []
         for node in np.flatnonzero(setups == index).tolist():
-            if labels[node].split("/")[0] == "form" and (not found or found[-1][0] != labels[node]):
-                found.append((labels[node], node))
-            elif labels[node].split("/")[0] != "form" and found and found[-1][0]:
-                found.append(("", node))
-        there = [(name, node) for name, node in found if name]
-        full = [name + way for name in wanted for way in ("_in", "", "_out")]
+            if said[node].kind == "form" and (not found or found[-1][0] != said[node]):
+                found.append((said[node], node))
+            elif said[node].kind != "form" and found and found[-1][0]:
+                found.append((None, node))
+        there = [(name, node) for name, node in found if name is not None]
+        full = [way for name in wanted for way in name.ways]
         full = [name for name in full if name in {name for name, _ in there} or name in wanted]
         for k, (name, node) in enumerate(there):
             if k >= len(full) or name != full[k]:
@@ -141,7 +141,7 @@ def feature_order(context: Context, forming: Forming) -> Outcome:
                 break
         else:
             issues += [
-                Issue("verify.feature_order", f"{name} is never formed", field=name)
+                Issue("verify.feature_order", f"{name} is never formed", field=str(name))
                 for name in full[len(there) :]
                 if name in wanted
             ]
@@ -153,10 +153,9 @@ def feed(context: Context, forming: Forming) -> Outcome:
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
-    labels = np.asarray([label.lower() for label in motion.node_label])
     claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormingFeed)]
     for index, claim in claims:
-        chosen = labels == claim.segment.lower()
+        chosen = motion.node_label == claim.segment.key
         rows = np.flatnonzero(chosen[motion.node] & (context.sample_setup == index))
         rows = rows[rows > 0]
         rows = rows[motion.stage[rows] == motion.stage[rows - 1]]
@@ -173,11 +172,11 @@ def feed(context: Context, forming: Forming) -> Outcome:
                 )
                 measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
                 issues.append(at_sample("verify.forming_feed", what, motion, arm, int(rows[k]), measure))
-    fed = {claim.segment.lower() for _, claim in claims}
+    fed = {claim.segment.key for _, claim in claims}
     issues += [
-        Issue("verify.forming_feed", f"{one.claim.segment} has no feed", field=one.claim.segment)
+        Issue("verify.forming_feed", f"{one.claim.segment} has no feed", field=str(one.claim.segment))
         for one in forming.formed
-        if one.claim.segment.lower() not in fed
+        if one.claim.segment.key not in fed
     ]
     if not claims:
         return Outcome(tuple(issues), where=NONE)
@@ -191,5 +190,5 @@ def spread(bad: BoolArray) -> IntArray:
     return first[:SHOWN]
 
 
-def _of_face(code: str, what: str, segment: str, value: float, limit: float) -> Issue:
-    return Issue(code, what, field=segment, value=100 * value, limit=100 * limit, unit="%")
+def _of_face(code: str, what: str, segment: Segment, value: float, limit: float) -> Issue:
+    return Issue(code, what, field=str(segment), value=100 * value, limit=100 * limit, unit="%")

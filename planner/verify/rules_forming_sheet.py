@@ -30,11 +30,11 @@ def sheet(context: Context, forming: Forming) -> Outcome:
     sheet around, but for what its own ball forms; the other tool stays on its own side of the face."""
     issues: list[Issue] = []
     worst, limit, where = -np.inf, None, ""
-    known = {state.segment.lower() for _, state in forming.states}
+    known = {state.segment.key for _, state in forming.states}
     for one in forming.formed:
-        if one.claim.segment.lower() not in known:
+        if one.claim.segment.key not in known:
             what = f"nothing says what the tools meet in {one.claim.segment}"
-            issues.append(Issue("verify.sheet", what, field=one.claim.segment))
+            issues.append(Issue("verify.sheet", what, field=str(one.claim.segment)))
     for index, state in forming.states:
         formed = forming.of(state.segment)
         way = track(context, state.segment, index, state.arms) if formed is None else formed.track
@@ -43,13 +43,17 @@ def sheet(context: Context, forming: Forming) -> Outcome:
         for number, arm in enumerate(state.arms):
             if arm not in way.arms:
                 what = f"{arm} has no program for {state.segment}"
-                issues.append(Issue("verify.sheet", what, field=state.segment))
+                issues.append(Issue("verify.sheet", what, field=str(state.segment)))
                 continue
-            held = state.segment.lower() in forming.gapped
+            held = state.segment.key in forming.gapped
             for deep, row in _all(formed, way, state, number, held):
                 k = int(np.argmax(deep)) if len(deep) else -1
                 if k >= 0 and deep[k] - state.tolerance > worst:
-                    worst, limit, where = float(deep[k]) - state.tolerance, mm(state.tolerance), state.segment
+                    worst, limit, where = (
+                        float(deep[k]) - state.tolerance,
+                        mm(state.tolerance),
+                        str(state.segment),
+                    )
                 for i in spread(deep > state.tolerance):
                     what = (
                         f"the tool of {arm} has {mm(deep[i]):.3f} mm of the sheet inside in {state.segment}; "

@@ -37,7 +37,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
         first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
-            issues.append(Issue("verify.gap", what, field=claim.segment))
+            issues.append(Issue("verify.gap", what, field=str(claim.segment)))
             continue
         start, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
         least, most = _between(way, first, last)
@@ -48,7 +48,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
         error = np.maximum(wide, narrow) + 2.0 * off
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
         for i in spread(error > claim.tolerance):
             way_off = "wide" if wide[i] >= narrow[i] else "narrow"
             what = f"the gap is {mm(error[i]):.3f} mm too {way_off} in {claim.segment}"
@@ -224,7 +224,7 @@ def border(context: Context, forming: Forming) -> Outcome:
         )
         if not len(rows):
             what = f"{claim.arm} never supports the border of {claim.segment}"
-            issues.append(Issue("verify.border", what, field=claim.segment))
+            issues.append(Issue("verify.border", what, field=str(claim.segment)))
             continue
         points = _dense(way.centre[rows, 0])
         which = np.minimum(
@@ -238,7 +238,7 @@ def border(context: Context, forming: Forming) -> Outcome:
         ):
             k = int(np.argmax(wrong))
             if (wrong[k] - limit_here) > worst:
-                worst, limit, where = float(wrong[k] - limit_here), mm(limit_here), claim.segment
+                worst, limit, where = float(wrong[k] - limit_here), mm(limit_here), str(claim.segment)
             for i in spread(wrong > limit_here):
                 told = f"{claim.arm} is {mm(wrong[i]):.3f} mm {what} of {claim.segment}"
                 measure = (mm(float(wrong[i])), mm(limit_here), "mm")
@@ -310,13 +310,13 @@ def opposite(context: Context, forming: Forming) -> Outcome:
         first, last, off = parts.first[own], parts.last[own], parts.off[own]
         if not len(first):
             what = f"{' and '.join(claim.arms)} never work on {claim.segment} together"
-            issues.append(Issue("verify.opposite", what, field=claim.segment))
+            issues.append(Issue("verify.opposite", what, field=str(claim.segment)))
             continue
         least, most = _between(way, first, last)
         error = np.maximum(most - claim.distance, claim.distance - least) + 2.0 * off
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
-            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), claim.segment
+            worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
         for i in spread(error > claim.tolerance):
             what = f"{claim.arms[1]} is {mm(error[i]):.3f} mm off its distance in {claim.segment}"
             measure = (mm(float(error[i])), mm(claim.tolerance), "mm")

@@ -44,7 +44,7 @@ def holder(context: Context, forming: Forming) -> Outcome:
         off, far = _off(context, claim, way, [edge.time for edge in edges if edge.value > 0.0])
         issues += far
         if limit is None or off - claim.step > worst - limit:
-            worst, limit, where = off, claim.step, claim.segment
+            worst, limit, where = off, claim.step, str(claim.segment)
     if limit is None:
         return Outcome(tuple(issues), where="no clamp sinks")
     return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)

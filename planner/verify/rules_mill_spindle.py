@@ -10,11 +10,12 @@ from planner.claims import FeedWindow
 from planner.claims_milling import MillsAlong
 from planner.issues import Issue
 from planner.problem import Stock
+from planner.segments import Segment
 from planner.tooling import Mill
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
 from planner.verify.mill_pace import allowed
-from planner.verify.mill_track import WAYS, Milling, Track
+from planner.verify.mill_track import Milling, Track
 from planner.verify.power_asked import confirmed
 from planner.verify.setups import MILL
 from planner.verify.steps import SignalStep
@@ -34,11 +35,11 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
     motion = context.motion
     issues: list[Issue] = []
     worst, where = 0.0, ""
-    claims = [c for c in context.feeds if c.segment.lower().split("/")[0] == MILL]
+    claims = [c for c in context.feeds if c.segment.kind == MILL]
     for claim in claims:
-        index = context.of_segment[claim.segment.lower()]
-        arm = _arm(milling, claim)
-        track = milling.track(index, arm, (claim.segment.lower(),)) if arm else None
+        index = context.setup_of(claim)
+        arm = _arm(milling, index, claim)
+        track = milling.track(index, arm, (claim.segment.key,)) if arm else None
         if track is None or not len(track.joined):
             continue
         time = np.diff(motion.time[track.rows])
@@ -47,25 +48,25 @@ def mill_feed(context: Context, milling: Milling) -> Outcome:
         limit = np.minimum(_there(milling, index, claim.segment, len(speed) + 1), claim.upper)
         share = speed / limit
         if share.max() > worst:
-            worst, where = float(share.max()), claim.segment
+            worst, where = float(share.max()), str(claim.segment)
         bad = np.flatnonzero(share > FEED_SLACK)
         for k in bad[:: max(1, len(bad) // SHOWN)]:
             what = f"the tip moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; "
             what += f"allowed there: {mm(limit[k]):g}"
             measure = (mm(float(speed[k])), mm(float(limit[k])), "mm/s")
             issues.append(at_sample("verify.mill_feed", what, motion, arm, int(track.rows[k + 1]), measure))
-    fed = {claim.segment.lower() for claim in claims}
+    fed = {claim.segment.key for claim in claims}
     lacks = sorted(label for label in _labels(context) if label not in fed)
     issues += [Issue("verify.mill_feed", f"{label} has no feed", field=label) for label in lacks]
     return Outcome(tuple(issues), worst or None, FEED_SLACK if worst else None, "of the feed", where or NONE)
 
 
-def _there(milling: Milling, index: int, segment: str, count: int) -> FloatArray:
+def _there(milling: Milling, index: int, segment: Segment, count: int) -> FloatArray:
     """The feed (T - 1,) [m/s] from each of T samples of a segment to the next, by the way that is claimed of
     it; without bounds where none is."""
     out = np.full(count - 1, np.inf)
     for setup, claim in milling.curves:
-        if setup != index or claim.segment.lower() != segment.lower() or len(claim.feed) < 2:
+        if setup != index or claim.segment.key != segment.key or len(claim.feed) < 2:
             continue
         known = milling.followed(index, claim)
         if known is not None:
@@ -85,14 +86,13 @@ def spindle(context: Context, milling: Milling) -> Outcome:
             if not isinstance(arm.tool, Mill) or arm.name not in motion.tcp:
                 continue
             cutter = arm.tool.cutter
-            labels = tuple(sorted({label.lower() for label in motion.node_label}))
+            labels = tuple(sorted(set(motion.node_label.tolist())))
             track = milling.track(index, arm.name, labels)
             inside = np.flatnonzero(_in_block(track, cutter.overhang, cutter.radius, context.stock(index)))
             if not len(inside):
                 continue
             seen = True
-            names = track.label[inside]
-            stray = inside[np.array([n.split("/")[0] != MILL for n in names])]
+            stray = inside[motion.node_kind[motion.node[track.rows[inside]]] != MILL]
             for i in stray[:1]:
                 what = f"the cutter is in the block in {track.label[i]}, where nothing is milled"
                 issues.append(at_sample("verify.spindle", what, motion, arm.name, int(track.rows[i])))
@@ -142,16 +142,15 @@ def _on_for(context: Context, signal: str, time: FloatArray) -> FloatArray:
     return out
 
 
-def _arm(milling: Milling, claim: FeedWindow) -> str:
-    """The arm that mills a segment, by the claims on it; empty for none."""
-    segment = claim.segment.lower()
-    for _, own in milling.by_setup:
+def _arm(milling: Milling, index: int, claim: FeedWindow) -> str:
+    """The arm that mills a segment in a setup, by the claims on it; empty for none."""
+    segment = claim.segment.key
+    for setup, own in milling.by_setup:
         names = (own.segment,) if isinstance(own, MillsAlong) else own.segments
-        if any(segment == name.lower() + way for name in names for way in WAYS):
+        if setup == index and any(segment == way.key for name in names for way in name.ways):
             return own.arm
     return ""
 
 
 def _labels(context: Context) -> set[str]:
-    labels = {label.lower() for label in context.motion.node_label}
-    return {label for label in labels if label.split("/")[0] == MILL}
+    return {str(segment) for segment in context.motion.node_segment if segment.kind == MILL}

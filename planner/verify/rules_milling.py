@@ -13,7 +13,7 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
 from planner.verify.mill_rims import edges, rim_places, rim_step
-from planner.verify.mill_track import WAYS, Milling
+from planner.verify.mill_track import Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
 
@@ -42,17 +42,17 @@ def milled(context: Context, milling: Milling) -> tuple[Outcome, tuple[CutFace, 
         faces.append(face)
         if face.share < claim.share:
             what = (
-                f"{face.segment}: {100 * face.share:.2f} % of the surface are within "
+                f"{face.title}: {100 * face.share:.2f} % of the surface are within "
                 f"{mm(claim.tolerance):g} mm; "
                 f"wanted: {100 * claim.share:g} %"
             )
             measure = {"value": 100 * face.share, "limit": 100 * claim.share, "unit": "%"}
-            issues.append(Issue("verify.milled", what, field=face.segment, **measure))  # type: ignore[arg-type]
+            issues.append(Issue("verify.milled", what, field=face.title, **measure))  # type: ignore[arg-type]
     if not faces:
         return Outcome(tuple(issues), where=NONE), ()
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     share, wanted = 100 * worst.share, 100 * worst.wanted_share
-    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.segment), tuple(faces)
+    return Outcome(tuple(issues), share, wanted, "% within tolerance", worst.title), tuple(faces)
 
 
 def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
@@ -66,7 +66,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     pieces, _ = small_pieces(corners, size, 2 * _PLACES)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
-    labels = tuple(name.lower() for name in claim.segments)
+    labels = tuple(segment.key for segment in claim.segments)
     track = milling.track(index, claim.arm, labels)
     solid = solids(claim.cutter)[0]
     tip, axis, _ = track.spaced(_step(solid, claim.tolerance))
@@ -77,12 +77,9 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
     rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / weight))
     largest = float(np.abs(off[known]).max(initial=0.0))
     deviation = np.where(known, off, np.nan)
-    name = (
-        claim.segments[0]
-        if len(claim.segments) == 1
-        else f"{claim.segments[0]} and {len(claim.segments) - 1} more"
-    )
-    return CutFace(name, points, deviation, area, claim.tolerance, share, claim.share, rms, largest)
+    first, *more = claim.segments
+    measure = (claim.tolerance, share, claim.share, rms, largest)
+    return CutFace(first, points, deviation, area, *measure, more=len(more))
 
 
 def _step(solid: Solid, tolerance: float) -> float:
@@ -98,7 +95,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
     worst, limit, where = -np.inf, None, ""
     for index, claim in milling.spared:
         issues += _same_cutter(milling, index, claim)
-        labels = tuple(name.lower() + way for name in claim.segments for way in WAYS)
+        labels = tuple(way.key for segment in claim.segments for way in segment.ways)
         track = milling.track(index, claim.arm, labels)
         if not len(track.rows):
             continue
@@ -117,7 +114,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             k = int(off.argmin())
             if -off[k] - allowed > worst:
                 worst, limit = float(-off[k]) - allowed, mm(allowed)
-                where = f"{solid.name} in {context.motion.node_label[context.motion.node[rows[place[k]]]]}"
+                where = f"{solid.name} in {context.motion.node_segment[context.motion.node[rows[place[k]]]]}"
             deep = np.flatnonzero(off < -allowed)
             first = np.unique(place[deep], return_index=True)[1]
             for i in deep[first][:: max(1, len(first) // SHOWN)]:
@@ -138,16 +135,18 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for index, claim in milling.curves:
-        track = milling.track(index, claim.arm, (claim.segment.lower(),))
+        track = milling.track(index, claim.arm, (claim.segment.key,))
         known = milling.followed(index, claim)
         if known is None:
-            issues.append(Issue("verify.mill_path", f"{claim.segment} is not milled", field=claim.segment))
+            issues.append(
+                Issue("verify.mill_path", f"{claim.segment} is not milled", field=str(claim.segment))
+            )
             continue
         some, found = known
         off, turn = found.off, found.turn
         share = max(float(off.max()) / claim.tolerance, float(turn.max()) / claim.turn)
         if share > worst:
-            worst, limit, where = share, 1.0, claim.segment
+            worst, limit, where = share, 1.0, str(claim.segment)
         bad = np.flatnonzero((off > claim.tolerance) | (turn > claim.turn))
         for i in bad[:: max(1, len(bad) // SHOWN)]:
             what = (
@@ -160,7 +159,7 @@ def mill_path(context: Context, milling: Milling) -> Outcome:
             issues.append(at_sample("verify.mill_path", what, context.motion, claim.arm, row, measure))
         if found.missed:
             word = f"{found.missed} of {len(claim.tip)} places are never passed, or not in order"
-            issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=claim.segment))
+            issues.append(Issue("verify.mill_path", f"{claim.segment}: {word}", field=str(claim.segment)))
     return Outcome(tuple(issues), worst, limit, "of what is allowed", where or NONE)
 
 
@@ -170,13 +169,12 @@ def _unclaimed(context: Context, milling: Milling) -> list[Issue]:
     arm = context.job.tasks[0].arm.name
     out: list[Issue] = []
     seen: set[str] = set()
-    for node, label in enumerate(motion.node_label):
-        name = label.lower()
-        if name.split("/")[0] == MILL and name not in milling.labels and name not in seen:
-            what = f"the programs mill in {label}, of which the problem claims nothing"
+    for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
+        if segment.kind == MILL and name not in milling.labels and name not in seen:
+            what = f"the programs mill in {segment}, of which the problem claims nothing"
             out.append(at_node("verify.milled", what, motion, arm, node))
         seen.add(name)
-    lacks = {name.lower() for _, c in milling.surfaces for name in c.segments} - seen
+    lacks = {segment.key for _, c in milling.surfaces for segment in c.segments} - seen
     out += [Issue("verify.milled", f"{name} is never milled", field=name) for name in sorted(lacks)]
     return out
 

@@ -293,7 +293,7 @@ def tcp_speed(context: Context) -> Outcome:
 def _timed(context: Context) -> NDArray[np.bool_]:
     """Moves (K,) in which some arm runs by a stated time, or by stated shares of its axes' speeds."""
     motion = context.motion
-    out = np.zeros(len(motion.node_label), dtype=bool)
+    out = np.zeros(len(motion.node_segment), dtype=bool)
     for number, stage in enumerate(context.job.stages):
         rows = np.flatnonzero(motion.node_stage == number)
         for task in context.job.tasks:

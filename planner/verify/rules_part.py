@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, FeedWindow, SlitAllowed
 from planner.issues import Issue
+from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node
 from planner.verify.rules_wire import wire_issue
@@ -21,7 +22,6 @@ IntArray = NDArray[np.int64]
 SIDE = 1e-6
 """A surface all of whose vertices are so near to one side of the datum block [m] is that side, and bounds raw
 foam instead of a piece."""
-_WAYS = ("_in", "", "_out")
 
 
 def order(context: Context) -> Outcome:
@@ -34,7 +34,7 @@ def order(context: Context) -> Outcome:
         rank = _ranks(context, index)
         last, before = -1, ""
         for node in np.flatnonzero(setups == index):
-            label = motion.node_label[node]
+            label = str(motion.node_segment[node])
             here = rank.get(label, last)
             if here < last:
                 what = f"{label} is cut behind {before}; it comes first"
@@ -47,21 +47,13 @@ def _ranks(context: Context, index: int) -> dict[str, int]:
     """Segments in which a setup cuts, in lower case, in the order in which they must come."""
     out: dict[str, int] = {}
     for group in context.setup_claims[index].groups:
-        names = [claim.segment.lower() for claim in group if isinstance(claim, FeedWindow)]
-        for name in names:
-            base = _base(name, set(names))
-            for way in _WAYS:
-                if base + way in names:
-                    out.setdefault(base + way, len(out))
+        own = [claim.segment for claim in group if isinstance(claim, FeedWindow)]
+        fed = {segment.key for segment in own}
+        for segment in own:
+            for way in segment.ways:
+                if way.key in fed:
+                    out.setdefault(way.key, len(out))
     return out
-
-
-def _base(segment: str, names: set[str]) -> str:
-    """The cut that a way in or out belongs to, itself for any other segment."""
-    for way in _WAYS:
-        if way and segment.endswith(way) and segment.removesuffix(way) in names:
-            return segment.removesuffix(way)
-    return segment
 
 
 def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
@@ -69,7 +61,7 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     stated; sides of the datum block are cut from outside."""
     issues: list[Issue] = []
     worst, where = np.inf, ""
-    own = {claim.segment.lower() for claim in context.surfaces}
+    own = {claim.segment.key for claim in context.surfaces}
     wanted = tuple(claim for claim in context.surfaces if not _is_side(context, claim))
     bounds = _Bounds(context, wanted)
     for wire in wires:
@@ -82,8 +74,8 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             row = rows[row]
             speed = local(wire.points, context.motion.time[wire.sample]) if speed is None else speed
             points = wire.points[row, column]
-            base = _base(label, own)
-            cut = next((c for c in context.surfaces if c.segment.lower() == base), None)
+            base = Segment.read(label).at("").key
+            cut = next((c for c in context.surfaces if c.segment.key == base), None)
             half = np.zeros(len(row)) if cut is None else 0.5 * cut.kerf.at(speed[row, column])
             room, tolerance = bounds.off(points)
             room = np.where(_in_slit(context, label, points, half + np.nan_to_num(tolerance)), np.nan, room)
@@ -113,13 +105,13 @@ class _Bounds:
 
     def __init__(self, context: Context, claims: tuple[CutsSurface, ...]) -> None:
         closed = {
-            claim.segment.lower()
+            claim.segment.key
             for claim in context.rulings
             if np.abs(claim.start[0] - claim.start[-1]).max() < SIDE
         }
         self.groups: list[tuple[Walls, FloatArray]] = []
         for contour in (True, False):
-            some = tuple(c for c in claims if (c.segment.lower() in closed) == contour)
+            some = tuple(c for c in claims if (c.segment.key in closed) == contour)
             if some:
                 self.groups.append((walls(some), np.array([c.tolerance for c in some])))
 
@@ -144,7 +136,7 @@ def _in_slit(context: Context, label: str, points: FloatArray, within: FloatArra
     """Which points (N, 3) lie in a slit that is stated for a segment, within (N,) [m]."""
     out = np.zeros(len(points), dtype=np.bool_)
     for claim in context.claims:
-        if isinstance(claim, SlitAllowed) and claim.segment.lower() == label:
+        if isinstance(claim, SlitAllowed) and claim.segment.key == label:
             normal = np.cross(claim.way, claim.end - claim.start)
             normal /= np.linalg.norm(normal)
             off = points - claim.start

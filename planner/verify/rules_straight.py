@@ -97,14 +97,14 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for claim in context.kerfs:
-        passed = [face for face in faces if face.segment.lower() == claim.segment.lower()]
+        passed = [face for face in faces if face.segment.key == claim.segment.key]
         speeds = [face.speed[np.isfinite(face.speed)] for face in passed]
         if not passed:
             speeds = [_in_foam(context, wire, claim) for wire in wires if not wire.fault]
         speed = np.concatenate([*speeds, np.zeros(0)])
         if not len(speed):
             what = f"{claim.segment} is not cut, so that its slot has no width"
-            issues.append(Issue("verify.kerf", what, field=claim.segment))
+            issues.append(Issue("verify.kerf", what, field=str(claim.segment)))
             continue
         width = claim.kerf.at(speed)
         # ramps and corners of the replay may differ from the planned speed as far as the feed may
@@ -112,7 +112,7 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
         wide = claim.kerf.at(speed * FEED_SLACK) > claim.upper
         share = np.maximum(width / claim.upper, claim.lower / np.maximum(width, 1e-9))
         if share.max() > worst:
-            worst, limit, where = float(share.max()), 1.0, claim.segment
+            worst, limit, where = float(share.max()), 1.0, str(claim.segment)
         for bad, word in ((narrow, "narrow: the wire drags"), (wide, "wide: the foam burns")):
             if bad.any():
                 k = int(np.argmax(np.where(bad, share, 0.0)))
@@ -122,13 +122,13 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
                 )
                 bound = mm(claim.upper if bad is wide else claim.lower)
                 value = {"value": mm(float(width[k])), "limit": bound, "unit": "mm"}
-                issues.append(Issue("verify.kerf", what, field=claim.segment, **value))  # type: ignore[arg-type]
+                issues.append(Issue("verify.kerf", what, field=str(claim.segment), **value))  # type: ignore[arg-type]
     return Outcome(tuple(issues), worst, limit, "of the bounds", where or "no such claim")
 
 
 def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
     """Speeds (K,) of a wire's points inside the block in a segment."""
-    here = (wire.labels == claim.segment.lower())[:, None] & wire.inside
+    here = (wire.labels == claim.segment.key)[:, None] & wire.inside
     return np.asarray(local(wire.points, context.motion.time[wire.sample])[here])
 
 
@@ -138,11 +138,11 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for claim in context.rulings:
-        label = claim.segment.lower()
+        label = claim.segment.key
         seen = False
         for wire in wires:
             rows = np.flatnonzero(wire.labels == label)
-            if wire.fault or wire.setup != context.of_segment[label] or len(rows) < 2:
+            if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
                 continue
             seen = True
             speed = local(wire.points, context.motion.time[wire.sample])
@@ -152,7 +152,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 off, half = _off_guide(points, speed, guide, side, claim)
                 k = int(np.argmax(off))
                 if limit is None or off[k] > worst:
-                    worst, limit, where = float(off[k]), mm(claim.tolerance), claim.segment
+                    worst, limit, where = float(off[k]), mm(claim.tolerance), str(claim.segment)
                 for i in np.flatnonzero(off > claim.tolerance)[:20]:
                     what = (
                         f"the wire is {mm(off[i]):.3f} mm off its distance to the {name} line of "
@@ -165,9 +165,9 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 missed = _missed(wire.points[whole], np.diff(whole) == 1, guide, far)
                 if missed > 0.0:
                     what = f"the wire does not pass {mm(missed):.1f} mm of the {name} line of {claim.segment}"
-                    issues.append(Issue("verify.rulings", what, field=claim.segment))
+                    issues.append(Issue("verify.rulings", what, field=str(claim.segment)))
         if not seen:
-            issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=claim.segment))
+            issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=str(claim.segment)))
     return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no such claim")
 
 

@@ -27,8 +27,8 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
     for claim in context.surfaces:
         parts = []
         for wire, speed in zip(good, speeds, strict=True):
-            rows = np.flatnonzero(during(wire.labels == claim.segment.lower()))
-            if len(rows) and wire.setup == context.of_segment[claim.segment.lower()]:
+            rows = np.flatnonzero(during(wire.labels == claim.segment.key))
+            if len(rows) and wire.setup == context.setup_of(claim):
                 parts.append((wire.points[rows], speed[rows], np.append(np.diff(rows) == 1, False)))
         if parts:
             points, speed, joined = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -54,7 +54,7 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
                 Issue(
                     "verify.surface",
                     message,
-                    field=face.segment,
+                    field=face.title,
                     value=100 * face.share,
                     limit=100 * face.wanted_share,
                     unit="%",
@@ -68,7 +68,7 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
                 Issue(
                     "verify.surface",
                     message,
-                    field=face.segment,
+                    field=face.title,
                     value=100 * missed,
                     limit=100 * (1 - face.wanted_share),
                     unit="%",
@@ -78,7 +78,7 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
         return Outcome(where="no face is claimed"), (), ""
     worst = min(faces, key=lambda face: face.share - face.wanted_share)
     outcome = Outcome(
-        tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.segment
+        tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.title
     )
     return outcome, faces, part_obj(context.surfaces, rows)
 
@@ -86,18 +86,18 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
 def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:
     """Faces into which the wire cuts besides: the nearest sheet of several hides those beneath it. Straight
     wires keep to their rulings all along, which is more."""
-    ruled = {claim.segment.lower() for claim in context.rulings}
+    ruled = {claim.segment.key for claim in context.rulings}
     issues = []
     for claim, sweep in zip(context.surfaces, rows, strict=True):
-        if len(sweep.points) < 2 or claim.segment.lower() in ruled:
+        if len(sweep.points) < 2 or claim.segment.key in ruled:
             continue
-        block = context.stock(context.of_segment[claim.segment.lower()])
+        block = context.stock(context.setup_of(claim))
         deep, _ = deepest(claim, sweep, to_block(sweep.points, block) < 0.0)
         limit = GOUGE * claim.tolerance + FLAT
         if deep > limit:
             what = f"the wire runs {mm(deep):.2f} mm deep below {claim.segment}; allowed: {mm(limit):g} mm"
             measure = {"value": mm(deep), "limit": mm(limit), "unit": "mm"}
-            issues.append(Issue("verify.surface", what, field=claim.segment, **measure))  # type: ignore[arg-type]
+            issues.append(Issue("verify.surface", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
     return issues
 
 
@@ -116,7 +116,7 @@ def with_end_error(
     for face in faces:
         worst = 0.0
         for wire in wires:
-            rows = np.flatnonzero((wire.labels == face.segment.lower()) & wire.inside.any(axis=1))
+            rows = np.flatnonzero((wire.labels == face.segment.key) & wire.inside.any(axis=1))
             if len(rows):
                 some = rows[np.unique(np.linspace(0, len(rows) - 1, ERROR_STATIONS).astype(np.int64))]
                 worst = max(worst, float(end_error(context, wire, some).max()))
@@ -131,16 +131,16 @@ def ridges(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     tolerance; a straight one is held against its rulings, which may have edges."""
     issues, worst, limit, where = [], 0.0, None, ""
     nodes = context.motion.node_sample
-    ruled = {claim.segment.lower() for claim in context.rulings}
+    ruled = {claim.segment.key for claim in context.rulings}
     for claim in context.surfaces:
-        for wire in wires if claim.segment.lower() not in ruled else ():
-            rows = np.flatnonzero((wire.labels == claim.segment.lower()) & np.isin(wire.sample, nodes))
+        for wire in wires if claim.segment.key not in ruled else ():
+            rows = np.flatnonzero((wire.labels == claim.segment.key) & np.isin(wire.sample, nodes))
             if wire.fault or len(rows) < 5:
                 continue
             out = _standing_out(wire.points[rows], wire.inside[rows])
             k = int(np.argmax(out))
             if limit is None or out[k] > worst:
-                worst, limit, where = float(out[k]), mm(claim.tolerance), claim.segment
+                worst, limit, where = float(out[k]), mm(claim.tolerance), str(claim.segment)
             for i in np.flatnonzero(out > claim.tolerance)[:50]:
                 message = (
                     f"the wire is {mm(out[i]):.3f} mm off the surface of its neighbours: a ridge or groove; "

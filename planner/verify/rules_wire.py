@@ -182,13 +182,15 @@ def feed(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     for wire in wires:
         speed = feed_speed(context, wire)
         for claim in context.feeds:
-            here = wire.labels[1:] == claim.segment.lower()
+            if wire.setup != context.setup_of(claim):
+                continue
+            here = wire.labels[1:] == claim.segment.key
             rows = np.flatnonzero(here & np.isfinite(speed[1:])) + 1
             if not len(rows):
                 continue
             share = np.maximum(speed[rows] / claim.upper, claim.lower / np.maximum(speed[rows], 1e-9))
             if share.max() > worst:
-                worst, limit, where = float(share.max()), FEED_SLACK, claim.segment
+                worst, limit, where = float(share.max()), FEED_SLACK, str(claim.segment)
             for k in rows[share > FEED_SLACK][:200]:
                 message = (
                     f"the wire cuts at {mm(speed[k]):.2f} mm/s; allowed: {mm(claim.lower):g} to "

@@ -20,16 +20,13 @@ from planner.claims import (
 from planner.claims_forming import SheetState
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
 from planner.problem import Problem, Setup
+from planner.segments import Segment
 from planner.verify.job import JobText, TaskText
 from planner.verify.steps import MessageStep, MoveStep
 from planner.verify.words import letters
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-FORMING_WAYS = ("", "_in", "_out")
-"""What a forming segment's own moves, the way down onto the sheet and the way off it add to its name."""
 
 
 MILL = "mill"
@@ -138,8 +135,8 @@ class SetupClaims:
         """Segments in which the head of the tool of ``arm`` may touch the sheet: those that state what it
         then meets, with their ways in and out."""
         claims = [claim for group in self.groups for claim in group if isinstance(claim, SheetState)]
-        names = [claim.segment.lower() for claim in claims if arm in claim.arms]
-        return frozenset(name + way for name in names for way in FORMING_WAYS)
+        own = [claim.segment for claim in claims if arm in claim.arms]
+        return frozenset(way.key for segment in own for way in segment.ways)
 
     def mills(self, arm: str) -> frozenset[str]:
         """Segments in which the cutter on ``arm`` may be in the block: those that state a feed and what they
@@ -149,14 +146,14 @@ class SetupClaims:
             kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
             if MILL not in kinds:
                 continue
-            names: set[str] = set()
+            own: set[Segment] = set()
             for claim in group:
                 if isinstance(claim, MillsSurface | SparesPart) and claim.arm == arm:
-                    names |= {name.lower() for name in claim.segments}
+                    own |= set(claim.segments)
                 elif isinstance(claim, MillsAlong) and claim.arm == arm:
-                    names.add(claim.segment.lower())
-            fed = {c.segment.lower() for c in group if isinstance(c, FeedWindow)}
-            out |= {name + way for name in names for way in FORMING_WAYS} & fed
+                    own.add(claim.segment)
+            fed = {c.segment.key for c in group if isinstance(c, FeedWindow)}
+            out |= {way.key for segment in own for way in segment.ways} & fed
         return frozenset(out)
 
     def cuts(self, arms: tuple[str, ...]) -> frozenset[str]:
@@ -168,8 +165,8 @@ class SetupClaims:
             hands |= {(c.arm,) for c in group if isinstance(c, StraightWire)}
             kinds = {kind for c in group if isinstance(c, ContactOnlyIn) for kind in c.kinds}
             if arms in hands:
-                out |= {c.segment.lower() for c in group if isinstance(c, FeedWindow)}
-                out = {segment for segment in out if segment.split("/")[0] in kinds}
+                fed = (c.segment for c in group if isinstance(c, FeedWindow))
+                out |= {segment.key for segment in fed if segment.kind in kinds}
         return frozenset(out)
 
 

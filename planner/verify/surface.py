@@ -235,7 +235,7 @@ def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...]) -> str:
         distance, speed = distance_to_sweep(claim.vertices, normals, sweep)
         deviation = np.nan_to_num(distance - 0.5 * claim.kerf.at(speed))
         moved = claim.vertices + deviation[:, None] * normals
-        lines.append(f"o {claim.segment.replace('/', '_')}")
+        lines.append(f"o {claim.segment.word}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved * 1e3).tolist()]
         lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
         offset += len(claim.vertices)

@@ -20,6 +20,7 @@ from planner.compare_commands import Compare, run
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome, load
 from planner.plans import OperationPlan, Plan
+from planner.segments import Segment
 from planner.targets import Targets
 from planner.verify.result import Proof
 from tests import small_problem
@@ -32,7 +33,9 @@ def plan(time: tuple[float, ...] = (0, 1, 2, 3, 4), labels: tuple[str, ...] = LA
     pose = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
     every = np.ones(count)
     flags = np.zeros(count, dtype=bool)
-    targets = Targets(("a",), {"a": pose}, {"a": "world"}, (), every, 0 * every, every, flags, labels)
+    targets = Targets(
+        ("a",), {"a": pose}, {"a": "world"}, (), every, 0 * every, every, flags, tuple(map(Segment, labels))
+    )
     q = {"a": np.zeros((count, 6))}
     operation = OperationPlan(
         "job", targets, q, np.zeros((count, 0)), np.array(time, dtype=float), {}, {}, ("a",),

@@ -28,8 +28,9 @@ from planner.forming.feature_surface import joined, polygons, triangulated
 from planner.forming.job import Job
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
+from planner.segments import Segment
 from planner.sheet_file import BARS
-from planner.targets import Targets, works
+from planner.targets import Targets
 from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import shapes
@@ -105,7 +106,7 @@ def same(one: Any, two: Any) -> bool:
 
 
 def centres(targets: Targets, arm: str, segment: str) -> np.ndarray:
-    return targets.pose[arm][[label == segment for label in targets.segment], :3, 3]
+    return targets.pose[arm][[str(one) == segment for one in targets.segment], :3, 3]
 
 
 def refusal(found: Problem) -> dict[str, str]:
@@ -119,7 +120,7 @@ def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
     more, kinds = MODES[mode]
     found = problem(tmp_path, mode, gentle() if mode == "adsif" else None, **more)
     targets = processes.job(found, 0).targets()
-    count, forming = len(targets.segment), np.array([works(label) for label in targets.segment])
+    count, forming = len(targets.segment), np.array([segment.works for segment in targets.segment])
     assert count == len(targets.feed) == len(targets.travel) == len(targets.stop)
     assert forming.sum() > 100
     for arm, pose in targets.pose.items():
@@ -140,7 +141,7 @@ def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
     part = gentle() if mode == "adsif" else small_forming.dish()
     found = problem(tmp_path, mode, part, **more)
     targets, made = processes.job(found, 0).targets(), job(found)
-    away = [k for k, label in enumerate(targets.segment) if not works(label) and not label.startswith("form")]
+    away = [k for k, segment in enumerate(targets.segment) if not segment.works]
     assert {0, len(targets.segment) - 1} <= set(away)
     low, high = float(part.vertices[:, 2].min()), MM
     for arm, pose in targets.pose.items():
@@ -296,10 +297,14 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
     targets, made = processes.job(found, 0).targets(), job(found)
     assert sorted(one.side for one in made.passes) == [-1, 1]
     for one in made.passes:
-        (claim,) = [c for c in targets.claims if isinstance(c, ToolGap) and c.segment == f"form/{one.name}"]
+        (claim,) = [
+            c
+            for c in targets.claims
+            if isinstance(c, ToolGap) and c.segment == Segment.read(f"form/{one.name}")
+        ]
         assert claim.arms == (("left", "right") if one.side > 0 else ("right", "left"))
     order = next(c for c in targets.claims if isinstance(c, FormsInOrder))
-    assert order.segments == tuple(f"form/{one.name}" for one in made.passes)
+    assert order.segments == tuple(Segment("form", one.name) for one in made.passes)
     states: list[Claim] = [c for c in targets.claims if isinstance(c, SheetState)]
     assert len(states) == 2
     # one arm alone can form only one of them
@@ -308,7 +313,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
 
 def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> None:
     twice = processes.job(problem(tmp_path, repeats=2), 0).targets()
-    assert [s for s in dict.fromkeys(twice.segment) if works(s) and "_in" not in s and "_out" not in s] == [
+    assert [str(s) for s in dict.fromkeys(twice.segment) if s.works and not s.phase] == [
         "form/f1_p1",
         "form/f1_p2",
     ]
@@ -324,7 +329,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
 def test_a_pit_of_four_facets_is_formed(tmp_path: Path, mode: str, kind: str) -> None:
     found = problem(tmp_path, mode, pyramid(10.0), path=kind)
     targets = processes.job(found, 0).targets()
-    assert sum(works(label) for label in targets.segment) > 100
+    assert sum(segment.works for segment in targets.segment) > 100
 
 
 def test_what_cannot_be_formed_is_told_with_figures_and_a_remedy(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_the_clamp_keeps_within_a_step_of_the_tip(path: str, by: float) -> None:
     one = operation(coarse(), {"step_mm": by}, path=path, stepdown_mm=1.0, tangent_deg=12.0)
     problem = coarse()
     targets = forming.FormingJob(one, problem.setups[0], problem.part).targets()
-    form = np.array([label == "form/f1" for label in targets.segment])
+    form = np.array([str(one) == "form/f1" for one in targets.segment])
     tip = targets.pose["robot"][:, 2, 3] - 6e-3
     start, end = SHEET + RISE, SHEET
     clamp = start

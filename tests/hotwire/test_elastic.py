@@ -15,6 +15,7 @@ from planner.geometry.rigid import interpolate, inverse
 from planner.hotwire import elastic
 from planner.hotwire.elastic_wires import Wires, driven
 from planner.problem import Mesh
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, TableFreedom, Targets
 from tests.hotwire import panels
 
@@ -39,7 +40,7 @@ def strip() -> Targets:
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
-    return np.nonzero(np.array(targets.segment) == segment)[0]
+    return np.nonzero(np.array(targets.segment) == Segment.read(segment))[0]
 
 
 def swept(targets: Targets, segment: str) -> trimesh.Trimesh:
@@ -59,7 +60,9 @@ def test_the_wire_passes_half_a_kerf_outside_the_wanted_face(
     kind: str, name: str, request: pytest.FixtureRequest
 ) -> None:
     targets: Targets = request.getfixturevalue(kind)
-    claim = next(c for c in targets.claims if isinstance(c, CutsSurface) and c.segment == f"cut/{name}")
+    claim = next(
+        c for c in targets.claims if isinstance(c, CutsSurface) and c.segment == Segment.read(f"cut/{name}")
+    )
     face = trimesh.Trimesh(claim.vertices, claim.faces, process=False)
     some = np.arange(0, len(claim.faces), 7)
     middle = np.array(face.triangles_center)[some]
@@ -89,7 +92,7 @@ def test_end_frames_follow_the_convention_and_the_wire_has_its_length(arch: Targ
 
 
 def test_the_order_of_the_job_its_stops_and_actions(arch: Targets) -> None:
-    order = [s for i, s in enumerate(arch.segment) if i == 0 or s != arch.segment[i - 1]]
+    order = [str(s) for i, s in enumerate(arch.segment) if i == 0 or s != arch.segment[i - 1]]
     assert order == ["mount", "transit", "approach", "cut/front", "link", "cut/back", "retreat", "unmount"]
     assert arch.coupled
     assert arch.stop[0]
@@ -97,7 +100,7 @@ def test_the_order_of_the_job_its_stops_and_actions(arch: Targets) -> None:
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
     away = -trimesh.proximity.signed_distance(block, arch.edge.points.reshape(-1, 3)).reshape(arch.count, -1)
     assert (away[arch.stop].min(axis=1) > 0.019).all()  # never a stop in the foam
-    air = np.array([not s.startswith("cut") for s in arch.segment])
+    air = np.array([s.kind != "cut" for s in arch.segment])
     assert (away[air].min(axis=1) > 0.019).all()
     assert (away[:, [0, -1]] > 0.020).all()  # the clamps stay outside
     at_mount = [a.kind for a in arch.actions if a.at == 0]
@@ -116,7 +119,7 @@ def test_feeds_bind_only_where_the_wire_is_in_the_foam(arch: Targets) -> None:
     assert slow.any()
     assert (inside[slow] & inside[np.nonzero(slow)[0] - 1]).all()
     assert np.allclose(arch.feed_min[slow], 0.003)
-    cut = np.array([s.startswith("cut") for s in arch.segment])
+    cut = np.array([s.kind == "cut" for s in arch.segment])
     assert np.allclose(arch.feed[cut], 0.008)
     moved = np.linalg.norm(np.diff(arch.edge.points, axis=0), axis=2).max(axis=1)
     assert (arch.travel[1:] <= moved + 1e-12).all()

@@ -47,7 +47,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.001, 0.05]))
     np.testing.assert_allclose(claim.kerf.at(np.array([0.005])), known.at(np.array([0.005])), atol=2e-6)
     points, normals, _ = sample_face(claim.vertices, claim.faces)
-    rows = targets.edge.points[[s == "cut/front" for s in targets.segment]]
+    rows = targets.edge.points[[str(s) == "cut/front" for s in targets.segment]]
     away, _ = distance_to_sweep(points, normals, Sweep.steady(rows))
     lean = np.arctan2(-normals[:, 0], normals[:, 2])
     rate = np.sqrt(1.0 + (SLOPE * points[:, 0] / 0.070) ** 2 * np.cos(lean) ** 2)

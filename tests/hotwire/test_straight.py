@@ -23,6 +23,7 @@ from planner.issues import Severity
 from planner.materials import foams
 from planner.problem import Part, Ruled, Stock
 from planner.processes import PROCESSES
+from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 from tests.hotwire import foam_blocks as blocks
 
@@ -49,7 +50,7 @@ def make(*ruled: Ruled, block: Stock | None = None, **more: object) -> Targets:
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
-    return np.flatnonzero(np.array(targets.segment) == segment)
+    return np.flatnonzero(np.array(targets.segment) == Segment.read(segment))
 
 
 def wires(targets: Targets, pose: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -68,17 +69,17 @@ def box_gap(targets: Targets, chosen: np.ndarray, box: np.ndarray) -> np.ndarray
 
 def test_an_open_strip_is_cut_half_a_kerf_outside_from_air_to_air() -> None:
     targets = make(WAVE)
-    labels = list(dict.fromkeys(targets.segment))
+    labels = list(map(str, dict.fromkeys(targets.segment)))
     assert labels == ["approach", "cut/wave_in", "cut/wave", "cut/wave_out", "retreat"]
     pose = targets.pose["left"][rows(targets, "cut/wave")]
     np.testing.assert_allclose(pose[:, :3, 0], np.tile([0.0, 1.0, 0.0], (len(pose), 1)), atol=1e-12)
     off = distance_to_polyline(pose[:, :3, 3] * [1, 0, 1], WAVE.start * [1, 0, 1])
     np.testing.assert_allclose(off, HALF, atol=2e-6)
-    air = np.flatnonzero([not s.startswith("cut") for s in targets.segment])
+    air = np.flatnonzero([s.kind != "cut" for s in targets.segment])
     assert box_gap(targets, air, blocks.stock().box).min() > 0.0199
     # it stops in the air alone, and keeps to its steps
     stops = np.flatnonzero(targets.stop)
-    assert {targets.segment[i] for i in stops} == {"approach", "cut/wave_out", "retreat"}
+    assert {str(targets.segment[i]) for i in stops} == {"approach", "cut/wave_out", "retreat"}
     assert targets.travel[rows(targets, "cut/wave")].max() < 0.0042
     assert targets.feed_min[rows(targets, "cut/wave")].max() == pytest.approx(0.003)
 
@@ -180,7 +181,7 @@ def test_a_given_lead_is_taken() -> None:
 def test_a_hole_is_cut_first_through_the_shortest_slit_which_is_told() -> None:
     outline, hole = square("outer", 0.0, 0.05, 0.08), ring("hole", 0.01, 0.02, 0.05, hole=True)
     targets = make(outline, hole)
-    order = [s for s in dict.fromkeys(targets.segment) if s.count("_") == 0 and s.startswith("cut/")]
+    order = [str(s) for s in dict.fromkeys(targets.segment) if not s.phase and s.kind == "cut"]
     assert order == ["cut/hole", "cut/outer"]
     (note,) = [i for i in targets.issues if i.code == "straight.slit"]
     assert note.severity is Severity.NOTE
@@ -193,7 +194,7 @@ def test_a_hole_is_cut_first_through_the_shortest_slit_which_is_told() -> None:
 def test_outlines_are_cut_from_the_top_down() -> None:
     pieces = [square("low", 0.0, 0.02, 0.02), square("high", 0.0, 0.08, 0.02), square("mid", 0.0, 0.05, 0.02)]
     targets = make(*pieces)
-    cuts = [s for s in dict.fromkeys(targets.segment) if s.startswith("cut/") and "_" not in s]
+    cuts = [str(s) for s in dict.fromkeys(targets.segment) if not s.phase and s.kind == "cut"]
     assert cuts == ["cut/high", "cut/mid", "cut/low"]
 
 
@@ -230,7 +231,7 @@ def test_back_through_the_slot_the_wire_turns_just_outside_and_stops_there() -> 
     assert -0.004 < z.min() < -0.0005
     turn = int(np.argmin(z))
     assert targets.stop[turn]
-    assert targets.segment[turn] == "cut/trim_left_out"
+    assert str(targets.segment[turn]) == "cut/trim_left_out"
     assert z[-1] > 0.12
 
 
@@ -324,7 +325,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     assert len(rulings.start) == 5
     np.testing.assert_array_equal(rulings.start[0], rulings.start[-1])
     assert (kerf.lower, kerf.upper) == (0.0008, 0.003)
-    assert [f.segment for f in feeds] == ["cut/sq", "cut/sq_in", "cut/sq_out"]
+    assert [str(f.segment) for f in feeds] == ["cut/sq", "cut/sq_in", "cut/sq_out"]
     assert holds.mass == pytest.approx(0.004 * 30, rel=0.2)
     np.testing.assert_allclose(holds.cog, [0.0, 0.0, 0.05])
     made = straight.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
@@ -364,7 +365,11 @@ def test_a_cut_may_have_a_feed_of_its_own() -> None:
     for name, feed in (("one", 0.002), ("two", 0.006)):
         for way in ("_in", "", "_out"):
             assert np.all(targets.feed[rows(targets, f"cut/{name}{way}")] == feed)
-        windows = [c for c in targets.claims if isinstance(c, FeedWindow) and c.segment == f"cut/{name}"]
+        windows = [
+            c
+            for c in targets.claims
+            if isinstance(c, FeedWindow) and c.segment == Segment.read(f"cut/{name}")
+        ]
         assert [(w.lower, w.upper) for w in windows] == [(0.001, feed)]
     assert np.all(targets.feed[rows(targets, "link")] > 0.02)
     kerf = next(c.kerf for c in targets.claims if isinstance(c, CutsSurface))

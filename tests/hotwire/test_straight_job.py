@@ -11,6 +11,7 @@ import yaml
 
 import planner
 from planner.motion.joints import Dense, guarded
+from planner.segments import Segment
 from tests.hotwire import foam_blocks as blocks
 
 PROBLEM = {
@@ -62,11 +63,11 @@ def test_a_trimmed_block_and_an_outline_are_planned_and_proven(tmp_path: Path) -
         np.repeat(np.arange(made.targets.count), 2)[1:], np.tile([1.0, 0.25], made.targets.count)[:-1], {}
     )
     way = guarded(made.targets, samples)
-    cuts = np.array([label.startswith("cut") for label in made.targets.segment])
+    cuts = np.array([segment.kind == "cut" for segment in made.targets.segment])
     np.testing.assert_allclose(way[::2] + way[1::2], (made.targets.travel * cuts)[1:])
     np.testing.assert_allclose(way[::2], 0.25 * (made.targets.travel * cuts)[1:])
     # the wire keeps its feed around the corners, where its moves are short
     speed = made.targets.travel[1:] / np.diff(made.time)
-    on = np.flatnonzero(np.array(made.targets.segment[1:]) == "cut/house")
+    on = np.flatnonzero(np.array(made.targets.segment[1:]) == Segment("cut", "house"))
     assert speed[on].max() <= 0.008 * 1.001
     assert speed[on].min() >= 0.95 * 0.008

@@ -62,7 +62,7 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     assert (own.min(axis=0) - low >= 12e-3 - 1e-9).all() and (high - own.max(axis=0) >= 12e-3 - 1e-9).all()
     assert (own.min(axis=0) - low <= 14e-3).all()
     targets = processes.job(made, 0).targets()
-    on = np.array([s == "mill/front_lines" for s in targets.segment])
+    on = np.array([str(s) == "mill/front_lines" for s in targets.segment])
     tips = targets.pose["robot"][on][:, :2, 3]
     assert (tips.min(axis=0) - low).min() > 11e-3
     assert (high - tips.max(axis=0)).min() > 11e-3

@@ -12,6 +12,7 @@ from planner import processes
 from planner.claims_milling import SparesPart
 from planner.milling import body
 from planner.problem import Mesh
+from planner.segments import Segment
 from planner.tooling import Cutter
 from planner.verify import mill_body
 from planner.verify.mill_rims import edges, rim_places, rim_step
@@ -135,7 +136,7 @@ def test_what_a_proof_says_of_a_panel_is_what_booleans_leave_of_it(tmp_path: Pat
     proof = job.prove(job.programs, last=None)
     (face,) = proof.surfaces
     targets = processes.job(job.problem, 0).targets()
-    rows = np.flatnonzero(np.array(targets.segment) == "mill/front_lines")
+    rows = np.flatnonzero(np.array(targets.segment) == Segment("mill", "front_lines"))
     pose = targets.pose["robot"][np.append(rows[0] - 1, rows)]
     solid = swept(shell(0.003, 0.003, 0.012, 64, 24), pose[:, :3, 3], -pose[:, :3, 2])
     some = np.random.default_rng(0).choice(len(face.points), 500, replace=False)
@@ -152,9 +153,13 @@ def test_what_a_proof_says_of_a_panel_is_what_booleans_leave_of_it(tmp_path: Pat
 @pytest.mark.long
 def test_what_a_proof_says_of_a_twisted_wall_is_what_booleans_leave_of_it(tmp_path: Path) -> None:
     job = Job(tmp_path, WALL)
-    face = next(face for face in job.prove(job.programs, last=None).surfaces if face.segment == "mill/wall")
+    face = next(
+        face
+        for face in job.prove(job.programs, last=None).surfaces
+        if face.segment == Segment.read("mill/wall")
+    )
     targets = processes.job(job.problem, 0).targets()
-    rows = np.flatnonzero([s.startswith("mill/wall") for s in targets.segment])[1:-1]
+    rows = np.flatnonzero([(s.kind, s.name) == ("mill", "wall") for s in targets.segment])[1:-1]
     pose = targets.pose["robot"][rows]
     solid = swept(shell(0.006, 0.0, 0.05, 128), *fine(pose[:, :3, 3], -pose[:, :3, 2], 12))
     some = np.random.default_rng(0).choice(len(face.points), 300, replace=False)

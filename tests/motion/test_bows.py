@@ -25,6 +25,7 @@ from planner.motion.solve import check, solve
 from planner.motion.spread import Coordinates, levels, own_turn
 from planner.plans import OperationPlan
 from planner.problem import Cell, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.targets import Targets
 from tests.motion.scenes import box
 
@@ -87,7 +88,7 @@ def test_a_wire_may_pass_the_foam_in_cuts_only() -> None:
     cell, stock, targets = standing(60)
     place = from_rpy((0.5, 0.0, 0.3), (0.0, 0.0, 0.0))
     scene = scene_of(cell, stock, targets, place)
-    deep = targets.segment.index("cut/side") + 3
+    deep = targets.segment.index(Segment("cut", "side")) + 3
     pose = scene.tcp(targets, targets.neutral())["left"][[deep]]
     every = scene.chains["left"].inverse(pose)[0]
     q = {"left": every[np.isfinite(every).all(axis=1)][:1]}

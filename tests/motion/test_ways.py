@@ -19,6 +19,7 @@ from planner.motion.scene import Scene
 from planner.motion.search import Found, search
 from planner.motion.subset import subset
 from planner.problem import Settings
+from planner.segments import Segment
 from planner.targets import Targets
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
 
@@ -145,7 +146,7 @@ def hop() -> Targets:
         two,
         pose=pose,
         edge=dataclasses.replace(two.edge, points=points),
-        segment=("mount", "transit"),
+        segment=(Segment("mount"), Segment("transit")),
         travel=np.array([0.0, 0.84]),
         feed=np.full(2, 0.1),
         stop=np.array([True, True]),
@@ -165,7 +166,7 @@ def test_a_transit_through_the_block_goes_over_it_and_keeps_the_pair_rigid() -> 
     relative = inverse(left) @ right
     assert np.abs(relative - relative[0]).max() < 1e-9
     assert mended.stop.all()
-    assert set(mended.segment[1:]) == {"transit"}
+    assert set(mended.segment[1:]) == {Segment("transit")}
     assert mended.edge is not None
     far = np.linalg.norm(np.diff(mended.edge.points, axis=0), axis=-1).max(axis=1)
     assert np.allclose(mended.travel[1:], far, atol=1e-12)

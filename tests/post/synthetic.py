@@ -13,6 +13,7 @@ from planner.claims import HoldsStock
 from planner.geometry.rigid import from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import PlainTool, bow, gripper_plate
 
@@ -95,7 +96,7 @@ def operation(
         feed_min=np.zeros(count),
         travel=np.zeros(count),
         stop=stops,
-        segment=tuple(segment),
+        segment=tuple(map(Segment.read, segment)),
         coupled=coupled,
         actions=tuple(actions),
     )

@@ -13,6 +13,7 @@ from planner.claims import CutsSurface, KerfCurve, StraightWire
 from planner.claims_milling import MillsAlong, SparesPart
 from planner.post import krl_moves, rapid_moves
 from planner.post.write import programs
+from planner.segments import Segment
 from planner.tooling import bow
 from tests.post import synthetic
 from tests.post.reading import moves, numbers
@@ -95,7 +96,9 @@ def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
 
 def test_a_cutter_may_spin_as_its_way_asks():
     """Its spin is worth 4 mm/rad, its lean 100 where a surface is claimed, else what its angle allows."""
-    way = MillsAlong("mill/a", "left", np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), 2e-4, 0.01)
+    way = MillsAlong(
+        Segment.read("mill/a"), "left", np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), 2e-4, 0.01
+    )
     job = synthetic.problem(("left",))
     labels = ["approach", "mill/a", "mill/a", "retreat"]
     made = synthetic.operation(job, {"left": synthetic.sweep(4)}, labels, actions=(), coupled=False).targets
@@ -104,7 +107,9 @@ def test_a_cutter_may_spin_as_its_way_asks():
     lean = allowed / (0.15 * 0.01)
     spin = 100.0 * allowed / 0.5
     assert corners.levers(alone, "left", synthetic.tool()) == pytest.approx([lean, lean, spin])
-    spared = SparesPart(("mill/a",), "left", None, np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.0, 2e-4)
+    spared = SparesPart(
+        (Segment.read("mill/a"),), "left", None, np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.0, 2e-4
+    )
     both = dataclasses.replace(made, claims=(way, spared))
     assert corners.levers(both, "left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
     assert corners.levers(made, "left", synthetic.tool()) == pytest.approx([100.0] * 3)
@@ -180,16 +185,18 @@ def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
 
 def test_a_straight_wire_turns_wider_in_the_air_than_in_the_foam():
     """0.5 mm in the air, 15 % of 0.3 mm at and beside cuts; whatever else keeps to 0.02 mm everywhere."""
-    surface = CutsSurface("cut/a", np.zeros((3, 3)), np.array([[0, 1, 2]]), KerfCurve.constant(1e-3), 3e-4)
+    surface = CutsSurface(
+        Segment.read("cut/a"), np.zeros((3, 3)), np.array([[0, 1, 2]]), KerfCurve.constant(1e-3), 3e-4
+    )
     wire = StraightWire("left", np.zeros(3), np.ones(3), 2e-4, 0.02)
     job = synthetic.problem(("left",))
     labels = ["approach", "approach", "approach", "cut/a", "cut/a", "link", "link"]
     made = synthetic.operation(job, {"left": synthetic.sweep(7)}, labels, actions=(), coupled=False).targets
     straight = dataclasses.replace(made, claims=(wire, surface))
     expected = [0.5, 0.045, 0.045, 0.045, 0.5, 0.5]
-    np.testing.assert_allclose(corners.deviations(straight, labels[1:]), expected)
+    np.testing.assert_allclose(corners.deviations(straight, made.segment[1:]), expected)
     for other in (made, dataclasses.replace(straight, coupled=True)):
-        np.testing.assert_allclose(corners.deviations(other, labels[1:]), corners.DEVIATION)
+        np.testing.assert_allclose(corners.deviations(other, made.segment[1:]), corners.DEVIATION)
     position = np.stack([np.arange(7.0) * 3.0, np.abs(np.arange(7.0) - 3.0), np.zeros(7)], axis=1)
     still, even = np.tile([1.0, 0, 0, 0], (7, 1)), np.full(6, 0.1)
     reach, _ = corners.room(position, still, even, np.arange(6) == 5, 100.0, np.array(expected))

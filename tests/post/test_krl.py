@@ -268,7 +268,7 @@ def test_setups_are_told_and_confirmed_at_home():
             synthetic.operation(
                 setup,
                 q,
-                old.targets.segment[:1] + ("cut/a",) * 6,
+                list(map(str, old.targets.segment[:1])) + ["cut/a"] * 6,
                 name=old.name,
                 actions=(),
                 coupled=False,

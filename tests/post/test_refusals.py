@@ -9,6 +9,7 @@ import pytest
 
 from planner.issues import TandemError
 from planner.post.write import programs
+from planner.segments import Segment
 from planner.targets import Action
 from tests.post import synthetic
 
@@ -67,7 +68,7 @@ def test_an_action_where_the_motion_does_not_stop(small, at):
 
 @pytest.mark.parametrize("label", ["1st", "exit", "a" * 40, "!!!"])
 def test_a_label_that_gives_no_name(small, label):
-    segment = (*small[0].operations[0].targets.segment[:7], label, "unmount")
+    segment = (*small[0].operations[0].targets.segment[:7], Segment.of(label), Segment("unmount"))
     assert refused(changed(small[0], segment=segment), small[1]) == {"post.name"}
 
 
@@ -80,12 +81,12 @@ def test_a_long_label_that_comes_too_often():
 
 
 def test_two_labels_with_one_name(small):
-    segment = (*small[0].operations[0].targets.segment[:7], "cut_front", "unmount")
+    segment = (*small[0].operations[0].targets.segment[:7], Segment("cut", "Front_"), Segment("unmount"))
     assert refused(changed(small[0], segment=segment), small[1]) == {"post.name"}
 
 
 def test_a_label_with_the_name_of_another_thing(small):
-    segment = (*small[0].operations[0].targets.segment[:7], "w/stock", "unmount")
+    segment = (*small[0].operations[0].targets.segment[:7], Segment("w", "stock"), Segment("unmount"))
     assert refused(changed(small[0], segment=segment), small[1]) == {"post.name"}
 
 

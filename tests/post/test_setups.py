@@ -196,7 +196,7 @@ def test_a_block_that_two_setups_hold_has_a_load_in_each():
     changes = {**problem.changes, 1: Change(stock={"oversize": np.zeros((2, 3))}, steps=("Turn it.",))}
     problem = dataclasses.replace(problem, operations=work, changes=changes)
     operation = plan.operations[0]
-    segment = tuple(label.replace("side", "other") for label in operation.targets.segment)
+    segment = tuple(dataclasses.replace(own, name=own.name and "other") for own in operation.targets.segment)
     again = dataclasses.replace(
         operation, name="again", targets=dataclasses.replace(operation.targets, segment=segment)
     )

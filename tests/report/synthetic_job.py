@@ -21,6 +21,7 @@ from planner.geometry.shapes import Shape
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool
 from planner.verify.result import CutFace, Proof, RuleResult
@@ -158,9 +159,12 @@ def plan(count: int = 90) -> Plan:
     surfaces = [("cut/front", job.part.front), ("cut/back", job.part.back)]
     held = (
         WireJoins(ARMS, LENGTH, 2.1e-2, 2.1e-2, 1.6e-2, 0.06, True, 40.0, 1.2e-3, 1e-4),
-        *(CutsSurface(name, m.vertices, m.faces, KerfCurve.constant(1.4e-3), 5e-4) for name, m in surfaces),
+        *(
+            CutsSurface(Segment.read(name), m.vertices, m.faces, KerfCurve.constant(1.4e-3), 5e-4)
+            for name, m in surfaces
+        ),
         ContactOnlyIn(("cut",), "doWirePower", 4.0),
-        FeedWindow("cut/front", 0.002, 0.006),
+        FeedWindow(Segment.read("cut/front"), 0.002, 0.006),
     )
     actions = (
         Action(0, "confirm", "Mount the wire: 638.2 mm of Kanthal D 1.2 mm"),
@@ -178,7 +182,7 @@ def plan(count: int = 90) -> Plan:
         np.where(cutting, 0.002, 0.0),
         travel,
         stop,
-        segment,
+        tuple(map(Segment.read, segment)),
         True,
         Edge(points, 6e-4),
         actions,
@@ -260,7 +264,7 @@ def proof(rows: int = 1500) -> Proof:
             f"acceleration/{arm}": np.gradient(speed, time, axis=0),
         }
     wave = 0.03 + 0.012 * np.cos(time / 5.0)
-    series["label"] = np.array([made.targets.segment[i] for i in np.searchsorted(made.time, time)])
+    series["label"] = np.array([str(made.targets.segment[i]) for i in np.searchsorted(made.time, time)])
     series["wire/1/time"] = time
     series["wire/1/label"] = series["label"]
     series["wire/1/feed"] = np.full(rows, 0.0054)
@@ -283,7 +287,7 @@ def proof(rows: int = 1500) -> Proof:
         d = 3e-4 * np.sin(30 * p[:, 0]) * np.cos(20 * p[:, 2]) + 3e-5 * rng.normal(size=len(p))
         share = float((np.abs(d) < 5e-4).mean())
         rms, worst = float(np.sqrt((d**2).mean())), float(np.abs(d).max())
-        faces.append(CutFace(name, p, d, np.full(len(p), 1e-5), 5e-4, share, 0.95, rms, worst))
+        faces.append(CutFace(Segment.read(name), p, d, np.full(len(p), 1e-5), 5e-4, share, 0.95, rms, worst))
     rules = (
         RuleResult("internal.error", "joint limits hold on the replayed motion", True, 18.2, 2.0, "deg"),
         RuleResult(

@@ -22,6 +22,7 @@ from planner.issues import Issue, Severity
 from planner.materials import foam
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Ruled, Setup, Stock
+from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import bow, gripper_plate
 
@@ -78,8 +79,8 @@ def _straight(
     cuts = list(dict.fromkeys(label for label in labels if label.startswith("cut")))
     triangle = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0, 0.1]])
     for label in cuts:
-        claims += [CutsSurface(label, triangle, np.array([[0, 1, 2]]), KERF, 3e-4)]
-        claims += [FeedWindow(label, 0.003, 0.006)]
+        claims += [CutsSurface(Segment.read(label), triangle, np.array([[0, 1, 2]]), KERF, 3e-4)]
+        claims += [FeedWindow(Segment.read(label), 0.003, 0.006)]
     if held is not None:
         right = setup.cell.arm("right")
         tcp = held @ inverse(setup.stock.grip)
@@ -103,7 +104,7 @@ def _straight(
         np.where(cutting, 0.003, 0.0),
         travel,
         stop,
-        tuple(labels),
+        tuple(map(Segment.read, labels)),
         actions=actions,
         claims=tuple(claims),
     )

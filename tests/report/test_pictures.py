@@ -17,6 +17,7 @@ from planner.problem import Problem
 from planner.report import raster, replay3d, scene, solids
 from planner.report.scene import Scene
 from planner.report.track import track
+from planner.segments import Segment
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +105,8 @@ def test_track_runs_from_home_through_all_targets_and_home(problem: Problem, pla
     assert (np.diff(run.time) > 0).all() and len(run.time) <= 600
     for arm in problem.cell.arms:
         np.testing.assert_allclose(run.q[arm.name][[0, -1]], np.tile(arm.home, (2, 1)), atol=1e-6)
-    assert run.segment[1] == "entry" and run.segment[-1] == "exit"
-    assert list(dict.fromkeys(s for s in run.segment if "/" in s)) == ["cut/front", "cut/back"]
+    assert run.segment[1] == Segment("entry") and run.segment[-1] == Segment("exit")
+    assert list(dict.fromkeys(str(s) for s in run.segment if s.name)) == ["cut/front", "cut/back"]
     assert run.stops[0][1].startswith("Mount the wire")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from planner import pipeline
 from planner.report import replay_bar, track
 from planner.report.track import Track
+from planner.segments import Segment
 from tests import small_problem
 
 
@@ -17,7 +18,7 @@ def run(time: list[float], segment: list[str]) -> Track:
     return Track(
         time=np.array(time),
         q={"left": np.zeros((count, 6))},
-        segment=tuple(segment),
+        segment=tuple(map(Segment.read, segment)),
         setup=np.zeros(count, dtype=np.int64),
         block=np.tile(np.eye(4), (count, 1, 1)),
         wire=None,

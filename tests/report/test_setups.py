@@ -17,6 +17,7 @@ from planner.plans import Plan
 from planner.problem import Problem, Ruled
 from planner.report import inputs, moments, output, page, replay3d, scene, standing, sweep
 from planner.report.track import SETUP, track
+from planner.segments import Segment
 from planner.verify.result import RuleResult
 
 
@@ -202,10 +203,12 @@ def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
     assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf</span>", text)
     table = KerfCurve(np.array([1e-3, 3e-3, 5e-3]), *(np.array([2e-3, 1e-3, 3e-3]),) * 3)
     triangle = np.zeros((3, 3)), np.array([[0, 1, 2]])
-    cut = CutsSurface("cut/a", *triangle, table, 1e-4)
-    assert inputs.kerf_range([cut], [FeedWindow("cut/a", 2e-3, 4e-3)]) == "1.00–2.00"  # least in between
+    cut = CutsSurface(Segment.read("cut/a"), *triangle, table, 1e-4)
+    assert (
+        inputs.kerf_range([cut], [FeedWindow(Segment.read("cut/a"), 2e-3, 4e-3)]) == "1.00–2.00"
+    )  # least in between
     assert inputs.kerf_range([cut], []) == "1.00–3.00"
-    constant = CutsSurface("cut/a", *triangle, KerfCurve.constant(1.4e-3), 1e-4)
+    constant = CutsSurface(Segment.read("cut/a"), *triangle, KerfCurve.constant(1.4e-3), 1e-4)
     assert inputs.kerf_range([constant], []) == "1.4"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
 from planner.plans import OperationPlan
+from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.verify import arm_ik, machines
 
@@ -97,7 +98,7 @@ def operation_plan(name, cell, poses, frame, world, rows, travel, signal, entry,
         feed_min=np.zeros(len(rows)),
         travel=travel,
         stop=stop,
-        segment=label,
+        segment=tuple(map(Segment.read, label)),
         actions=(
             Action(0, "on", signal=signal),
             Action(0, "wait", seconds=5.0),

@@ -19,6 +19,7 @@ from planner.handshake import Handshake
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.targets import Action
 from planner.tooling import ball_tool, profile
 from tests.verify.by_hand import Operation, home_of, operation_plan
@@ -41,7 +42,7 @@ BASES = {
     "left": from_rpy([-0.72, 0.0, 0.0], [0.0, 0.0, 0.0]),
     "right": from_rpy([0.72, 0.0, 0.0], [0.0, 0.0, np.pi]),
 }
-SEGMENT = "form/f1"
+SEGMENT = Segment("form", "f1")
 TOOL = ball_tool(BALL, 0.16)
 
 
@@ -149,9 +150,9 @@ def plan(steps=72):
         pose[arm] = poses(arm, np.concatenate([[first + off, first], points, [last, last + off]]))
         ends[arm] = (PLACE @ pose[arm])[[0, -1]]
     count = len(way["left"])
-    rows = [(AIR, "approach", True)] * 2 + [(AIR, f"{SEGMENT}_in", True)]
-    rows += [(FEED, SEGMENT, False)] * (count - 2) + [(FEED, SEGMENT, True)]
-    rows += [(AIR, f"{SEGMENT}_out", True), (AIR, "retreat", True)]
+    rows = [(AIR, "approach", True)] * 2 + [(AIR, str(SEGMENT.at("in")), True)]
+    rows += [(FEED, str(SEGMENT), False)] * (count - 2) + [(FEED, str(SEGMENT), True)]
+    rows += [(AIR, str(SEGMENT.at("out")), True), (AIR, "retreat", True)]
     steps_of = [np.linalg.norm(np.diff(pose[arm][:, :3, 3], axis=0), axis=1) for arm in ARMS]
     travel = np.concatenate([[0.0], np.max(steps_of, axis=0)])
     made = operation_plan(
@@ -168,7 +169,7 @@ def plan(steps=72):
         ARMS,
     )
     duration = np.maximum(np.diff(made.time, prepend=0.0), 0.0)
-    forming = np.array([row[1] == SEGMENT for row in rows])
+    forming = np.array([row[1] == str(SEGMENT) for row in rows])
     duration[forming] = 0.04 * np.where(np.array([row[2] for row in rows]), 1.5, 1.0)[forming]
     duration[int(np.argmax(forming))] = 0.06
     actions = (Action(0, "confirm", text="Sheet clamped, nobody in the cell?"),)

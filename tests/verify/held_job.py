@@ -26,6 +26,7 @@ from planner.materials import Foam
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.tooling import bow, gripper_plate
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
@@ -155,7 +156,7 @@ def claims():
     """What the process claims."""
     out = {}
     for k, name in enumerate(("end", "back")):
-        segment, u = f"cut/{name}", np.linspace(-1.0, 1.0, 41)
+        segment, u = Segment("cut", name), np.linspace(-1.0, 1.0, 41)
         start, end = guides(k, u)
         out[name] = (
             StraightWire("left", np.array([-HALF, 0, 0]), np.array([HALF, 0, 0]), 0.0002, MARGIN),
@@ -163,7 +164,7 @@ def claims():
             CutsSurface(segment, np.concatenate([start, end]), strip(u), KERF, TOLERANCE),
             FollowsRulings(segment, start, end, KERF, TOLERANCE),
             KerfWithin(segment, KERF, 0.0008, 0.0016),
-            *(FeedWindow(segment + way, 0.003, 0.012) for way in ("", "_in", "_out")),
+            *(FeedWindow(way, 0.003, 0.012) for way in segment.ways),
             *((HoldsStock("right", GRIP, *load()),) if k == 0 else ()),
         )
     return out

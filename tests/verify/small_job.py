@@ -26,6 +26,7 @@ from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import wire_holder
 from planner.verify import arm_ik, machines
@@ -121,10 +122,10 @@ def claims():
     """What the process claims."""
     wire = WireJoins(("left", "right"), LENGTH, 0.02, 0.02, 0.0154, 0.0, True, 8.0, 0.0006, 5e-5)
     faces = [
-        CutsSurface(f"cut/{name}", *face(low), KerfCurve.constant(KERF), TOLERANCE)
+        CutsSurface(Segment.read(f"cut/{name}"), *face(low), KerfCurve.constant(KERF), TOLERANCE)
         for name, low in (("front", False), ("back", True))
     ]
-    feeds = [FeedWindow(f"cut/{name}", 0.003, 0.012) for name in ("front", "back")]
+    feeds = [FeedWindow(Segment.read(f"cut/{name}"), 0.003, 0.012) for name in ("front", "back")]
     return {"panel": (wire, *faces, ContactOnlyIn(("cut",), SIGNAL, 10.0), *feeds)}
 
 
@@ -198,7 +199,7 @@ def plan(count=24):
         feed_min=np.zeros(len(y)),
         travel=travel,
         stop=stop,
-        segment=tuple(row[4] for row in rows),
+        segment=tuple(Segment.read(row[4]) for row in rows),
         coupled=True,
         actions=actions,
     )

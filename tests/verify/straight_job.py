@@ -26,6 +26,7 @@ from planner.geometry.rigid import from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
+from planner.segments import Segment
 from planner.tooling import bow
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 
@@ -39,6 +40,8 @@ PLACES = (
     from_rpy([0.45, 0.0, 0.0], [0.0, 0.0, np.pi / 2.0]),
 )
 SIGNAL = "doWirePower"
+NAMES = ("top", "back")
+"""Of the faces, one an operation."""
 DOWN = np.array([0.0, 0.0, -1.0])
 FEED, AIR = 0.008, 0.05
 NEAR = {"irb140": [0.0, 0.0, 0.0, 0.0, 90.0, 0.0], "kr10_r1100": [0.0, -90.0, 90.0, 0.0, 90.0, 0.0]}
@@ -119,29 +122,30 @@ def claims(margin=MARGIN, kerf=KERF):
     out = {}
     for k, name in enumerate(("top", "back")):
         half = 0.5 * (0.4, 0.3)[k]
-        segment, u = f"cut/{name}", np.linspace(-1.0, 1.0, 41)
+        segment, u = Segment("cut", NAMES[k]), np.linspace(-1.0, 1.0, 41)
         out[name] = (
             StraightWire("left", np.array([-half, 0, 0]), np.array([half, 0, 0]), 0.0002, margin),
             ContactOnlyIn(("cut",), SIGNAL, 5.0),
             CutsSurface(segment, *face(k), kerf, TOLERANCE),
             FollowsRulings(segment, *guides(k, u), kerf, TOLERANCE),
             KerfWithin(segment, kerf, 0.0008, 0.0016),
-            *(FeedWindow(segment + way, 0.003, 0.012) for way in ("", "_in", "_out")),
+            *(FeedWindow(way, 0.003, 0.012) for way in segment.ways),
         )
     return out
 
 
 def way(k, count):
     """Both ends of the wire at all targets, and speed, label and stop of each."""
-    name, step = ("top", "back")[k], 2.0 / count
+    segment, step = Segment("cut", NAMES[k]), 2.0 / count
+    into_, on, out_ = map(str, segment.ways)
     lead = 0.035 / (0.056, 0.03)[k]  # the slower end comes from outside the block too
     leads = max(int(np.ceil(lead / step)), 2)
     into, out = np.linspace(-1.0 - lead, -1.0, leads + 1), np.linspace(1.0, 1.0 + lead, leads + 1)
     far = 1.0 + lead + 0.3
     u = np.concatenate([[-far], into, np.linspace(-1.0, 1.0, count + 1)[1:], out[1:], [far]])
     rows = [(AIR, "approach", True)] * 2
-    rows += [(FEED, f"cut/{name}_in", False)] * leads + [(FEED, f"cut/{name}", False)] * count
-    rows += [(FEED, f"cut/{name}_out", False)] * leads + [(AIR, "retreat", True)]
+    rows += [(FEED, into_, False)] * leads + [(FEED, on, False)] * count
+    rows += [(FEED, out_, False)] * leads + [(AIR, "retreat", True)]
     rows[-2] = (*rows[-2][:2], True)
     return wire(k, u), rows
 

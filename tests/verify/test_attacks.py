@@ -12,6 +12,7 @@ import re
 import numpy as np
 import pytest
 
+from planner.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import held_job, small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of
@@ -400,7 +401,7 @@ def test_a_gap_between_two_visits_is_not_cut():
     main = texts[name("Main", 1)].replace("    cut_top;", "    cut_top;\n    link_x;\n    cut_top__2;")
     proof = prover("straight").prove({**texts, name("Main", 1): main})
     assert not proof.ok
-    face = next(face for face in proof.surfaces if face.segment == "cut/top")
+    face = next(face for face in proof.surfaces if face.segment == Segment.read("cut/top"))
     gap = np.abs(face.points[:, 0]) < 0.006
     assert not np.isfinite(face.deviation[gap]).all() or face.share < 0.95
 
@@ -436,7 +437,7 @@ def test_a_slot_beneath_the_face_is_seen():
     deep = [issue for issue in proof.issues if issue.code == "verify.surface"]
     assert len(deep) == 1
     assert deep[0].value == pytest.approx(6.0, abs=0.5)
-    front = next(face for face in proof.surfaces if face.segment == "cut/front")
+    front = next(face for face in proof.surfaces if face.segment == Segment.read("cut/front"))
     assert front.share > 0.95  # the nearest sheet alone would not have told
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from planner.claims import CutsSurface, FollowsRulings, KerfCurve, SlitAllowed
+from planner.segments import Segment
 from planner.verify.prove import Prover
 from planner.verify.rules_straight import _off_guide, between, guide_normals
 from planner.verify.walls import walls
@@ -26,7 +27,9 @@ def prover(job, slit=False):
     claims = dict(job.claims())
     if slit:
         start, end = (points[-2] - [0.0, 0.0, 0.018] for points in straight_job.way(0, COUNT)[0])
-        ways = [SlitAllowed("cut/top_out", start, end, np.array([x, 0.0, 0.0])) for x in (1.0, -1.0)]
+        ways = [
+            SlitAllowed(Segment.read("cut/top_out"), start, end, np.array([x, 0.0, 0.0])) for x in (1.0, -1.0)
+        ]
         claims["top"] = (*claims["top"], *ways)
     return Prover(job.problem(), claims)
 
@@ -104,7 +107,7 @@ def corner(inner=False):
     line = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -0.1]])
     if inner:
         line = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
-    return FollowsRulings("cut/x", line, line + np.array([0.0, 0.2, 0.0]), KERF, 0.0003)
+    return FollowsRulings(Segment.read("cut/x"), line, line + np.array([0.0, 0.2, 0.0]), KERF, 0.0003)
 
 
 def wire_at(*places):
@@ -155,14 +158,14 @@ def box_off(points):
 
 def test_distances_to_a_closed_wall():
     points = np.random.default_rng(3).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (4000, 3))
-    found, owner = walls((CutsSurface("cut/box", CUBE, SIDES, KERF, 0.0003),)).off(points)
+    found, owner = walls((CutsSurface(Segment.read("cut/box"), CUBE, SIDES, KERF, 0.0003),)).off(points)
     assert np.abs(found - box_off(points)).max() < 1e-9
     assert (owner == 0).all()
 
 
 def test_distances_to_an_open_wall():
     """The top of the box alone: what is beside it is not known, what is beneath it is inside."""
-    top = CutsSurface("cut/top", CUBE, np.array(TOP), KERF, 0.0003)
+    top = CutsSurface(Segment.read("cut/top"), CUBE, np.array(TOP), KERF, 0.0003)
     points = np.random.default_rng(4).uniform([-0.03, -0.03, -0.03], [0.13, 0.08, 0.05], (2000, 3))
     found, _ = walls((top,)).off(points)
     over = ((points > CUBE.min(axis=0)) & (points < CUBE.max(axis=0)))[:, :2].all(axis=1)

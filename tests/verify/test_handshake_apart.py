@@ -10,6 +10,7 @@ import pytest
 from planner.cell import clearance
 from planner.claims import HoldsStock
 from planner.claims_forming import SheetState, ToolGap
+from planner.segments import Segment
 from planner.verify import handshake_apart, rules_handshake
 from planner.verify.context import Context
 from planner.verify.prove import Prover
@@ -26,7 +27,15 @@ def gap(limit, segment="cut/front"):
     flat = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
     faces = np.array([[0, 1, 2]])
     return ToolGap(
-        segment, ("left", "right"), 1, (0.01, 0.01), flat, faces, np.zeros(3), 1e-3, handshake=limit
+        Segment.read(segment),
+        ("left", "right"),
+        1,
+        (0.01, 0.01),
+        flat,
+        faces,
+        np.zeros(3),
+        1e-3,
+        handshake=limit,
     )
 
 
@@ -123,7 +132,9 @@ def test_a_grid_of_instants_finds_nothing_nearer_where_bounds_leave_doubt():
 def test_heads_are_left_out_in_those_intervals_alone_that_form():
     none = np.zeros((0, 3))
     profile = np.array([[-0.01, 0.0], [0.0, 0.01], [0.1, 0.01]])
-    claim = SheetState("cut/front", handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3)
+    claim = SheetState(
+        Segment.read("cut/front"), handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3
+    )
     here = context(2, claims={"panel": (claim,)})
     found = handshake_apart.intervals(here)
     form = handshake_apart._forming(here, 0, found)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from planner.claims_milling import MillsAlong
+from planner.segments import Segment
 from planner.verify.mill_follow import Followed, follow
 
 FloatArray = NDArray[np.float64]
@@ -42,7 +43,7 @@ WAYS = {
 def claim(way: list[tuple[list[float], FloatArray]]) -> MillsAlong:
     tip = np.array([place for place, _ in way], dtype=np.float64) * 1e-3
     axis = np.array([axis for _, axis in way])
-    return MillsAlong("mill/a", "robot", tip, axis, np.full(len(tip), 0.02), TOLERANCE, TURN)
+    return MillsAlong(Segment.read("mill/a"), "robot", tip, axis, np.full(len(tip), 0.02), TOLERANCE, TURN)
 
 
 def replay(own: MillsAlong, step: float = 0.4e-3) -> tuple[FloatArray, FloatArray]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.claims import SparesPart
+from planner.segments import Segment
 from planner.tooling import Cutter
 from planner.verify.mill_body import signed, solids
 from planner.verify.mill_track import Milling, Track
@@ -31,7 +32,7 @@ def _track() -> Track:
 
 def _spared(vertices: Any) -> SparesPart:
     faces = np.arange(len(vertices)).reshape(-1, 3)
-    return SparesPart(("mill/wall",), "robot", CUTTER, vertices, faces, 0.0, TOLERANCE)
+    return SparesPart((Segment.read("mill/wall"),), "robot", CUTTER, vertices, faces, 0.0, TOLERANCE)
 
 
 def _told(claim: SparesPart, track: Track) -> list[Any]:
@@ -40,7 +41,7 @@ def _told(claim: SparesPart, track: Track) -> list[Any]:
         node=np.arange(count),
         node_ids=np.zeros(count, dtype=int),
         node_line={"robot": np.arange(count) + 1},
-        node_label=["mill/wall"] * count,
+        node_segment=(Segment("mill", "wall"),) * count,
         node_sample=np.arange(count),
         time=0.1 * np.arange(count),
     )

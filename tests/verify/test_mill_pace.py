@@ -9,6 +9,7 @@ import pytest
 
 from planner.claims_milling import MillsAlong
 from planner.milling.thin import parted
+from planner.segments import Segment
 from planner.verify.mill_follow import follow, looks
 from planner.verify.mill_pace import ROUND, allowed, highest
 from tests.milling.small_mill import BALL, PANEL
@@ -54,7 +55,9 @@ def test_the_feed_changes_where_the_way_says() -> None:
     """A straight way with 10, 50 and 20 mm/s; two tolerances about each change either feed will do."""
     tip = np.array([[0.0, 0, 0], [30, 0, 0], [60, 0, 0], [90, 0, 0]]) * 1e-3
     axis = np.tile([0.0, 0.0, 1.0], (4, 1))
-    claim = MillsAlong("mill/a", "robot", tip, axis, np.array([0, 10, 50, 20]) * 1e-3, TOLERANCE, 0.01)
+    claim = MillsAlong(
+        Segment.read("mill/a"), "robot", tip, axis, np.array([0, 10, 50, 20]) * 1e-3, TOLERANCE, 0.01
+    )
     x = np.linspace(0.0, 0.09, 1801)
     seen = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
     axes = np.tile([0.0, 0.0, 1.0], (len(x), 1))

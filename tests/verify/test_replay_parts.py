@@ -10,6 +10,7 @@ import trimesh
 from planner import catalogue
 from planner.cell.robots import forward
 from planner.claims import CutsSurface, KerfCurve
+from planner.segments import Segment
 from planner.verify import arm_ik, confdata, machines, straight_moves, time_law
 from planner.verify.context import Context
 from planner.verify.surface import Sweep, closest, cut_face
@@ -130,7 +131,8 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
     out = radius + 0.0003
     sweep = np.stack([np.stack([out * np.sin(a), np.full_like(a, v), out * np.cos(a)], axis=-1) for v in y])
     found = cut_face(
-        CutsSurface("cut/front", vertices, faces, KerfCurve.constant(kerf), 0.0005), Sweep.steady(sweep)
+        CutsSurface(Segment.read("cut/front"), vertices, faces, KerfCurve.constant(kerf), 0.0005),
+        Sweep.steady(sweep),
     )
     # sample points lie on the chords of the wanted mesh, up to R (1 - cos) below the cylinder
     chord = radius * (1.0 - np.cos(0.5 * (a[1] - a[0])))

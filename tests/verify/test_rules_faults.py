@@ -51,7 +51,7 @@ def test_the_clean_proof_holds_and_measures():
     proof = clean()
     assert proof.ok
     assert proof.issues == ()
-    assert [face.segment for face in proof.surfaces] == ["cut/front", "cut/back"]
+    assert [str(face.segment) for face in proof.surfaces] == ["cut/front", "cut/back"]
     for key in (
         "time",
         "joints/left",

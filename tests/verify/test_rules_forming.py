@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from planner.claims_forming import FollowsOpposite, SupportsBorder
+from planner.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.mutants import moves, name, segment, shifted, tilted, timed
@@ -200,7 +201,10 @@ def test_a_dropped_stretch_of_targets_is_a_gouge_or_a_lost_gap():
 
 
 CLAIMS = {
-    "twice": ("verify.feature_order", {"FormsInOrder": {"segments": ("form/f1", "form/f2")}}),
+    "twice": (
+        "verify.feature_order",
+        {"FormsInOrder": {"segments": (Segment("form", "f1"), Segment("form", "f2"))}},
+    ),
     "more of the face": ("verify.formed", {"FormsSheet": {"share": 0.9999}}),
     "a finer scallop": ("verify.formed", {"FormsSheet": {"scallop": np.full(len(job.face()[1]), 2e-5)}}),
     "from below": ("verify.gouge", {"FormsSheet": {"side": -1}}),
@@ -210,7 +214,7 @@ CLAIMS = {
     "a slower feed": ("verify.forming_feed", {"FormingFeed": {"upper": 0.01}}),
     "a post in the way": ("verify.sheet", {"SheetState": {"fixed": np.array([[0.0, 0.015, 0.004]])}}),
     "a carried post": ("verify.sheet", {"SheetState": {"carried": np.array([[0.0, 0.015, 0.009]])}}),
-    "another segment": ("verify.sheet", {"SheetState": {"segment": "form/f3"}}),
+    "another segment": ("verify.sheet", {"SheetState": {"segment": Segment("form", "f3")}}),
 }
 
 

@@ -12,6 +12,7 @@ import pytest
 from planner import processes
 from planner.motion import solve
 from planner.post import write
+from planner.segments import Segment
 from planner.tooling import Cutter
 from planner.verify.mill_body import signed, solids, sweep
 from planner.verify.prove import Prover
@@ -97,7 +98,7 @@ def test_a_clean_wall_is_proven_whole(wall: Job) -> None:
     assert proof.ok, proof.issues
     for code in RULES:
         assert proof.rule(code).ran and proof.rule(code).passed
-    face = next(face for face in proof.surfaces if face.segment == "mill/wall")
+    face = next(face for face in proof.surfaces if face.segment == Segment.read("mill/wall"))
     assert face.share > 0.999
     assert face.largest < 1e-4
 

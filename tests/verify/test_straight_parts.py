@@ -15,10 +15,11 @@ from planner.claims import (
     StraightWire,
 )
 from planner.problem import Stock
+from planner.segments import Segment
 from planner.verify.context import Context
-from planner.verify.job import label
 from planner.verify.prove import Prover
 from planner.verify.rules_straight import free_lengths
+from planner.verify.segment_names import said
 from planner.verify.setups import letters
 from planner.verify.speed import local
 from planner.verify.surface import Sweep, cut_face
@@ -36,11 +37,11 @@ COUNT = 12
         ("cut_rib_12", "cut/rib_12"),
         ("CUT_Top_in__3", "cut/top_in"),
         ("link__4", "link"),
-        ("operation_1", "operation_1"),
+        ("operation_1", "operation/1"),
     ],
 )
 def test_segments_by_procedure(procedure, segment):
-    assert label(procedure) == segment
+    assert said(procedure) == Segment.read(segment)
 
 
 def test_letters_survive_wrapping_and_a_plain_alphabet():
@@ -109,7 +110,7 @@ def thin(sides, gap=0.0004, kerf=0.001):
     index = np.arange(len(grid)).reshape(-1, len(y))
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    claim = CutsSurface("cut/skin", vertices, faces, KerfCurve.constant(kerf), 0.0003)
+    claim = CutsSurface(Segment.read("cut/skin"), vertices, faces, KerfCurve.constant(kerf), 0.0003)
     return claim, Sweep.steady(points)
 
 
