@@ -152,11 +152,7 @@ KINEMATICS: Final = (
 )
 
 WAYS: Final = (
-    Fault("ways_unchecked", "plate", {"motion.entry:_way": _straight_way}),
-    Fault("ways_unchecked_wire", "elastic", {"motion.entry:_way": _straight_way}),
-    Fault("ways_unchecked_held", "held", {"motion.entry:_way": _straight_way}),
-    Fault("ways_unchecked_wing", "wing", {"motion.entry:_way": _straight_way}),
-    Fault("ways_unchecked_dish", "spif", {"motion.entry:_way": _straight_way}),
+    Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way}),
 )
 
 TIME: Final = (

@@ -122,10 +122,11 @@ def posed(
     }
     cell: dict[str, Any] = {"name": "cell", "arms": used, "controller": controller}
     if aside:
-        place = {"xyz_mm": [*(1e3 * _standing(used[0])[:2, 3] - [0, 300]), 400]}
-        shape = {"kind": "box", "size_mm": [150, 40, 900], "pose": place}
+        base, tcp = -0.85, _standing(used[0])[:3, 3]
+        reach, turn = float(tcp[0]) - base, np.deg2rad(18.0)
+        at = np.array([base + reach * np.cos(turn), -reach * np.sin(turn), float(tcp[2]) + 0.06])
+        shape = {"kind": "box", "size_mm": [60, 40, 160], "pose": {"xyz_mm": (1e3 * at).tolist()}}
         cell["obstacles"] = [{"name": "post", "shapes": [shape]}]
-        cell["obstacles"][0]["shapes"][0]["pose"]["xyz_mm"] = [float(v) for v in place["xyz_mm"]]
     data = {
         "tandem": 1,
         "name": "poses",
