@@ -151,9 +151,7 @@ KINEMATICS: Final = (
     Fault("stock_off_in_motion", "flank", {"motion.scene:Scene.of": fields(stock=_moved_pose(z=0.002))}),
 )
 
-WAYS: Final = (
-    Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way}),
-)
+WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way}),)
 
 TIME: Final = (
     Fault("clock_ten_times", "spif", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),
