@@ -117,7 +117,9 @@ def _made(
 ) -> list[Made]:
     """What the operations are to make, with the claims and motions of it."""
     out = []
-    ruled = [surface.name for surface in surfaces if surface.name not in ("front", "back")]
+    part: Any = context.problem.source["part"]
+    faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names too
+    ruled = [surface.name for surface in surfaces if surface.name not in faces]
     known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
     for name, kind, tolerance, share, margin in file_made.wanted(context):
         every = [name]

@@ -85,15 +85,20 @@ def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issu
 def _paths(
     context: Context, index: int, arms: tuple[str, ...], frame: str
 ) -> tuple[IntArray, list[FloatArray]]:
-    """Targets (R,) of setup ``index`` to which all arms move straight, and the tools' poses (R, 4, 4) there
-    in the frame."""
+    """Targets (R,) of setup ``index`` from which or to which arms move straight, and the tools' poses
+    (R, 4, 4) there in the frame; one arm stands where it is while another one comes to its place alone."""
     motion = context.motion
-    here = context.spans.of_stage[motion.node_stage] == index
-    for arm in arms:
-        here = here & (np.isfinite(motion.node_tcp[arm][:, 0, 0]) if arm in motion.node_tcp else False)
-    rows = np.flatnonzero(here)
-    paths = [motion.node_tcp[arm][rows] for arm in arms] if len(rows) else []
-    if frame == "stock" and paths:
+    rows = np.flatnonzero(context.spans.of_stage[motion.node_stage] == index)
+    if any(arm not in motion.node_tcp for arm in arms):
+        return rows[:0], []
+    last = np.zeros((len(arms), len(rows)), dtype=np.int64)
+    for own, arm in zip(last, arms, strict=True):
+        known = np.isfinite(motion.node_tcp[arm][rows, 0, 0])
+        own[:] = np.maximum.accumulate(np.where(known, np.arange(len(rows)), -1))
+    begun = (last >= 0).all(axis=0)
+    paths = [motion.node_tcp[arm][rows[own[begun]]] for own, arm in zip(last, arms, strict=True)]
+    rows = rows[begun]
+    if frame == "stock" and len(rows):
         back = inverse(context.stock_poses(index, motion.node_sample[rows]))
         paths = [back @ path for path in paths]
     return rows, paths
