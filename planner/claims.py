@@ -22,6 +22,7 @@ from planner.claims_forming import (
     SinksHolder,
     SupportsBorder,
     ToolGap,
+    ToolsLean,
 )
 from planner.claims_milling import (
     Engraves,
@@ -296,6 +297,7 @@ Claim = (
     | FollowsOpposite
     | SheetState
     | FormingFeed
+    | ToolsLean
     | SinksHolder
     | FormsInOrder
     | MillsSurface

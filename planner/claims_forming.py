@@ -120,6 +120,17 @@ class FormingFeed:
 
 
 @dataclasses.dataclass(frozen=True)
+class ToolsLean:
+    """In ``segment`` the tools of ``arms`` point down onto the sheet where they are ``above`` it, else up,
+    within ``upper`` [rad] of the sheet's normal."""
+
+    segment: Segment
+    arms: tuple[str, ...]
+    above: tuple[bool, ...]
+    upper: float
+
+
+@dataclasses.dataclass(frozen=True)
 class SinksHolder:
     """While ``segment`` is formed, the clamp sinks by ``step`` [m] at each pulse of ``signal``, from the
     level z ``start`` of the flat sheet to that of ``end``, or as near above it as whole steps come.

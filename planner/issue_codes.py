@@ -214,6 +214,7 @@ CODES: Final[dict[str, str]] = {
     "verify.forming_claims": "what is claimed of a pass does not follow from the part and the user's numbers",
     "verify.feature_order": "the segments that form a sheet are not those claimed, each once and in order",
     "verify.forming_feed": "a tool moves faster on the sheet than it may",
+    "verify.lean": "a forming tool leans farther than the problem lets it",
     "verify.ridge": "a ridge or groove stands out of the cut surface",
     # passes over a sheet, and the tool that supports it
     "verify.milled": "a milled surface is not within its tolerance, or something is milled that "

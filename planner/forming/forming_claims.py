@@ -17,6 +17,7 @@ from planner.claims_forming import (
     SheetState,
     SupportsBorder,
     ToolGap,
+    ToolsLean,
 )
 from planner.forming import adsif_table, holder, ridges
 from planner.forming.border import border_curve
@@ -53,10 +54,21 @@ def claims(job: Job) -> tuple[Claim, ...]:
     for one, state in zip(job.passes, found, strict=True):
         out.append(_state(job, one, state))
         out.append(FormingFeed(segment(one), job.operation.arms, job.operation.feed_mm_s * MM))
+        out += _lean(job, one)
         other = job.supporter(one)
         by_table = job.operation.mode == "adsif" and other is not None
         out += [_by_table(job, one, other)] if by_table and other is not None else _of(job, one)
     return tuple(out)
+
+
+def _lean(job: Job, one: Pass) -> list[Claim]:
+    """How far tools may lean; a source of heat leans as the wall does, and by the table adsif has its own."""
+    op, other = job.operation, job.supporter(one)
+    if op.mode == "adsif":
+        return []
+    arms = (job.former(one), *(() if other is None or op.mode == "heat" else (other,)))
+    upper = SQUARE + (op.lean_deg + op.cone_deg) * DEG
+    return [ToolsLean(segment(one), arms, tuple(job.above(arm) for arm in arms), upper)]
 
 
 def _by_table(job: Job, one: Pass, other: str) -> FormsByTable:

@@ -160,7 +160,7 @@ class Forming:
         names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
         return frozenset(way.key for name in names for way in name.ways)
 
-    def _track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
+    def track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
         """The track of a segment, worked out once."""
         key = (segment.key, index, arms)
         if key not in self._tracks:
@@ -187,14 +187,14 @@ class Forming:
     def _formed(self, claim: FormsSheet, index: int) -> Formed:
         arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
         arms = [arm for arm in arms if arm in self.context.motion.tcp]
-        way = self._track(claim.segment, index, (claim.arm, *arms))
+        way = self.track(claim.segment, index, (claim.arm, *arms))
         parts = pieces(way, SPARE * claim.tolerance)
         knots = np.unique(np.concatenate([parts.first, parts.last]))
         face = self._face(claim.vertices, claim.faces, claim.radius)
         return Formed(claim, index, way, parts, knots, face, self._ball(way, face))
 
     def _opened(self, claim: ToolGap, index: int) -> Opened:
-        way = self._track(claim.segment, index, claim.arms)
+        way = self.track(claim.segment, index, claim.arms)
         parts = pieces(way, SPARE * claim.tolerance)
         own = way.own[parts.first]
         parts = Pieces(parts.first[own], parts.last[own], parts.off[own])

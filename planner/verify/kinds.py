@@ -30,6 +30,7 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims_forming.FollowsOpposite: ("verify.opposite",),
     claims_forming.SheetState: ("verify.sheet",),
     claims_forming.FormingFeed: ("verify.forming_feed",),
+    claims_forming.ToolsLean: ("verify.lean",),
     claims_forming.SinksHolder: ("verify.holder",),
     claims_forming.FormsInOrder: ("verify.feature_order",),
     claims_forming.FormsByTable: ("verify.adsif",),

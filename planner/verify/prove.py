@@ -146,6 +146,7 @@ FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
     ("verify.forming_claims", rules_forming_claims.forming_claims),
     ("verify.feature_order", rules_forming.feature_order),
     ("verify.forming_feed", rules_forming.feed),
+    ("verify.lean", rules_forming.lean),
     ("verify.gouge", rules_forming.gouge),
     ("verify.gap", rules_forming_two.gap),
     ("verify.border", rules_forming_two.border),

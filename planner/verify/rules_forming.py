@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims_forming import FormingFeed, FormsInOrder
+from planner.claims_forming import FormingFeed, FormsInOrder, ToolsLean
 from planner.issues import Issue
 from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
@@ -181,6 +181,33 @@ def feed(context: Context, forming: Forming) -> Outcome:
     if not claims:
         return Outcome(tuple(issues), where=NONE)
     return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+def lean(context: Context, forming: Forming) -> Outcome:
+    """While they form, tools lean from the sheet's normal no farther than the problem lets them."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, 0.0, ""
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, ToolsLean)]
+    for index, claim in claims:
+        way = forming.track(claim.segment, index, claim.arms)
+        rows = np.flatnonzero(way.own)
+        for column, (arm, above) in enumerate(zip(claim.arms, claim.above, strict=True)):
+            if not len(rows):
+                continue
+            toward = -1.0 if above else 1.0
+            angle = np.arccos(np.clip(toward * way.axis(column)[rows, 2], -1.0, 1.0))
+            k = int(np.argmax(angle))
+            if angle[k] - claim.upper > worst:
+                worst, limit = float(angle[k] - claim.upper), claim.upper
+                where = f"{arm} in {claim.segment}"
+            for i in spread(angle > claim.upper):
+                got, most = float(np.rad2deg(angle[i])), float(np.rad2deg(claim.upper))
+                what = f"{arm} leans {got:.2f} deg in {claim.segment}; allowed: {most:.2f} deg"
+                row = int(way.rows[rows[i]])
+                issues.append(at_sample("verify.lean", what, context.motion, arm, row, (got, most, "deg")))
+    if not np.isfinite(worst):
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), float(np.rad2deg(worst + limit)), float(np.rad2deg(limit)), "deg", where)
 
 
 def spread(bad: BoolArray) -> IntArray:
