@@ -199,6 +199,7 @@ CODES: Final[dict[str, str]] = {
     "verify.robot_model": "a robot's URDF cannot be followed, or is not of the robot that was planned with",
     "verify.clearance": "bodies of the cell come too near to each other",
     "verify.wire_clearance": "the wire comes too near to a body",
+    "verify.part_file": "the part, as the proof reads its file once more, is not what the programs make",
     "verify.surface": "too little of the cut surface is within tolerance of the wanted one",
     "verify.gouge": "a forming tool cuts into the face that it forms, or goes through the flat sheet",
     "verify.formed": "too little of a face is formed, the ball is off it too long, or no claim is made there",

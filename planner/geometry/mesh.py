@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import re
 from pathlib import Path
 from typing import Final
 
@@ -52,7 +53,10 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
     if path.suffix.lower() not in SUFFIXES:
         raise _refuse("mesh.unreadable", path, f"got '{path.suffix}', read are OBJ, STL and PLY; convert it")
     try:
-        content = io.BytesIO(path.read_bytes())  # has no folder, so that nothing the file names is opened
+        data = path.read_bytes()
+        if path.suffix.lower() == ".obj":
+            data = _counted_from_the_start(data)
+        content = io.BytesIO(data)  # has no folder, so that nothing the file names is opened
         loaded = trimesh.load(content, path.suffix[1:].lower(), force="mesh", process=False)
         vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
@@ -78,6 +82,30 @@ def read_mesh(path: Path, unit: float) -> TriangleMesh:
             f"{LARGEST * 1e3:g} mm; state the unit that the file was made in",
         )
     return mesh
+
+
+def _counted_from_the_start(data: bytes) -> bytes:
+    """An OBJ file without indices that count back from their own line, which trimesh counts from the end of
+    the file."""
+    if re.search(rb"^[ \t]*f[ \t].*-", data, re.MULTILINE) is None:
+        return data
+    count = {b"v": 0, b"vt": 0, b"vn": 0}
+    out = []
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        words = line.split()
+        if words and words[0] in count:
+            count[words[0]] += 1
+        elif words and words[0] == b"f":
+            corners = [word.split(b"/") for word in words[1:]]
+            line = b"f " + b" ".join(
+                b"/".join(
+                    b"%d" % (so_far + 1 + int(index)) if index.startswith(b"-") else index
+                    for index, so_far in zip(corner, count.values(), strict=False)
+                )
+                for corner in corners
+            )
+        out.append(line)
+    return b"\n".join(out) + b"\n"
 
 
 def merge(mesh: TriangleMesh) -> TriangleMesh:

@@ -34,7 +34,7 @@ def envelope(one: Formed) -> CutFace:
     parts, owner = small_pieces(walls, max(size, 1e-4), 4 * _SAMPLES)
     area = _areas(parts)
     points = parts.mean(axis=1)
-    off = _swept(one, points) - claim.radius
+    off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
     share = float(area[off <= allowed].sum() / max(float(area.sum()), 1e-30))
     known = np.isfinite(off)
@@ -64,7 +64,7 @@ def obj(forming: Forming) -> str:
     for one in forming.formed:
         claim = one.claim
         own = np.unique(claim.faces[_walls(claim)])
-        off = _swept(one, claim.vertices[own]) - claim.radius
+        off = swept(one, claim.vertices[own]) - claim.radius
         moved = claim.vertices.copy()
         normals = vertex_normals(claim.vertices, claim.faces)[own]
         moved[own] += claim.side * np.where(np.isfinite(off), off, 0.0)[:, None] * normals
@@ -87,7 +87,7 @@ def _areas(corners: FloatArray) -> FloatArray:
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
-def _swept(one: Formed, points: FloatArray) -> FloatArray:
+def swept(one: Formed, points: FloatArray) -> FloatArray:
     """How near (N,) [m] the ball's centre comes to points (N, 3) while it forms; infinite if never."""
     use = one.track.own[one.pieces.first]
     start, end = one.track.centre[one.pieces.first[use], 0], one.track.centre[one.pieces.last[use], 0]

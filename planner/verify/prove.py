@@ -24,6 +24,7 @@ from planner.verify import (
     report_series,
     rules_cell,
     rules_data,
+    rules_file,
     rules_follow,
     rules_forming,
     rules_forming_sheet,
@@ -132,6 +133,7 @@ OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.surface", rules_surface.surface),
     ("verify.kerf", rules_straight.kerf),
     ("verify.ridge", rules_surface.ridges),
+    ("verify.part_file", rules_file.part_file),
 )
 FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
     ("verify.feature_order", rules_forming.feature_order),
@@ -259,6 +261,8 @@ class Prover:
         run.add("verify.surface", outcome)
         yield
         run.add("verify.kerf", rules_straight.kerf(context, run.faces, wires))
+        yield
+        run.add("verify.part_file", rules_file.part_file(context, sweeps, forming, milling))
         yield
         run.add("verify.ridge", rules_surface.ridges(context, wires))
         yield

@@ -12,6 +12,7 @@ from planner.issues import Issue
 from planner.verify import rules_krl
 from planner.verify.context import DIGEST, Context, Outcome
 from planner.verify.faults import Fault
+from planner.verify.files.carried import changed
 from planner.verify.job import task_names
 from planner.verify.rapid_ast import Literal
 from planner.verify.steps import MoveStep
@@ -231,4 +232,14 @@ def digest(context: Context) -> Outcome:
                 f"this problem is {context.problem.digest[:12]}..."
             )
             issues.append(Issue("verify.digest", message, file=task.name, hint="plan this problem again"))
+    if issues:
+        issues += [
+            Issue(
+                "verify.digest",
+                f"{name} is not the file that the programs were written for: it has been changed since",
+                file=name,
+                hint="bring the file back, or plan this problem again",
+            )
+            for name in changed(context.problem.source)
+        ]
     return Outcome(tuple(issues))

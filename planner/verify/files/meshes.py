@@ -1,0 +1,257 @@
+"""Triangles of OBJ, STL and PLY files, read from their bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.verify.files.faults import UnreadError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_STL: Final = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("more", "<u2")])
+_STL_HEAD: Final = 84
+_PLY_TYPES: Final = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+_PLY_FACES: Final = ("vertex_indices", "vertex_index")
+
+
+@dataclasses.dataclass(frozen=True)
+class Facets:
+    """Triangles ``corners`` (F, 3, 3) in the file's lengths, anticlockwise seen from outside; ``row`` (F,):
+    which of the file's faces each is of, from 1."""
+
+    corners: FloatArray
+    row: IntArray
+
+
+def read_facets(path: Path) -> Facets:
+    """The triangles of a file, by its suffix; polygons as fans. Raises `UnreadError`."""
+    data = path.read_bytes()
+    kind = path.suffix.lower()
+    try:
+        if kind == ".obj":
+            found = _obj(data.decode("utf-8", errors="replace"))
+        elif kind == ".stl":
+            found = _stl(data)
+        elif kind == ".ply":
+            found = _ply(data)
+        else:
+            raise UnreadError(f"a mesh in a file {path.suffix or 'without suffix'} is not known")
+    except (ValueError, IndexError, KeyError, OverflowError) as error:
+        raise UnreadError(str(error) or type(error).__name__) from error
+    if not len(found.corners) or not np.isfinite(found.corners).all():
+        raise UnreadError(
+            "it has no faces" if not len(found.corners) else "it has numbers that are not finite"
+        )
+    return found
+
+
+def _obj(text: str) -> Facets:
+    """Lines ``v`` and ``f``; a negative index counts back from the last vertex above the line."""
+    places: list[list[float]] = []
+    polygons: list[list[int]] = []
+    for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        if words[0] == "v":
+            places.append([float(word) for word in words[1:4]])
+        elif words[0] == "f" and len(words) > 3:
+            named = [int(word.split("/", 1)[0]) for word in words[1:]]
+            polygons.append([i - 1 if i > 0 else len(places) + i for i in named])
+    return _fans(np.array(places, dtype=np.float64).reshape(-1, 3), polygons)
+
+
+def _fans(places: FloatArray, polygons: Sequence[Sequence[int]] | IntArray) -> Facets:
+    """Triangles of polygons, as fans about the first corner of each, in their order."""
+    lengths = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+    index, row = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for length in np.unique(lengths[lengths > 2]).tolist():
+        rows = np.flatnonzero(lengths == length)
+        whole = len(rows) == len(polygons)
+        own = np.asarray(polygons if whole else [polygons[i] for i in rows.tolist()], dtype=np.int64)
+        fan = [own[:, [0, k, k + 1]] for k in range(1, length - 1)]
+        index.append(np.stack(fan, axis=1).reshape(-1, 3))
+        row.append(np.repeat(rows + 1, length - 2))
+    order = np.argsort(np.concatenate(row), kind="stable")
+    named = np.concatenate(index)[order]
+    if len(named) and (named.min() < 0 or named.max() >= len(places)):
+        raise UnreadError("a face names a vertex that is not there")
+    return Facets(places[named], np.concatenate(row)[order])
+
+
+def _stl(data: bytes) -> Facets:
+    """Binary where its own count of triangles says so, else text, of one solid or several."""
+    if len(data) >= _STL_HEAD:
+        count = int.from_bytes(data[80:84], "little")
+        if len(data) == _STL_HEAD + count * _STL.itemsize:
+            corners = np.frombuffer(data, _STL, count, _STL_HEAD)["corner"].astype(np.float64)
+            return Facets(corners, np.arange(1, count + 1))
+    words = data.decode("utf-8", errors="replace").lower().split()
+    if "endsolid" not in words:
+        raise UnreadError("it is neither a binary STL, by its length, nor one in text")
+    last = len(words) - 1 - words[::-1].index("endsolid")
+    at = np.flatnonzero(np.array(words[:last]) == "vertex")
+    numbers = [[float(word) for word in words[i + 1 : i + 4]] for i in at]
+    corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
+    return Facets(corners, np.arange(1, len(corners) + 1))
+
+
+@dataclasses.dataclass
+class _Element:
+    """An element of a PLY file: its properties as name, type, and type of the count where it is a list."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str, str | None]]
+
+
+def _ply(data: bytes) -> Facets:
+    head, body = _ply_head(data)
+    form = next((line[1] for line in head if line[0] == "format"), "")
+    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
+    if order is None:
+        raise UnreadError(f"its format is {form or '(none)'}")
+    places, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    numbers = np.array(body.split(), dtype=np.float64) if not order else np.zeros(0)
+    offset = 0
+    for element in _ply_elements(head):
+        columns: Mapping[str, Any]
+        if order:
+            columns, offset = _ply_binary(element, body, offset, order)
+        else:
+            columns, offset = _ply_text(element, numbers, offset)
+        if element.name == "vertex":
+            places = np.array([columns[axis] for axis in "xyz"], dtype=np.float64).T
+        elif element.name == "face":
+            lists = [name for name, _, count in element.properties if count is not None]
+            named = next((name for name in _PLY_FACES if name in columns), lists[0] if lists else None)
+            if named is None:
+                raise UnreadError("its faces have no list of vertices")
+            polygons = columns[named]
+    return _fans(places, polygons)
+
+
+def _ply_head(data: bytes) -> tuple[list[list[str]], bytes]:
+    """Words of the lines of the head, and what is behind it."""
+    end = data.find(b"end_header")
+    if not data[:3].lower() == b"ply" or end < 0:
+        raise UnreadError("it has no head of a PLY file")
+    after = data.find(b"\n", end)
+    lines = data[:end].decode("ascii", errors="replace").splitlines()
+    return [line.split() for line in lines if line.split()], data[after + 1 :] if after >= 0 else b""
+
+
+def _ply_elements(head: list[list[str]]) -> list[_Element]:
+    out: list[_Element] = []
+    for words in head:
+        if words[0] == "element":
+            out.append(_Element(words[1], int(words[2]), []))
+        elif words[0] == "property" and words[1] == "list":
+            out[-1].properties.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
+        elif words[0] == "property":
+            out[-1].properties.append((words[2], _PLY_TYPES[words[1]], None))
+    return out
+
+
+def _ply_text(element: _Element, numbers: FloatArray, offset: int) -> tuple[dict[str, Any], int]:
+    """Columns of an element whose numbers begin at ``offset``, and where the next one begins."""
+    lengths, at = [], offset
+    for _, _, count in element.properties:
+        lengths.append(int(numbers[at]) if count is not None and element.count else 0)
+        at += 1 + lengths[-1] if count is not None else 1
+    width = at - offset
+    if element.count and offset + width * element.count <= len(numbers):
+        table = numbers[offset : offset + width * element.count].reshape(element.count, width)
+        columns: dict[str, Any] = {}
+        column, even = 0, True
+        for (name, _, count), length in zip(element.properties, lengths, strict=True):
+            if count is None:
+                columns[name] = table[:, column]
+                column += 1
+            else:
+                even &= bool((table[:, column] == length).all())
+                columns[name] = table[:, column + 1 : column + 1 + length].astype(np.int64)
+                column += 1 + length
+        if even:
+            return columns, offset + width * element.count
+    out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
+    for _ in range(element.count):
+        for name, _, count in element.properties:
+            many = int(numbers[offset]) if count is not None else 1
+            offset += count is not None
+            values = numbers[offset : offset + many]
+            if len(values) < many:
+                raise UnreadError("it ends within its data")
+            out[name].append(values.astype(np.int64) if count is not None else values[0])
+            offset += many
+    return out, offset
+
+
+def _ply_binary(element: _Element, body: bytes, offset: int, order: str) -> tuple[dict[str, Any], int]:
+    """Columns of an element, and where the next one begins. Lists that are all as long as the first of
+    theirs, which is the usual case, are read at once."""
+    lengths = _first_lengths(element, body, offset, order)
+    fields: list[Any] = []
+    for (name, kind, count), length in zip(element.properties, lengths, strict=True):
+        if count is not None:
+            fields += [(f"count {name}", order + count), (name, order + kind, (length,))]
+        else:
+            fields.append((name, order + kind))
+    row = np.dtype(fields)
+    if offset + row.itemsize * element.count <= len(body):
+        table = np.frombuffer(body, row, element.count, offset)
+        even = all(
+            (table[f"count {name}"] == length).all()
+            for (name, _, count), length in zip(element.properties, lengths, strict=True)
+            if count is not None
+        )
+        if even:
+            return {name: table[name] for name, _, _ in element.properties}, offset + table.nbytes
+    out: dict[str, Any] = {name: [] for name, _, _ in element.properties}
+    for _ in range(element.count):
+        for name, kind, count in element.properties:
+            many = 1
+            if count is not None:
+                many = int(np.frombuffer(body, order + count, 1, offset)[0])
+                offset += np.dtype(count).itemsize
+            values = np.frombuffer(body, order + kind, many, offset)
+            offset += values.nbytes
+            out[name].append(values if count is not None else values[0])
+    return out, offset
+
+
+def _first_lengths(element: _Element, body: bytes, offset: int, order: str) -> list[int]:
+    """Lengths of the lists of the first row, 0 for what is no list."""
+    out = []
+    for _, kind, count in element.properties:
+        many = 0
+        if count is not None and element.count:
+            many = int(np.frombuffer(body, order + count, 1, offset)[0])
+            offset += np.dtype(count).itemsize
+        out.append(many)
+        offset += np.dtype(kind).itemsize * (many if count is not None else 1)
+    return out

@@ -1,0 +1,214 @@
+"""How a part is turned where the problem leaves it open: a rigid motion, without mirror or scale, that brings
+what the file says onto what is cut, with the part in the middle of the block.
+
+Whether there is one is what matters, so how it was found needs no proof: the middle and the axes of inertia
+of both, then steps to the nearest places (Y. Chen and G. Medioni, 1992).
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planner.verify.files.samples import Samples
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_NEAR: Final = 1.3
+"""Moments of inertia whose square roots differ by less than this factor may be the same."""
+_TURNS: Final = 12
+_LEAN: Final = 0.1
+"""Weight, of the part's size, of the angle between normals against distance."""
+_SLIDE: Final = 0.03
+"""Weight of distances along the surface, which keep steps from sliding."""
+_TRIED: Final = 240
+_SPOTS: Final = 32
+_FEW: Final = 6
+_MOST: Final = 30
+
+
+class _Target:
+    """Places of a surface with normals, and what is nearest to others of both."""
+
+    def __init__(self, parts: list[Samples], size: float) -> None:
+        self.points, self.normals, self.weight = _together(parts)
+        self.size, self._lean = size, _LEAN * size
+        self._tree = cKDTree(np.concatenate([self.points, self._lean * self.normals], axis=1))
+
+    def near(self, points: FloatArray, normals: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The nearest places (N,) to points with normals (N, 3), and how far they are, bounded [m]."""
+        apart, at = self._tree.query(np.concatenate([points, self._lean * normals], axis=1))
+        return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
+
+
+def found(source: list[Samples], target: list[Samples], bound: FloatArray, middle: FloatArray) -> FloatArray:
+    """The pose (4, 4) at which ``source`` is nearest to ``target``, each surface counting by its area, with
+    the box around ``bound`` (K, 3) about ``middle`` (3,)."""
+    points, normals, weight = _together(source)
+    size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
+    goal = _Target(target, size)
+    some = np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(np.int64))
+    best = _best(_seeds((points, weight), (goal.points, goal.weight)), (points, normals, weight), goal, some)
+    for _ in range(_MOST):
+        own, up = _at(best, points), normals @ best[:3, :3].T
+        at, _ = goal.near(own, up)
+        # the place is given, so that only the turn about it is looked for
+        after = _turned(own, goal.points[at], goal.normals[at], weight, middle) @ best
+        seen = _at(after, bound)
+        after[:3, 3] += middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        change, best = float(np.abs(after - best).max()), after
+        if change < 1e-9:
+            break
+    return best
+
+
+def found_piece(piece: Samples, whole: Samples) -> FloatArray:
+    """The pose (4, 4) at which a part of ``whole`` is nearest to ``piece``."""
+    points, normals, weight = _together([piece])
+    size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
+    goal = _Target([whole], size)
+    some = np.unique(np.linspace(0, len(points) - 1, _TRIED // 3).astype(np.int64))
+    spots = np.unique(np.linspace(0, len(whole.points) - 1, _SPOTS).astype(np.int64))
+    here, out = _upright(normals.mean(axis=0)), []
+    for spot, turn in itertools.product(spots.tolist(), 2.0 * np.pi * np.arange(_TURNS) / _TURNS):
+        c, s = np.cos(turn), np.sin(turn)
+        around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        pose = np.eye(4)
+        pose[:3, :3] = _upright(whole.normals[spot]) @ around @ here.T
+        pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
+        out.append(pose)
+    best = _best(out, (points, normals, weight), goal, some, 3)
+    for _ in range(_MOST):
+        best = _step(best, (points, normals, weight), goal, np.arange(len(points)))
+    return np.asarray(np.linalg.inv(best), dtype=np.float64)
+
+
+Cloud = tuple[FloatArray, FloatArray, FloatArray]
+"""Points and normals (N, 3) with weights (N,)."""
+
+
+def _best(
+    seeds: list[FloatArray], cloud: Cloud, goal: _Target, some: IntArray, steps: int = _FEW
+) -> FloatArray:
+    """The best of some poses after a few steps each."""
+    tried = []
+    for seed in seeds:
+        pose = seed
+        for _ in range(steps):
+            pose = _step(pose, cloud, goal, some)
+        _, apart = goal.near(_at(pose, cloud[0][some]), cloud[1][some] @ pose[:3, :3].T)
+        tried.append((float(cloud[2][some] @ apart**2), pose))
+    return min(tried, key=lambda one: one[0])[1]
+
+
+def _step(pose: FloatArray, cloud: Cloud, goal: _Target, rows: IntArray) -> FloatArray:
+    own = _at(pose, cloud[0][rows])
+    at, _ = goal.near(own, cloud[1][rows] @ pose[:3, :3].T)
+    return np.asarray(_moved(own, goal.points[at], goal.normals[at], cloud[2][rows]) @ pose)
+
+
+def _at(pose: FloatArray, points: FloatArray) -> FloatArray:
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
+
+
+def _upright(normal: FloatArray) -> FloatArray:
+    """A rotation (3, 3) whose z is along ``normal``."""
+    z = normal / np.linalg.norm(normal)
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _together(parts: list[Samples]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    points = np.concatenate([part.points for part in parts])
+    normals = np.concatenate([part.normals for part in parts])
+    weight = np.concatenate([np.full(len(part.points), part.area / len(part.points)) for part in parts])
+    return points, normals, weight / weight.sum()
+
+
+def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
+    """Poses that bring middle and axes of inertia together, turned on where axes are not told apart."""
+    frames = []
+    for points, weight in (source, target):
+        middle = weight @ points
+        off = points - middle
+        moments, axes = np.linalg.eigh((off * weight[:, None]).T @ off)
+        frames.append((middle, axes, np.sqrt(np.maximum(moments, 1e-30))))
+    (here, own, _), (there, goal, sizes) = frames
+    alike = [sizes[k + 1] < _NEAR * sizes[k] for k in range(2)]
+    extra = [np.eye(3)]
+    for k, same in enumerate(alike):  # turns about the axis that is told from both
+        if same:
+            one, two = k, k + 1
+            angles = 2.0 * np.pi * np.arange(1, _TURNS) / _TURNS
+            for angle in angles:
+                turn = np.eye(3)
+                turn[[one, one, two, two], [one, two, one, two]] = [
+                    np.cos(angle),
+                    -np.sin(angle),
+                    np.sin(angle),
+                    np.cos(angle),
+                ]
+                extra.append(turn)
+    out = []
+    for signs in itertools.product((1.0, -1.0), repeat=3):
+        rotation = goal @ np.diag(signs) @ own.T
+        if np.linalg.det(rotation) < 0.0:
+            continue
+        for turn in extra:
+            pose = np.eye(4)
+            pose[:3, :3] = goal @ turn @ goal.T @ rotation
+            pose[:3, 3] = there - pose[:3, :3] @ here
+            out.append(pose)
+    return out
+
+
+def _moved(own: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray) -> FloatArray:
+    """The small motion (4, 4) that brings ``own`` (N, 3) onto planes through ``goal`` across ``normal``."""
+    middle = own.mean(axis=0)
+    arm = own - middle
+    off = goal - own
+    rows = [np.concatenate([np.cross(arm, normal), normal], axis=1)]
+    values = [np.einsum("ij,ij->i", off, normal)]
+    scale = [np.sqrt(weight)]
+    for axis in np.eye(3):
+        flat = np.broadcast_to(axis, arm.shape)
+        rows.append(np.concatenate([np.cross(arm, flat), flat], axis=1))
+        values.append(off @ axis)
+        scale.append(_SLIDE * np.sqrt(weight))
+    factor = np.concatenate(scale)
+    solution = np.linalg.lstsq(np.concatenate(rows) * factor[:, None], np.concatenate(values) * factor, 1e-9)[
+        0
+    ]
+    pose = np.eye(4)
+    pose[:3, :3] = _rotation(solution[:3])
+    pose[:3, 3] = solution[3:] + middle - pose[:3, :3] @ middle
+    return pose
+
+
+def _turned(
+    own: FloatArray, goal: FloatArray, normal: FloatArray, weight: FloatArray, middle: FloatArray
+) -> FloatArray:
+    """The small turn (4, 4) about ``middle`` that brings ``own`` (N, 3) toward planes through ``goal``."""
+    rows = np.cross(own - middle, normal)
+    off = np.einsum("ij,ij->i", goal - own, normal)
+    factor = np.sqrt(weight)
+    pose = np.eye(4)
+    pose[:3, :3] = _rotation(np.linalg.lstsq(rows * factor[:, None], off * factor, 1e-6)[0])
+    pose[:3, 3] = middle - pose[:3, :3] @ middle
+    return pose
+
+
+def _rotation(turn: FloatArray) -> FloatArray:
+    """The rotation (3, 3) by a vector [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = turn / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

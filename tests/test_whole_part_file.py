@@ -1,0 +1,89 @@
+"""A part from a mesh file, from its problem to the proof of what was written: the file is read twice, by the
+planner and by the proof, and a copy that is changed later is told."""
+
+from __future__ import annotations
+
+import pytest
+
+import planner
+from planner import part_faces_file, pipeline
+from planner.geometry.mesh import TriangleMesh
+from planner.issues import TandemError
+
+
+@pytest.fixture(scope="module")
+def panel():
+    return planner.plan(planner.load("hypar_panel"))
+
+
+@pytest.fixture
+def carried(panel, tmp_path):
+    """The result folder, and the copy of the mesh in it."""
+    panel.save(tmp_path / "out")
+    (mesh,) = (tmp_path / "out" / "problem" / "files").glob("*.obj")
+    return tmp_path / "out", mesh
+
+
+def proven(folder):
+    return pipeline.verify(pipeline.load_result(folder), pipeline.read_programs(folder))
+
+
+def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
+    rule = panel.proof.rule("verify.part_file")
+    assert panel.verified
+    assert rule.where == "1200 places of hypar.obj"
+    assert rule.worst >= 95.0
+    assert proven(carried[0]).ok
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [lambda v: v * [1.0, 1.0, 0.9], lambda v: v * 0.93],
+    ids=["flatter", "smaller"],
+)
+def test_a_file_that_the_planner_reads_otherwise_is_not_proven(monkeypatch, wrong) -> None:
+    """All else follows the wrong reading, so that no other rule sees it."""
+    read = part_faces_file.read_mesh
+
+    def otherwise(path, unit):
+        mesh = read(path, unit)
+        return TriangleMesh(wrong(mesh.vertices), mesh.faces)
+
+    monkeypatch.setattr(part_faces_file, "read_mesh", otherwise)
+    outcome = planner.plan(planner.load("hypar_panel"))
+    assert not outcome.verified
+    assert not outcome.programs
+    assert [rule.code for rule in outcome.proof.rules if not rule.passed] == ["verify.part_file"]
+    assert "hypar.obj, read once more" in outcome.proof.issues[0].message
+
+
+def test_a_copy_that_is_changed_later_is_told_by_its_name(carried) -> None:
+    folder, mesh = carried
+    lines = mesh.read_text().splitlines()
+    rows = [i for i, line in enumerate(lines) if line.startswith("v ")]
+    for i in rows:
+        x, y, z = (float(word) for word in lines[i].split()[1:4])
+        lines[i] = f"v {x} {y} {0.9 * z}"
+    mesh.write_text("\n".join(lines))
+    proof = proven(folder)
+    assert not proof.ok
+    told = [
+        issue
+        for issue in proof.issues
+        if issue.code == "verify.digest" and issue.file == f"files/{mesh.name}"
+    ]
+    assert "has been changed since" in told[0].message
+
+
+def test_a_copy_that_is_gone_or_broken_is_told_by_its_name(carried) -> None:
+    folder, mesh = carried
+    data = mesh.read_bytes()
+    mesh.write_bytes(data[: len(data) // 3])
+    with pytest.raises(TandemError) as caught:
+        pipeline.load_result(folder)
+    assert mesh.name in str(caught.value)
+    mesh.unlink()
+    with pytest.raises(TandemError) as caught:
+        pipeline.load_result(folder)
+    assert [issue.code for issue in caught.value.issues] == ["problem.missing_file"]
+    assert mesh.name in str(caught.value)
