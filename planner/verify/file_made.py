@@ -90,7 +90,7 @@ def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
     """How far (N,) [m] the swept cutter is off places; NaN where it never comes near."""
     if not isinstance(one.claim, MillsSurface):
         return np.full(len(places.points), np.nan)
-    labels = tuple(name.lower() for name in one.claim.segments)
+    labels = tuple(segment.key for segment in one.claim.segments)
     track = milling.track(one.index, one.claim.arm, labels)
     solid = solids(one.claim.cutter)[0]
     step = float(np.clip(np.sqrt(0.4 * solid.radius * one.tolerance), 0.3e-3, 3e-3))

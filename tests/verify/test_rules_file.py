@@ -19,6 +19,7 @@ from planner.claims import CutsSurface, KerfCurve
 from planner.geometry.airfoil import naca
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
+from planner.segments import Segment
 from planner.verify import rules_file
 from planner.verify.prove import Prover
 from planner.verify.surface import Sweep
@@ -76,12 +77,14 @@ def judged(read, said, folder, cuts="all", size=SIZE, operation=None):
         if own.name != "edges":
             mesh = tessellate(own, 2e-5)
             curve = KerfCurve.constant(KERF)
-            surfaces.append(CutsSurface(f"cut/{own.name}", mesh.vertices, mesh.faces, curve, 3e-4, 0.95))
+            surfaces.append(
+                CutsSurface(Segment("cut", own.name), mesh.vertices, mesh.faces, curve, 3e-4, 0.95)
+            )
             sweeps.append(swept_rulings(own))
     for name, mesh in (("front", part.front), ("back", part.back)):
         if mesh is not None:
             curve = KerfCurve.constant(KERF)
-            surfaces.append(CutsSurface(f"cut/{name}", mesh.vertices, mesh.faces, curve, 3e-4, 0.95))
+            surfaces.append(CutsSurface(Segment("cut", name), mesh.vertices, mesh.faces, curve, 3e-4, 0.95))
             sweeps.append(swept_grid(mesh))
     straight = SimpleNamespace(
         name="cut", process="straight_wire", cuts=cuts, shape_tol_mm=TOLERANCE, share=0.95
