@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
+    FormsByTable,
     FormsInOrder,
+    FormsPart,
     FormsSheet,
     SheetState,
     SinksHolder,
@@ -131,15 +133,43 @@ class KerfWithin:
 
 
 @dataclasses.dataclass(frozen=True)
-class SlitAllowed:
-    """In ``segment``, a way in or out, a straight wire may pass through the part in one plane: it is moved
-    along ``way`` (3,), a unit vector, from where it lies through ``start`` and ``end`` (3,) [m, stock
-    frame]."""
+class Contour:
+    """A closed ruled surface of the part: rulings from ``start`` to ``end`` (M, 3) [m, stock frame], none of
+    them twice, ``corner`` (M,) where it has corners; ``hole``: the part lies around it.
 
-    segment: Segment
+    ``segment`` is the one that cuts it, None where this operation does not.
+    """
+
+    segment: Segment | None
     start: NDArray[np.float64]
     end: NDArray[np.float64]
+    corner: NDArray[np.bool_]
+    hole: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class SlitsAllowed:
+    """To a contour that the part lies around, one that is a hole or that lies in one, a straight wire may
+    come through the part, and leaves it the same way.
+
+    Its slit is one plane from outside of the block ``box`` (2, 3) [m] to the contour, as narrow as the wire
+    melts, and no longer in the part than has to be, in the direction of its `LeadsFrom` where there is one.
+    ``contours`` are all contours of the part.
+    """
+
+    contours: tuple[Contour, ...]
+    box: NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class LeadsFrom:
+    """To the cut of ``segment`` a straight wire comes straight from where ``way`` (3,) [stock frame] points,
+    seen from where the cut begins, as far as that is across the wire; the slot may be off by ``tolerance``
+    [m]."""
+
+    segment: Segment
     way: NDArray[np.float64]
+    tolerance: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -242,7 +272,8 @@ Claim = (
     | CutsSurface
     | FollowsRulings
     | KerfWithin
-    | SlitAllowed
+    | SlitsAllowed
+    | LeadsFrom
     | HoldsStock
     | ContactOnlyIn
     | ConfirmedPower
@@ -250,6 +281,8 @@ Claim = (
     | FollowsPoses
     | FollowsTable
     | FormsSheet
+    | FormsByTable
+    | FormsPart
     | ToolGap
     | SupportsBorder
     | FollowsOpposite

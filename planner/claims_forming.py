@@ -145,3 +145,78 @@ class FormsInOrder:
     """The segments that form the sheet come in this order, each once, and all of them."""
 
     segments: tuple[Segment, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class FormsByTable:
+    """In ``segment`` the balls of ``arms`` (the forming one first), of ``radii`` [m] about their TCPs, form
+    the face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m] at the level at which the
+    sheet is clamped, from the inside out, as a response table says of the wall at each place.
+
+    ``side`` is +1 where the forming ball is above that face, -1 below. Its lowest (highest) place is
+    ``projection`` [m] beyond the level z ``start`` [m], all along. Where it is, seen along z, is where it
+    would touch the face, whose wall there tells position angle and gap by ``table``, the text of a CSV file;
+    of all that it allows ``prefer`` takes the small "angle" or the large "gap". Under load the tools give way
+    to each other by ``give`` [m] in the sheet's plane. Loops are ``pitch`` [m] apart and go round the way
+    ``turning``, +1 anticlockwise seen from above. Gap and places hold within ``tolerance`` [m]; the tools are
+    square to the sheet within ``lean`` [rad]. ``metal``: what the sheet is of.
+    """
+
+    segment: Segment
+    arms: tuple[str, str]
+    side: int
+    radii: tuple[float, float]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    start: float
+    end: float
+    thickness: float
+    metal: str
+    table: str
+    prefer: str
+    pitch: float
+    projection: float
+    give: float
+    turning: int
+    tolerance: float
+    lean: float
+
+
+@dataclasses.dataclass(frozen=True)
+class FormsPart:
+    """What an operation is to form, as the problem states it: all that other claims say of its passes has to
+    follow from this.
+
+    The part is the lower face ``vertices``, ``faces`` (normals up) of a sheet of ``thickness`` [m], in the
+    sheet's frame, whose flat is at z = 0. ``arms`` have tools of ``kinds`` with balls or disks of ``radii``
+    [m] on ``sides`` +1, above, or -1. ``virgin``: inner features first, on the flat sheet; ``order``: the
+    user's own, by number. ``steps``: (stepdown, scallop) [m], one of them given. ``passes`` [rad]: the user's
+    wall angles; None: from ``limit`` on, that of one pass, ``angle_step`` [rad] apart. ``male``: over a die
+    that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
+    ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
+    """
+
+    mode: str
+    arms: tuple[str, ...]
+    sides: tuple[int, ...]
+    kinds: tuple[str, ...]
+    radii: tuple[float, ...]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    thickness: float
+    virgin: bool
+    order: tuple[int, ...] | None
+    squeeze: float
+    feed: float
+    steps: tuple[float | None, float | None]
+    share: float
+    gouge: float
+    gap: float
+    handshake: float
+    pressed: float
+    passes: tuple[float, ...] | None
+    limit: float
+    angle_step: float
+    repeats: int
+    male: bool = False
+    sinking: tuple[str, float] | None = None

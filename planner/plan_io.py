@@ -23,7 +23,7 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FreeAxis, KerfCurve
+from planner.claims import Claim, Contour, FreeAxis, KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
@@ -49,6 +49,7 @@ _VALUES: Final[dict[str, type]] = {
         Cutter,
         KerfCurve,
         FreeAxis,
+        Contour,
         *get_args(Claim),
     )
 }

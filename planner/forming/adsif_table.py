@@ -34,17 +34,22 @@ def built_in() -> Response:
     return read(BUILT_IN)
 
 
-def read(path: Path) -> Response:
-    """A table from a CSV file; raises `TandemError` (forming.adsif_table) with every fault and its line."""
+def text_of(path: Path) -> str:
+    """The text of a table's file; raises `TandemError` (forming.adsif_table)."""
     name = str(path)
     if not is_file(path):
         raise TandemError(_fault(name, None, None, f"{name}: no such file", "check the path"))
     try:
         if path.stat().st_size > MAX_BYTES:
             raise TandemError(_fault(name, None, None, f"got over {MAX_BYTES} bytes", "keep the table short"))
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise TandemError(_fault(name, None, None, f"cannot be read: {error}", "save it as UTF-8")) from error
+
+
+def read(path: Path) -> Response:
+    """A table from a CSV file; raises `TandemError` (forming.adsif_table) with every fault and its line."""
+    name, lines = str(path), text_of(path).splitlines()
     heads = [line for line in lines if line.startswith("#")]
     rows = [(k, line) for k, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
     conditions, source, issues = _conditions(name, heads)

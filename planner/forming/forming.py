@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planner.arrays import read_only
 from planner.claims import Claim
-from planner.forming import forming_claims, holder
+from planner.forming import forming_claims, holder, part_claim
 from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
@@ -68,15 +68,12 @@ class FormingJob:
         issues = check(made, setup, paths)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(made, setup, paths, _route(made, setup, paths), issues)
+        return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())
 
     def claims(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        made, setup = self.made, self.setup
-        if self.operation.mode != "adsif":
-            return forming_claims.claims(made)
-        route = _route(made, setup, [(one, lay(made, one)) for one in made.passes])
-        return forming_claims.claims(made, _poses(made, route))
+        whole = part_claim.wanted(self.operation, self.setup, self.part)
+        return (whole, *forming_claims.claims(self.made))
 
 
 def _route(made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -89,7 +86,12 @@ def _poses(made: Job, route: Route) -> dict[str, FloatArray]:
 
 
 def _targets(
-    made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]], route: Route, issues: list[Issue]
+    made: Job,
+    setup: Setup,
+    paths: Sequence[tuple[Pass, ToolPath]],
+    route: Route,
+    issues: list[Issue],
+    claims: tuple[Claim, ...],
 ) -> Targets:
     op = made.operation
     count = len(route.segment)
@@ -112,7 +114,7 @@ def _targets(
         stop=stop,
         segment=route.segment,
         actions=actions,
-        claims=forming_claims.claims(made, placed if op.mode == "adsif" else None),
+        claims=claims,
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )

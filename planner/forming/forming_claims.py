@@ -7,17 +7,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses
+from planner.claims import Claim
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
+    FormsByTable,
     FormsInOrder,
     FormsSheet,
     SheetState,
     SupportsBorder,
     ToolGap,
 )
-from planner.forming import holder, ridges
+from planner.forming import adsif_table, holder, ridges
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED
@@ -35,14 +36,15 @@ BORDER: Final = 0.5 * MM
 """How far a support may be off the border that it runs along."""
 OPPOSITE: Final = 2.0 * MM
 """How far a source of heat may be off its place opposite the forming ball."""
+SQUARE: Final = 0.05 * DEG
+"""How far tools at the sheet's level may lean besides what the user allows."""
 AIMED: Final = 10.0 * DEG
 """How far that place may be off the face's normal, and the nozzle off what is between that and the vertical:
 it follows the smooth face, not its facets."""
 
 
-def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim, ...]:
-    """The claims of all passes; ``poses`` {arm: (N, 4, 4)} are those of both tools where the part's face does
-    not tell where they are (adsif)."""
+def claims(job: Job) -> tuple[Claim, ...]:
+    """The claims of all passes."""
     found = states(job.tree, job.mesh, job.passes, job.thickness)
     out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in job.passes))]
     sinking = holder.claim(job)
@@ -51,13 +53,36 @@ def claims(job: Job, poses: dict[str, FloatArray] | None = None) -> tuple[Claim,
     for one, state in zip(job.passes, found, strict=True):
         out.append(_state(job, one, state))
         out.append(FormingFeed(segment(one), job.operation.arms, job.operation.feed_mm_s * MM))
-        if poses is None:
-            out += _of(job, one)
-    if poses is not None:
-        spin = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-        tolerance = (0.5 * job.operation.gap_tol_mm * MM, 0.05 * DEG + job.operation.cone_deg * DEG)
-        out += [FollowsPoses(arm, "stock", poses[arm], (spin,), *tolerance) for arm in job.operation.arms]
+        other = job.supporter(one)
+        by_table = job.operation.mode == "adsif" and other is not None
+        out += [_by_table(job, one, other)] if by_table and other is not None else _of(job, one)
     return tuple(out)
+
+
+def _by_table(job: Job, one: Pass, other: str) -> FormsByTable:
+    op, held = job.operation, job.operation.adsif
+    arms = (job.former(one), other)
+    give = 0.0 if held.stiffness_n_mm is None else held.force_n / held.stiffness_n_mm * MM
+    return FormsByTable(
+        segment(one),
+        arms,
+        one.side,
+        (job.heads[arms[0]].radius, job.heads[arms[1]].radius),
+        one.vertices,
+        one.faces,
+        one.start,
+        one.end,
+        thickness=job.thickness,
+        metal=job.sheet.metal.name,
+        table=adsif_table.text_of(held.file or adsif_table.BUILT_IN),
+        prefer=held.prefer,
+        pitch=held.pitch_mm * MM,
+        projection=held.projection_mm * MM,
+        give=give,
+        turning=1 if op.direction == "ccw" else -1,
+        tolerance=op.gap_tol_mm * MM,
+        lean=SQUARE + op.cone_deg * DEG,
+    )
 
 
 def scallop(job: Job, one: Pass) -> FloatArray:

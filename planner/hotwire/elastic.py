@@ -13,17 +13,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import (
-    Claim,
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    KerfCurve,
-    KerfWithin,
-    WireJoins,
-)
+from planner.claims import Claim, KerfCurve
 from planner.geometry.mesh import TriangleMesh, offset
-from planner.hotwire import elastic_kerf
+from planner.hotwire import elastic_claims, elastic_kerf
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit
 from planner.hotwire.elastic_exhibits import exhibits, mount_figures
@@ -37,7 +29,6 @@ from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
-from planner.segments import Segment
 from planner.targets import Action, Edge, Freedom, ScrewFreedom, Targets
 from planner.units import MM
 
@@ -114,40 +105,7 @@ class ElasticJob:
 
     def claims(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        operation, setup, part = self.operation, self.setup, self.part
-        wire, curve = _wire(operation), _kerf(operation, setup)
-        out: list[Claim] = [
-            WireJoins(
-                operation.arms,
-                operation.wire.length_mm * MM,
-                wire.bending,
-                wire.stiff_bending,
-                wire.torsion,
-                wire.weight,
-                operation.wire.is_round,
-                wire.max_curvature,
-                wire.thickness,
-                operation.end_error_mm * MM,
-            ),
-            ContactOnlyIn(("cut",), operation.signal, operation.heat_up_s),
-        ]
-        for name, face in _wanted(operation, part).items():
-            segment = Segment("cut", name)
-            out.append(
-                CutsSurface(
-                    segment,
-                    face.vertices,
-                    face.faces,
-                    curve,
-                    operation.shape_tol_mm * MM,
-                    operation.share,
-                )
-            )
-            out.append(FeedWindow(segment, operation.feed_min_mm_s * MM, operation.feed_mm_s * MM))
-            if operation.power_w is not None:
-                lower, upper = (width * MM for width in operation.kerf_range_mm)
-                out.append(KerfWithin(segment, curve, lower, upper))
-        return tuple(out)
+        return elastic_claims.claims(self.operation, self.setup, self.part)
 
 
 def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:

@@ -69,17 +69,11 @@ class StraightJob:
         issues += check_holder(operation, setup, cuts, route.lines, route.segment)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(operation, setup, bow, todo, kerf, cuts, route, pose, (first, last), issues)
+        return _targets(operation, setup, part, bow, todo, cuts, route, pose, (first, last), issues)
 
     def claims(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        operation, setup, part = self.operation, self.setup, self.part
-        bow = bow_of(operation, setup)
-        todo = wanted(operation, setup, part)
-        kerf = _kerf(operation, setup, bow, todo)[0]
-        closed = [one for one in todo if one.ruled.closed]  # these alone have slits
-        slits = straight_claims.slits(_cuts(operation, setup, part, bow, closed, kerf))
-        return straight_claims.claims(operation, setup, bow, todo, kerf, slits)
+        return straight_claims.claims(self.operation, self.setup, self.part)
 
 
 def _cuts(
@@ -106,9 +100,9 @@ def _kerf(op: Straight, setup: Setup, bow: Bow, todo: list[Wanted]) -> tuple[Ker
 def _targets(
     op: Straight,
     setup: Setup,
+    part: Part | None,
     bow: Bow,
     todo: list[Wanted],
-    kerf: KerfCurve,
     cuts: list[Cut],
     route: Route,
     pose: FloatArray,
@@ -136,7 +130,7 @@ def _targets(
         stop=route.stop,
         segment=route.segment,
         actions=actions(op, bow, setup, cuts, route),
-        claims=straight_claims.claims(op, setup, bow, todo, kerf, straight_claims.slits(cuts)),
+        claims=straight_claims.claims(op, setup, part),
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
     )

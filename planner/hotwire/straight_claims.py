@@ -1,52 +1,55 @@
-"""What must hold of a job with a straight wire, from the problem alone."""
+"""What must hold of a job with a straight wire, from the problem alone: by code of its own, of which nothing
+makes targets, and which uses nothing that does."""
 
 from __future__ import annotations
 
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.claims import (
     Claim,
     ContactOnlyIn,
+    Contour,
     CutsSurface,
     FeedWindow,
     FollowsRulings,
     HoldsStock,
-    KerfCurve,
     KerfWithin,
-    SlitAllowed,
+    LeadsFrom,
+    SlitsAllowed,
     StraightWire,
 )
+from planner.claims_kerf import slot
 from planner.geometry.rulings import tessellate
-from planner.hotwire.straight_cut import Cut
-from planner.hotwire.straight_operation import Straight
-from planner.hotwire.straight_order import Wanted
-from planner.problem import Ruled, Setup
+from planner.hotwire.straight_claimed import Claimed, claimed
+from planner.hotwire.straight_operation import Straight, SurfaceCut
+from planner.issues import Issue, TandemError
+from planner.problem import Part, Ruled, Setup
 from planner.tooling import Bow
 from planner.units import MM
 
-THROUGH: Final = 1e-5
-"""[m] a way in that is in the part for less than this spares it."""
+FloatArray = NDArray[np.float64]
+
 SURFACE_CHORD: Final = 2e-5
 """[m] the triangles of a wanted surface are as near to it as this."""
 
 
-def claims(
-    op: Straight,
-    setup: Setup,
-    bow: Bow,
-    cuts: list[Wanted],
-    kerf: KerfCurve,
-    slits: tuple[SlitAllowed, ...] = (),
-) -> tuple[Claim, ...]:
-    """Claims on the bow, on each cut, on the contact and on the block's holder."""
-    ends = np.array([[-0.5 * bow.span, 0.0, 0.0], [0.5 * bow.span, 0.0, 0.0]])
+def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """Claims on the bow, on each cut, on the contact, on the block's holder and on ways in.
+
+    Raises ``TandemError``: bow.missing, part.missing_surface, stock.foam_missing, kerf.no_data.
+    """
+    stock, bow = setup.stock, _bow(op, setup)
+    span, radius = bow.span, bow.radius
+    half = np.array([0.5 * span, 0.0, 0.0])
+    kerf = slot(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
     out: list[Claim] = [
-        StraightWire(op.arms[0], ends[0], ends[1], bow.radius, op.margin_mm * MM),
+        StraightWire(op.arms[0], -half, half, radius, op.margin_mm * MM),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
     ]
-    tolerance = op.shape_tol_mm * MM
+    cuts, tolerance = claimed(op, stock, part, span), op.shape_tol_mm * MM
     for cut in cuts:
         mesh = tessellate(cut.ruled, SURFACE_CHORD)
         out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
@@ -55,36 +58,44 @@ def claims(
         if op.power_w is not None:
             low, high = op.kerf_range_mm
             out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
-        feed = op.feed_min_mm_s * MM, op.feed(cut.cut)
+        fastest = op.feed_mm_s if cut.cut.feed_mm_s is None else cut.cut.feed_mm_s
+        feed = op.feed_min_mm_s * MM, fastest * MM
         out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
     stock = setup.stock
     if stock.held_by is not None and stock.mass is not None:
         middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
         out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
-    return (*out, *slits)
+    return (*out, *_leads(cuts, tolerance), *_slits(cuts, part, stock.box))
 
 
-def slits(cuts: list[Cut]) -> tuple[SlitAllowed, ...]:
-    """The slits by which the wire comes through the part to what is closed, and leaves it again."""
-    out = []
-    for cut in cuts:
-        if cut.start is None or cut.start.through <= THROUGH:
-            continue
-        way, own = cut.start.way, cut.wanted.segment
-        for segment, line, on in (
-            (own.at("in"), cut.into[[-1]], cut.on.lines[[0]]),
-            (own.at("out"), cut.out[[0]], cut.on.lines[[-1]]),
-        ):
-            # the slit ends where the wire meets the surface
-            start, end = (
-                at[0] + ((to[0] - at[0]) @ way) * way
-                for at, to in zip((line.start, line.end), (on.start, on.end), strict=True)
-            )
-            out.append(SlitAllowed(segment, start, end, way))
-    return tuple(out)
+def _bow(op: Straight, setup: Setup) -> Bow:
+    tool = setup.cell.arm(op.arms[0]).tool
+    if isinstance(tool, Bow):
+        return tool
+    what = f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow"
+    raise TandemError(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
 
 
-def _closed(ruled: Ruled) -> tuple[np.ndarray, np.ndarray]:
+def _leads(cuts: list[Claimed], tolerance: float) -> list[LeadsFrom]:
+    """Directions that the user states."""
+    return [
+        LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
+        for one in cuts
+        if isinstance(one.cut, SurfaceCut) and not isinstance(one.cut.lead, str)
+    ]
+
+
+def _slits(cuts: list[Claimed], part: Part | None, box: FloatArray) -> list[SlitsAllowed]:
+    """Slits through the part, where it has holes and something closed is cut."""
+    here = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
+    closed = [ruled for ruled in (() if part is None else part.ruled) if ruled.closed]
+    if not here or not any(ruled.hole for ruled in closed):
+        return []
+    contours = [Contour(here.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
+    return [SlitsAllowed(tuple(contours), box)]
+
+
+def _closed(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
     """Guide lines of a surface, those of a closed one ending where they begin."""
     if not ruled.closed:
         return ruled.start, ruled.end

@@ -64,13 +64,13 @@ def section(lines: Lines, plane: Plane) -> FloatArray:
 def pieces_across(own: Ruled, ruled: Sequence[Ruled], box: FloatArray, level: float) -> Pieces:
     """What lies beside a closed surface in the plane at the share ``level`` of its rulings in the box."""
     plane = _plane(own, box, level)
-    mine = _polygon(own, plane)
+    mine = contour(own, plane)
     others: list[Piece] = []
     enclosed = False
     for other in ruled:
         if other.name == own.name or not other.closed or abs(_direction(other) @ plane.normal) < ALONG:
             continue
-        shape = _polygon(other, plane)
+        shape = contour(other, plane)
         common = shapely.area(shapely.intersection(mine, shape))
         small, large = sorted((mine.area, shape.area))
         if common < COMMON * small:
@@ -91,7 +91,7 @@ def holds(outline: Ruled, foot: FloatArray) -> bool:
     if abs(_direction(outline)[2]) < ALONG:
         return True
     plane = _across(np.asarray(foot, dtype=np.float64), np.array([0.0, 0.0, 1.0]))
-    return bool(_polygon(outline, plane).intersects(shapely.Point(0.0, 0.0)))
+    return bool(contour(outline, plane).intersects(shapely.Point(0.0, 0.0)))
 
 
 def depths(ruled: Sequence[Ruled]) -> list[int]:
@@ -131,5 +131,6 @@ def _plane(own: Ruled, box: FloatArray, level: float) -> Plane:
     return _across(origin + (low + level * (high - low) - float(origin @ normal)) * normal, normal)
 
 
-def _polygon(ruled: Ruled, plane: Plane) -> shapely.Geometry:
+def contour(ruled: Ruled, plane: Plane) -> shapely.Geometry:
+    """The area within a closed surface where it passes a plane, in its axes."""
     return shapely.make_valid(shapely.Polygon(section(Lines(ruled.start, ruled.end), plane)))

@@ -18,7 +18,7 @@ from planner.geometry.rulings import resample, tessellate
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines, chord, join
 from planner.hotwire.straight_operation import Straight, SurfaceCut
-from planner.hotwire.straight_section import Piece, pieces_across, section
+from planner.hotwire.straight_section import Piece, contour, pieces_across, section
 from planner.issues import Issue
 from planner.problem import Ruled
 from planner.units import MM
@@ -27,6 +27,9 @@ FloatArray = NDArray[np.float64]
 
 LEVELS: Final = (0.02, 0.5, 0.98)
 """Shares of the common length of all rulings at which slots are held against other pieces."""
+STEEP: Final = 6.0
+"""Half slots of way beside another contour that a slit may take wherever it crosses it: at 20 degrees or
+more."""
 GRAZE: Final = 0.3
 """Share of the tolerance that a slot may take from another piece, and a way in from its own."""
 SIGHTS: Final = np.linspace(0.01, 0.99, 9)
@@ -40,6 +43,7 @@ def check_spared(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArr
     the part, or from its own on the way in or out."""
     if cut.wanted.ruled.closed:
         yield from _beside(op, cut, ruled, box)
+        yield from _along(op, cut, ruled, box)
     elif isinstance(cut.wanted.cut, SurfaceCut):
         yield from _own_side(op, cut)
         yield from _through(op, cut, ruled, box)
@@ -78,6 +82,34 @@ def _beside(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -
                 unit="mm",
             )
             return
+
+
+def _along(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
+    """A slit through the part crosses other contours steeply, and runs beside none of them."""
+    if cut.start is None or cut.start.through < 1e-4:
+        return
+    pieces = pieces_across(cut.wanted.ruled, ruled, box, 0.5)
+    half = float(cut.on.half[[0, -1]].max())
+    allowed = GRAZE * op.shape_tol_mm * MM
+    for lines in (cut.into, cut.out):
+        way = shapely.LineString(section(lines, pieces.plane)[[0, -1]])
+        for other in ruled:
+            if not other.closed or other.name == cut.wanted.ruled.name:
+                continue
+            border = shapely.boundary(contour(other, pieces.plane))
+            beside = way.intersection(shapely.buffer(border, half)).length
+            crossed = shapely.get_num_geometries(way.intersection(border)) if way.intersects(border) else 0
+            if beside > STEEP * half * crossed + allowed:
+                yield Issue(
+                    "straight.lead",
+                    f"{op.name}: the slit to {cut.wanted.segment} runs along {other.name} for "
+                    f"{beside / MM:.1f} mm and takes from it; give another lead",
+                    field=str(cut.wanted.segment),
+                    value=beside / MM,
+                    limit=STEEP * half * crossed / MM,
+                    unit="mm",
+                )
+                return
 
 
 def _taken(

@@ -32,6 +32,7 @@ ALL: Final = "*"
 OUTLINES: Final = frozenset({"outline", "hole"})
 """What outlines of a plate are called, before the letters that tell them apart."""
 _NEIGHBOURS: Final = 8
+_HEIGHTS: Final = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +88,7 @@ def off_wire(one: Made, places: Samples) -> FloatArray:
 
 
 def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
-    """How far (N,) [m] the swept cutter is off places; NaN where it never comes near."""
+    """How far (N,) [m] the swept cutter is off places; NaN where it never comes near, or from within."""
     if not isinstance(one.claim, MillsSurface):
         return np.full(len(places.points), np.nan)
     labels = tuple(segment.key for segment in one.claim.segments)
@@ -96,7 +97,12 @@ def off_cutter(milling: Milling, one: Made, places: Samples) -> FloatArray:
     step = float(np.clip(np.sqrt(0.4 * solid.radius * one.tolerance), 0.3e-3, 3e-3))
     tip, axis, _ = track.spaced(step)
     off, _ = sweep(places.points, tip, axis, solid)
-    return np.asarray(np.where(off < SIGHT, off, np.nan))
+    # the cutter's axis has to be on the outer side
+    heights = np.linspace(min(solid.radius, solid.end), solid.end, _HEIGHTS)
+    line = np.concatenate([tip + height * axis for height in heights])
+    near = line[np.asarray(cKDTree(line).query(places.points)[1])]
+    outside = np.einsum("ij,ij->i", near - places.points, places.normals) > 0.0
+    return np.asarray(np.where(outside & (off < SIGHT), off, np.nan))
 
 
 def of_claim(one: Made, count: int) -> Samples:

@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, FollowsPoses
-from planner.claims_forming import FormsSheet, SheetState, ToolGap
+from planner.claims import Claim
+from planner.claims_forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_shapes import PartShapes, in_order
 from planner.verify.forming_track import Pieces, Track, pieces, track
 
 FloatArray = NDArray[np.float64]
@@ -115,6 +116,19 @@ class Forming:
         )
 
     @cached_property
+    def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
+        """What each operation that forms is to make, with its passes, and all its claims; None for the part
+        where nothing says what it is."""
+        out: list[tuple[PartShapes | None, tuple[Claim, ...]]] = []
+        for setup in self.context.setup_claims:
+            for group in setup.groups:
+                part = next((claim for claim in group if isinstance(claim, FormsPart)), None)
+                passes = in_order(group)
+                if part is not None or passes:
+                    out.append((None if part is None else PartShapes(part, passes), group))
+        return tuple(out)
+
+    @cached_property
     def formed(self) -> tuple[Formed, ...]:
         """All passes that are claimed, with the forming arm first and the others behind it."""
         return tuple(
@@ -127,7 +141,7 @@ class Forming:
         return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
 
     def of(self, segment: Segment) -> Formed | None:
-        """The pass of a segment, None where its tools follow poses without a face."""
+        """The pass of a segment, None where its tools follow a table instead of a face."""
         return next((one for one in self.formed if one.claim.segment.key == segment.key), None)
 
     @cached_property
@@ -142,10 +156,8 @@ class Forming:
 
     @cached_property
     def labels(self) -> frozenset[str]:
-        """Labels of all moves that claims allow: of faces, and of tools that follow stated poses instead."""
-        led = {claim.arm for _, claim in self.by_setup if isinstance(claim, FollowsPoses)}
-        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet)]
-        names += [claim.segment for _, claim in self.states if led.issuperset(claim.arms)]
+        """Labels of all moves that claims allow."""
+        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
         return frozenset(way.key for name in names for way in name.ways)
 
     def _track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:

@@ -22,11 +22,14 @@ from planner.verify import (
     formed_part,
     handshake_apart,
     report_series,
+    rules_adsif,
     rules_cell,
     rules_data,
     rules_file,
     rules_follow,
     rules_forming,
+    rules_forming_claims,
+    rules_forming_part,
     rules_forming_sheet,
     rules_forming_two,
     rules_frames,
@@ -40,6 +43,7 @@ from planner.verify import (
     rules_part,
     rules_power,
     rules_setup,
+    rules_slit,
     rules_straight,
     rules_surface,
     rules_sync,
@@ -124,6 +128,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.bow", rules_straight.bow),
     ("verify.rulings", rules_straight.rulings),
     ("verify.part", rules_part.part),
+    ("verify.slit", rules_slit.slit),
 )
 OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.kinematics", rules_kinematics.kinematics),
@@ -136,6 +141,8 @@ OTHERS: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("verify.part_file", rules_file.part_file),
 )
 FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
+    ("verify.forming_part", rules_forming_part.forming_part),
+    ("verify.forming_claims", rules_forming_claims.forming_claims),
     ("verify.feature_order", rules_forming.feature_order),
     ("verify.forming_feed", rules_forming.feed),
     ("verify.gouge", rules_forming.gouge),
@@ -144,6 +151,7 @@ FORMING: tuple[tuple[str, Callable[[Context, Forming], Outcome]], ...] = (
     ("verify.opposite", rules_forming_two.opposite),
     ("verify.sheet", rules_forming_sheet.sheet),
     ("verify.holder", rules_holder.holder),
+    ("verify.adsif", rules_adsif.by_table),
 )
 FORMED: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.formed", rules_forming.formed),)
 

@@ -24,6 +24,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "verify.gouge": "take a smaller forming tool or round the part more, and plan again",
     "verify.sheet": "take a slimmer tool, another order, or let it lean (lean_deg), and plan again",
     "verify.gap": "put targets nearer to each other (tangent_deg, chord_mm), and plan again",
+    "verify.adsif": "put targets nearer to each other (tangent_deg, chord_mm), and plan again",
     "verify.mill_gouge": "take a smaller or slimmer cutter or tilt its axis, and plan again",
     "verify.milled": "take a smaller cutter or finer steps, and plan again",
     "verify.mill_feed": "lower the feed, and plan again",

@@ -6,12 +6,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import CutsSurface, FeedWindow, SlitAllowed
+from planner.claims import CutsSurface, FeedWindow
 from planner.issues import Issue
 from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node
 from planner.verify.rules_wire import wire_issue
+from planner.verify.slits import in_slit, slits
 from planner.verify.speed import local
 from planner.verify.walls import Walls, walls
 from planner.verify.wire import Wire, to_block
@@ -57,8 +58,8 @@ def _ranks(context: Context, index: int) -> dict[str, int]:
 
 
 def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
-    """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for slits that are
-    stated; sides of the datum block are cut from outside."""
+    """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
+    slit to what the part lies around; sides of the datum block are cut from outside."""
     issues: list[Issue] = []
     worst, where = np.inf, ""
     own = {claim.segment.key for claim in context.surfaces}
@@ -66,6 +67,7 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     bounds = _Bounds(context, wanted)
     for wire in wires:
         speed: FloatArray | None = None
+        through = slits(context, wire)
         for label in sorted(set(wire.labels.tolist()) & wire.cuts - own) if not wire.fault else ():
             rows = np.flatnonzero(wire.labels == label)
             row, column = np.nonzero(wire.inside[rows])
@@ -78,7 +80,9 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             cut = next((c for c in context.surfaces if c.segment.key == base), None)
             half = np.zeros(len(row)) if cut is None else 0.5 * cut.kerf.at(speed[row, column])
             room, tolerance = bounds.off(points)
-            room = np.where(_in_slit(context, label, points, half + np.nan_to_num(tolerance)), np.nan, room)
+            if base in through and base != label:
+                slit = in_slit(through[base], label, points, half + np.nan_to_num(tolerance))
+                room = np.where(slit, np.nan, room)
             if cut is not None and cut not in wanted:
                 datum = to_block(points, context.datum)
                 room, tolerance = np.fmin(room, datum), np.fmin(tolerance, cut.tolerance)
@@ -130,15 +134,3 @@ def _is_side(context: Context, claim: CutsSurface) -> bool:
     """Whether a surface is a side of the datum block."""
     box = context.datum.box
     return bool((np.abs(claim.vertices[:, None] - box[None]).max(axis=0) < SIDE).any())
-
-
-def _in_slit(context: Context, label: str, points: FloatArray, within: FloatArray) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie in a slit that is stated for a segment, within (N,) [m]."""
-    out = np.zeros(len(points), dtype=np.bool_)
-    for claim in context.claims:
-        if isinstance(claim, SlitAllowed) and claim.segment.key == label:
-            normal = np.cross(claim.way, claim.end - claim.start)
-            normal /= np.linalg.norm(normal)
-            off = points - claim.start
-            out |= (np.abs(off @ normal) <= within) & (off @ claim.way >= -within)
-    return out

@@ -13,11 +13,13 @@ import trimesh
 from scipy.spatial import Delaunay
 
 from planner import pipeline, processes
-from planner.claims import Claim, FollowsPoses
+from planner.claims import Claim
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
+    FormsByTable,
     FormsInOrder,
+    FormsPart,
     FormsSheet,
     SheetState,
     SupportsBorder,
@@ -42,7 +44,7 @@ MODES: dict[str, tuple[dict[str, Any], set[type]]] = {
     "dpif_l": ({"shift_deg": 20}, {FormsSheet, ToolGap}),
     "dpif_p": ({}, {FormsSheet, SupportsBorder}),
     "heat": ({}, {FormsSheet, FollowsOpposite}),
-    "adsif": ({}, {FollowsPoses}),
+    "adsif": ({}, {FormsByTable}),
 }
 
 
@@ -131,7 +133,13 @@ def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
     assert (targets.feed[forming] <= found.operations[0].feed_mm_s * MM + 1e-12).all()  # type: ignore[attr-defined]
     assert (targets.travel[1:] / targets.feed[1:] >= 0.005).all()
     assert targets.stop[[0, -1]].all()
-    assert {type(claim) for claim in targets.claims} == {FormsInOrder, SheetState, FormingFeed, *kinds}
+    assert {type(claim) for claim in targets.claims} == {
+        FormsPart,
+        FormsInOrder,
+        SheetState,
+        FormingFeed,
+        *kinds,
+    }
     assert same(targets.claims, processes.claims(found)["dish"])
 
 

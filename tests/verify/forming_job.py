@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims_forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, ToolGap
+from planner.claims_forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.handshake import Handshake
 from planner.plans import Plan
@@ -96,6 +96,42 @@ def problem(controller=None, **settings):
     )
 
 
+def part():
+    """The part and the numbers of the job as a problem would state them."""
+    vertices, faces = face()
+    return FormsPart(
+        mode="dsif",
+        arms=ARMS,
+        sides=(1, -1),
+        kinds=("ball", "ball"),
+        radii=(BALL, BALL),
+        vertices=vertices - [0.0, 0.0, SHEET],
+        faces=faces,
+        thickness=SHEET,
+        virgin=False,
+        order=None,
+        squeeze=1.0,
+        feed=FEED,
+        steps=(None, SCALLOP - TOLERANCE),
+        share=0.95,
+        gouge=TOLERANCE,
+        gap=GAP_TOLERANCE,
+        handshake=1e-3,
+        pressed=0.0,
+        passes=None,
+        limit=np.deg2rad(65.0),
+        angle_step=np.deg2rad(15.0),
+        repeats=1,
+    )
+
+
+def flat():
+    """Both faces of the flat sheet around the dish, off the bend at its rim."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(-0.056, 0.0561, 0.004)]))
+    out = np.hypot(x, y) > SPHERE * np.sin(RIM) + 0.006
+    return np.concatenate([np.column_stack([x[out], y[out], np.full(out.sum(), z)]) for z in (0.0, SHEET)])
+
+
 def claims(more=(), **changes):
     """What a process would claim, and ``more``; ``changes`` {class name: fields}."""
     vertices, faces = face()
@@ -104,11 +140,21 @@ def claims(more=(), **changes):
     # a wall that is formed already, beside the dish
     wall = np.stack(np.meshgrid([0.05], np.linspace(-0.02, 0.02, 21), np.linspace(-0.02, SHEET, 12)), -1)
     made = (
+        part(),
         FormsInOrder((SEGMENT,)),
         FormsSheet(
             SEGMENT, "left", 1, BALL, vertices, faces, SHEET, end, TOLERANCE, np.full(len(faces), SCALLOP)
         ),
-        SheetState(SEGMENT, ARMS, 1, SHEET, wall.reshape(-1, 3), none, (head, head), TOLERANCE),
+        SheetState(
+            SEGMENT,
+            ARMS,
+            1,
+            SHEET,
+            np.concatenate([wall.reshape(-1, 3), flat()]),
+            none,
+            (head, head),
+            TOLERANCE,
+        ),
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),
     )

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims import CutsSurface, FollowsRulings, KerfCurve, SlitAllowed
+from planner.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
 from planner.segments import Segment
 from planner.verify.prove import Prover
 from planner.verify.rules_straight import _off_guide, between, guide_normals
@@ -23,19 +23,29 @@ KERF = KerfCurve.constant(0.001)
 
 
 @functools.cache
-def prover(job, slit=False):
+def prover(job, contours=()):
     claims = dict(job.claims())
-    if slit:
-        start, end = (points[-2] - [0.0, 0.0, 0.018] for points in straight_job.way(0, COUNT)[0])
-        ways = [
-            SlitAllowed(Segment.read("cut/top_out"), start, end, np.array([x, 0.0, 0.0])) for x in (1.0, -1.0)
-        ]
-        claims["top"] = (*claims["top"], *ways)
+    if contours:
+        rings = tuple(ring(*one) for one in contours)
+        claims["top"] = (*claims["top"], SlitsAllowed(rings, np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.06]])))
     return Prover(job.problem(), claims)
 
 
-def codes(job, texts, last, slit=False):
-    proof = prover(job, slit).prove(texts, last=last)
+def ring(segment, size, hole):
+    """A square contour along y."""
+    square = 0.5 * size * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]) + [0.0, 0.03]
+    start = np.column_stack([square[:, 0], np.full(4, -0.1), square[:, 1]])
+    return Contour(
+        Segment.read(segment) if segment else None,
+        start,
+        start + np.array([0.0, 0.2, 0.0]),
+        np.ones(4, dtype=bool),
+        hole,
+    )
+
+
+def codes(job, texts, last, contours=()):
+    proof = prover(job, contours).prove(texts, last=last)
     return {issue.code for issue in proof.issues}
 
 
@@ -93,10 +103,17 @@ def test_ways_out_do_not_pass_the_part():
     assert "verify.part" in codes(straight_job, through_the_part(18.0), "verify.part")
 
 
-def test_stated_slits_may_pass_the_part():
-    """A plane, the one that the wire is moved in; another one is none."""
-    assert "verify.part" not in codes(straight_job, through_the_part(18.0), "verify.part", slit=True)
-    assert "verify.part" in codes(straight_job, through_the_part(12.0), "verify.part", slit=True)
+INSIDE = (("cut/top", 0.01, True),)
+OUTSIDE = (("cut/top", 0.04, False), ("", 0.01, True))
+OF_ANOTHER = (("cut/top", 0.04, False), ("cut/other", 0.01, True))
+
+
+@pytest.mark.parametrize("contours", [INSIDE, OUTSIDE, OF_ANOTHER])
+@pytest.mark.parametrize("by", [18.0, 12.0, 0.0])
+def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):
+    """Leave to come through the part is none to go elsewhere, nor on beyond the contour in the slit's own
+    plane. (Slits that are as they have to be: tests/verify/test_slits.py.)"""
+    assert "verify.part" in codes(straight_job, through_the_part(by), "verify.part", contours)
 
 
 # ---- sides of a ruled surface ----------------------------------------

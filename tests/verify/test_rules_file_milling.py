@@ -63,5 +63,4 @@ def turned_over(part):
 def test_a_wall_that_is_read_otherwise_is_not_proven(wall, change) -> None:
     rule = result(wall, change)
     assert rule.ran
-    # a cutter makes a surface on either side of it; which side it stands on is what verify.mill_gouge asks
-    assert rule.passed == (change is turned_over)
+    assert not rule.passed
