@@ -127,16 +127,20 @@ def _made(
             every = ruled
             if file_made.OUTLINES.issuperset(ruled):
                 # outlines have no names in the problem: as many as it states have to be cut
-                form = re.compile(r"cut/((?:outline|hole)_[a-z]+)")
-                every = [match.group(1) for key in known if (match := form.fullmatch(key))]
+                form = re.compile(r"(?:outline|hole)_[a-z]+")
+                cuts = [claim.segment.folded for claim in context.surfaces]
+                every = [cut.name for cut in cuts if form.fullmatch(cut.name)]
                 if len(every) != len(ruled):
                     what = f"{len(every)} outlines are cut; the part, read once more, has {len(ruled)}"
                     count = {"value": len(every), "limit": len(ruled)}
                     found.issues.append(Issue(CODE, what, field="part.plate", **count))  # type: ignore[arg-type]
         for own in every:
-            segment = Segment(kind, own).key
-            form = re.compile(re.escape(segment) + r"(_[a-z]*[0-9]+)?")
-            mills = [c for c in milling.surfaces if form.fullmatch(c[1].segments[0].key)]
+            wanted = Segment(kind, own).folded
+            segment = str(wanted)
+            first = [(c[1].segments[0].folded, c) for c in milling.surfaces]
+            form = re.compile(re.escape(wanted.name) + r"_[a-z]*[0-9]+")  # passes of one cut are numbered
+            mills = [c for one, c in first if one == wanted]
+            mills = mills or [c for one, c in first if one.kind == kind and form.fullmatch(one.name)]
             if kind == "cut" and segment in known:
                 k = known[segment]
                 out.append(Made(own, segment, tolerance, share, context.surfaces[k], sweeps[k]))
@@ -155,13 +159,19 @@ def _made(
 def _paired(
     surfaces: Sequence[Surface], made: Sequence[Made], at: FloatArray | None, found: _Found
 ) -> list[tuple[Surface, Made]]:
-    """Each thing that is made with the surface that was read, outlines of a plate by where they are."""
+    """Each thing that is made with the surface that was read, outlines of a plate by where they are. A
+    surface may be made more than once, roughly and then finely; outlines, which have no names, once each."""
     out: list[tuple[Surface, Made]] = []
     left = list(surfaces)
     for one in made:
         base = one.name.split("_", 1)[0]
-        fits = [k for k, surface in enumerate(left) if surface.name == one.name]
-        if at is not None and not fits:
+        named = [surface for surface in surfaces if surface.name == one.name]
+        if named:
+            out.append((named[0], one))
+            left = [surface for surface in left if surface is not named[0]]
+            continue
+        fits: list[int] = []
+        if at is not None:
             fits = [
                 k for k, surface in enumerate(left) if surface.name == base and base in file_made.OUTLINES
             ]
