@@ -78,6 +78,11 @@ def forming_claims(context: Context, forming: Forming) -> Outcome:
         if made is None or not made.features:
             continue
         issues += _numbers(made.part, group)
+        nowhere = [feature for feature in made.features if not len(feature.final.rim)]
+        if nowhere:  # nothing can be said of what is about it
+            segment = nowhere[0].final.claim.segment
+            issues.append(Issue(CODE, f"{segment} begins nowhere on the sheet", field=str(segment)))
+            continue
         for claim in group:
             if isinstance(claim, ToolGap):
                 off, found = _gap(made, claim)

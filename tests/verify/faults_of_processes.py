@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.claims import KerfCurve
 from planner.hotwire.straight_lines import Lines
-from planner.targets import Action, Targets
+from planner.targets import Action, ScrewFreedom, Targets
 from tests.verify.planner_faults import Fault, always, fields, given, of, result, value
 
 
@@ -141,6 +141,19 @@ def _half_path(old: Any) -> Any:
         return type(found)(**cut)
 
     return path
+
+
+def _wide_tilts(freedoms: Any) -> Any:
+    """Tilts of a cone of 0.5 rad, whatever the user allows, and wanted at its end."""
+    out = []
+    for one in freedoms:
+        out.append(one)
+        if one.name.startswith("spin"):
+            (arm,) = one.axis
+            count = np.ones(len(one.lower))
+            twist = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+            out.insert(-1, ScrewFreedom(f"wide_{arm}", {arm: twist}, 0.2 * count, 0.5 * count))
+    return tuple(out)
 
 
 def _leaning(axis: Any) -> Any:
@@ -385,6 +398,13 @@ MILLING: Final = (
     Fault("flank_diameter_for_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(2.0))}),
     Fault("flank_tip_high", "flank", {"milling.flank_cut:under": result(lambda u: u - 0.006)}),
     Fault("flank_shifted", "flank", {"milling.flank_cut:_run": result(_run_moved(y=0.001))}),
+    Fault("form_tools_lean", "dsif", {"forming.tilt:axes": result(_leaning)}),
+    Fault("form_lean_in_degrees", "spif", {"forming.tilt:axes": given(1, lambda lean: lean + 0.2)}),
+    Fault(
+        "form_cone_wide",
+        "spif",
+        {"forming.frames:freedoms": result(_wide_tilts)},
+    ),
     Fault("flank_axis_leans", "flank", {"milling.frames:poses": given(1, _leaning)}),
     Fault("lines_step_doubled", "lines", {"milling.point:ridge_step": result(_scaled(2.5))}),
     Fault("lines_tip_for_centre", "lines", {"milling.point:tips": result(_off(z=-0.001))}),
