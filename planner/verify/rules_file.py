@@ -84,7 +84,12 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
             _surfaces(context, part, sweeps, milling, found)
         elif context.problem.part is not None and context.problem.source:  # else a part of values in Python
             found.issues.append(
-                Issue(CODE, "the problem has a part that its file does not state", field="part")
+                Issue(
+                    CODE,
+                    "the problem has a part that its file does not state; state it there, or take the file "
+                    "away (source={}) for a problem of values alone",
+                    field="part",
+                )
             )
     except UnreadError as error:
         found.issues.append(Issue(CODE, f"{error}; export it anew, or convert it", field="part"))

@@ -53,7 +53,8 @@ def test_a_trimmed_block_and_an_outline_are_planned_and_proven(tmp_path: Path) -
     path = tmp_path / "problem.yaml"
     path.write_text(yaml.safe_dump(PROBLEM))
     problem = planner.load(path)
-    problem = dataclasses.replace(problem, part=blocks.part(blocks.prism("house", HOUSE, closed=True)))
+    part = blocks.part(blocks.prism("house", HOUSE, closed=True))
+    problem = dataclasses.replace(problem, part=part, source={})
     outcome = planner.plan(problem)
     assert outcome.verified, [str(issue) for issue in outcome.issues]
     assert problem.operations[0].leaves(problem.stock).oversize.sum() == pytest.approx(0.01)
