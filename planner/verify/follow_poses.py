@@ -21,6 +21,8 @@ _BLOCK = 4096
 _ROUNDS = 8
 _START = 2.1  # rad: a third of a turn
 _FAR = 1e-3
+_AGAIN = 2
+_NEAR = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +42,7 @@ def passing(
     poses: Sequence[FloatArray],
     free: Sequence[Sequence[FloatArray]],
     tolerance: tuple[float, float],
+    bounds: Sequence[FloatArray] | None = None,
 ) -> Passing:
     """How tools that move together pass poses together: for each tool its path (S, 4, 4), S > 0, its poses
     (P, 4, 4) and what it is free in.
@@ -47,9 +50,14 @@ def passing(
     ``free``: twists (6,), angular part first, along which a tool may be off in the pose's own frame, the
     later ones after the earlier ones; ``tolerance`` [m, rad]. A target may meet several poses one after the
     other, but no pose may be met before the one before it.
+
+    ``bounds``: for each tool the range (F, 2) of each twist; what a tool moves beyond it is then off too, and
+    a target of its own is taken for each pose wherever the next one meets it: along a free slide, or within
+    a wide tolerance, one target meets many poses.
     """
-    tools = zip(paths, poses, free, strict=True)
-    search = _Search(tuple(_Tool(a, inverse(b), tuple(c)) for a, b, c in tools), np.array(tolerance))
+    limits = [None] * len(paths) if bounds is None else bounds
+    tools = zip(paths, poses, free, limits, strict=True)
+    search = _Search(tuple(_Tool(a, inverse(b), tuple(c), d) for a, b, c, d in tools), np.array(tolerance))
     count, length = len(poses[0]), len(paths[0])
     target, off = np.zeros(count, dtype=np.int64), np.full((count, 2), np.nan)
     met = np.zeros(count, dtype=bool)
@@ -62,7 +70,7 @@ def passing(
         if size > 0:
             pose = np.arange(i, i + size)
             here, ahead = search.off(start + pose - i, pose), search.off(start + 1 + pose - i, pose)
-            usual = ~search.meets(here) & search.meets(ahead)
+            usual = search.meets(ahead) & (~search.meets(here) if bounds is None else pose > 0)
             run = size if usual.all() else int(np.argmin(usual))
             target[i : i + run], off[i : i + run] = start + 1 + pose[:run] - i, ahead[:run]
             met[i : i + run] = True
@@ -83,11 +91,19 @@ class _Tool:
     path: FloatArray
     back: FloatArray
     free: tuple[FloatArray, ...]
+    bounds: FloatArray | None = None
 
     def off(self, target: IntArray, pose: IntArray) -> FloatArray:
         """Way and angle (K, 2) between targets (K,) and poses (K,), without what is free."""
-        twist = values(self.back[pose] @ self.path[target], self.free)[1]
-        return np.stack([np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1)
+        value, twist = values(self.back[pose] @ self.path[target], self.free)
+        off = np.stack([np.linalg.norm(twist[:, 3:], axis=1), np.linalg.norm(twist[:, :3], axis=1)], axis=1)
+        if self.bounds is None or not self.free:
+            return off
+        turns = np.linalg.norm(np.stack(self.free)[:, :3], axis=1) > 0.0
+        apart = value - self.bounds.mean(axis=1)
+        apart = np.abs(apart - np.where(turns, 2.0 * np.pi * np.round(apart / (2.0 * np.pi)), 0.0))
+        beyond = np.maximum(apart - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
+        return off + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,6 +160,13 @@ def values(relative: FloatArray, free: Sequence[FloatArray]) -> tuple[FloatArray
         if not len(far):
             break
         again, off = _newton(relative[far], axes, np.tile(start, (len(far), 1)))
+        nearer = np.linalg.norm(off, axis=1) < np.linalg.norm(left[far], axis=1)
+        best[far[nearer]], left[far[nearer]] = again[nearer], off[nearer]
+    for _ in range(_AGAIN):  # slow where two axes are nearly one
+        far = np.flatnonzero(np.linalg.norm(left, axis=1) > _NEAR)
+        if not len(far):
+            break
+        again, off = _newton(relative[far], axes, best[far])
         nearer = np.linalg.norm(off, axis=1) < np.linalg.norm(left[far], axis=1)
         best[far[nearer]], left[far[nearer]] = again[nearer], off[nearer]
     return best, left

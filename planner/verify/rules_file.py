@@ -130,7 +130,7 @@ def _made(
         every = [name]
         if name == file_made.ALL:
             every = ruled
-            if file_made.OUTLINES.issuperset(ruled):
+            if part.get("plate"):
                 # outlines have no names in the problem: as many as it states have to be cut
                 form = re.compile(r"(?:outline|hole)_[a-z]+")
                 cuts = [claim.segment.folded for claim in context.surfaces]

@@ -22,6 +22,8 @@ IntArray = NDArray[np.int64]
 FASTER: Final = 1.002
 """Moves may be faster than the feed by this factor: their times are rounded."""
 FULL: Final = 2.0 * np.pi
+OWN: Final = (1e-5, float(np.deg2rad(0.01)))
+"""How near [m, rad] a pose's own target is to it, as a rule."""
 
 
 def follows(context: Context) -> Outcome:
@@ -69,7 +71,16 @@ def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issu
         return [_never(claim.arms)], 0.0
     poses = [table.poses[arm] for arm in claim.arms]
     twists = [[_twist(axis) for axis in claim.free if arm in axis.arms] for arm in claim.arms]
-    found = passing(paths, poses, twists, (claim.position_tol, claim.angle_tol))
+    tolerance = (claim.position_tol, claim.angle_tol)
+    # as a rule each pose has a target of its own, which tells what is free there and which feed holds
+    bounds = [_bounds(claim, arm) for arm in claim.arms]
+    own = min(tolerance[0], OWN[0]), min(tolerance[1], OWN[1])
+    for near in (own, tolerance):
+        found = passing(paths, poses, twists, near, bounds)
+        if found.met.all():
+            break
+    else:
+        found = passing(paths, poses, twists, tolerance)
     issues, worst = _missed(found, claim.arms, claim.position_tol)
     if issues:
         return issues, worst
@@ -123,6 +134,12 @@ def _missed(found: Passing, arms: tuple[str, ...], within: float) -> tuple[list[
     return issues, mm(float(found.off[: found.looked, 0].max(initial=0.0)))
 
 
+def _bounds(claim: FollowsTable, arm: str) -> FloatArray:
+    """The ranges (F, 2) of the free axes of an arm [m, rad]."""
+    own = [(axis.lower, axis.upper) for axis in claim.free if arm in axis.arms]
+    return np.array(own, dtype=np.float64).reshape(-1, 2)
+
+
 def _twist(axis: FreeAxis) -> FloatArray:
     """The unit twist (6,) of a free axis, angular part first."""
     twist = np.zeros((2, 3))
@@ -166,7 +183,7 @@ def _range(
 def _feeds(context: Context, claim: FollowsTable, table: PoseTable, node: IntArray) -> list[Issue]:
     """Poses to which the tools go faster than they may; ``node`` (P,) is the target that meets each."""
     motion = context.motion
-    at = motion.time[motion.node_sample[node]]
+    at = np.cumsum(motion.node_duration)[node]  # exact; samples are too far apart for short moves
     ways = [np.linalg.norm(np.diff(table.poses[arm][:, :3, 3], axis=0), axis=1) for arm in claim.arms]
     took = np.diff(at)
     feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)[1:]

@@ -73,6 +73,36 @@ def test_what_is_free_is_proven_within_its_ranges(
     assert outcome.verified, outcome.proof.issues
 
 
+def row_of(x: float) -> str:
+    return f"{x:.4f},0,90,0,1,0,0,cut/a"
+
+
+def written(folder: Path, xs: list[float], **changes: object) -> Path:
+    """A problem whose table goes along x, heads down."""
+    path = lanes(folder, **changes)
+    head = (folder / "targets.csv").read_text().splitlines()[0]
+    (folder / "targets.csv").write_text("\n".join([head, *map(row_of, xs)]))
+    return path
+
+
+def test_a_slide_along_the_way_is_within_its_range(tmp_path: Path) -> None:
+    """Along a free slide every target meets every pose; only its own is within the range."""
+    xs = [float(x) for x in range(-100, 101, 10)]
+    slide = {"name": "s", "arms": ["robot"], "axis": "x", "slide_mm": [-30, 30]}
+    outcome = pipeline.plan(pipeline.load(written(tmp_path, xs, free=[slide])))
+    assert outcome.verified, outcome.proof.issues
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 8])
+def test_short_moves_are_at_their_feed(tmp_path: Path, tolerance: float) -> None:
+    """Steps of 1 and 7 mm in turn. 1 mm takes 25 ms, no whole number of the samples of 4 ms; within 8 mm the
+    targets of neighbours meet a pose too, and are not its own."""
+    xs = [-100.0 + 8.0 * (k // 2) + (k % 2) for k in range(40)]
+    changes = {"position_tol_mm": tolerance, "free": [SPIN]}
+    outcome = pipeline.plan(pipeline.load(written(tmp_path, xs, **changes)))
+    assert outcome.verified, outcome.proof.issues
+
+
 def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Puts a fault into the planner's reader of tables."""
     if name == "shifted by 3 mm":

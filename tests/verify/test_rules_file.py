@@ -392,6 +392,13 @@ def test_names_that_end_like_ways_are_found(drawings, name) -> None:
     assert good(judged(said, said, drawings, (SimpleNamespace(surface=name),)))
 
 
+@pytest.mark.parametrize("name", ["outline", "hole"])
+def test_a_ruled_surface_called_like_an_outline_is_none_of_a_plate(drawings, name) -> None:
+    said = changed(RULED, ruled__0__name=name)
+    said = {**said, "ruled": said["ruled"][:1]}
+    assert good(judged(said, said, drawings))
+
+
 def test_what_no_operation_makes_is_not_looked_at(drawings) -> None:
     found = judged(RULED, RULED, drawings, (SimpleNamespace(trim=("top",)),))
     assert not found.issues
