@@ -55,7 +55,7 @@ def passing(
     a target of its own is taken for each pose wherever the next one meets it: along a free slide, or within
     a wide tolerance, one target meets many poses.
     """
-    limits = [None] * len(paths) if bounds is None else bounds
+    limits: Sequence[FloatArray | None] = [None] * len(paths) if bounds is None else bounds
     tools = zip(paths, poses, free, limits, strict=True)
     search = _Search(tuple(_Tool(a, inverse(b), tuple(c), d) for a, b, c, d in tools), np.array(tolerance))
     count, length = len(poses[0]), len(paths[0])

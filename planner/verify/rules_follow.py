@@ -74,8 +74,8 @@ def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issu
     tolerance = (claim.position_tol, claim.angle_tol)
     # as a rule each pose has a target of its own, which tells what is free there and which feed holds
     bounds = [_bounds(claim, arm) for arm in claim.arms]
-    own = min(tolerance[0], OWN[0]), min(tolerance[1], OWN[1])
-    for near in (own, tolerance):
+    narrow = min(tolerance[0], OWN[0]), min(tolerance[1], OWN[1])
+    for near in (narrow, tolerance):
         found = passing(paths, poses, twists, near, bounds)
         if found.met.all():
             break
