@@ -2,8 +2,8 @@
 
 Plain JSON arrays are tuples; ``{"$list": [...]}`` is a list, ``{"$array": key}`` an array of ``plan.npz``,
 ``{"$type": name, ...}`` one of the value classes below, ``{"$float": "nan"}`` a number that JSON lacks and
-``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Segments stand as their labels.
-Nothing is pickled.
+``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Segments stand as their labels,
+files (``{"$file": name}``) as their names, for a result's folder carries them. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -15,44 +15,41 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, Contour, FreeAxis, KerfCurve
+from planner.claims import KerfCurve
 from planner.files import write_whole
 from planner.issues import Issue, TandemError
-from planner.plans import OperationPlan, Plan
+from planner.plans import Plan
 from planner.segments import Segment
-from planner.targets import Action, Aim, Edge, ScrewFreedom, TableFreedom, Targets
 from planner.tooling import Cutter
 
 FORMAT: Final = "tandem-plan"
 SCHEMA: Final = 1
 ARRAYS: Final = "plan.npz"
 DATA: Final = "plan.json"
-_VALUES: Final[dict[str, type]] = {
-    cls.__name__: cls
-    for cls in (
-        Plan,
-        OperationPlan,
-        Targets,
-        ScrewFreedom,
-        TableFreedom,
-        Action,
-        Edge,
-        Aim,
-        Cutter,
-        KerfCurve,
-        FreeAxis,
-        Contour,
-        *get_args(Claim),
-    )
-}
+
+
+def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
+    """All dataclasses among types and in the fields of these, by name, but for what is written otherwise."""
+    for kind in kinds:
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind not in (Issue, Segment):
+            if known.get(kind.__name__) is not kind:
+                known[kind.__name__] = kind
+                _held(get_type_hints(kind).values(), known)
+        else:
+            _held(get_args(kind), known)
+    return known
+
+
+_VALUES: Final = _held((Plan, Cutter, KerfCurve), {})
+"""Classes of values that plans hold; the last ones stand in exhibits, whose fields have no types."""
 _SEGMENTS: Final = {"segment", "segments"}
 """Fields of those classes that hold segments."""
 _BROKEN: Final = (
@@ -130,6 +127,8 @@ def _encode(value: Any, key: str, arrays: Arrays) -> Any:
         return _encode(value.value, key, arrays)
     if value is None or isinstance(value, bool | int | str):
         return value
+    if isinstance(value, Path):
+        return {"$file": value.name}
     if isinstance(value, Segment):
         return str(value)
     if isinstance(value, float):
@@ -169,6 +168,8 @@ def _decode(value: Any, arrays: Arrays) -> Any:
         return arrays[value["$array"]]
     if "$float" in value:
         return float(value["$float"])
+    if "$file" in value:
+        return Path(value["$file"])
     if "$list" in value:
         return [_decode(item, arrays) for item in value["$list"]]
     if "$map" in value:
@@ -180,7 +181,8 @@ def _decode(value: Any, arrays: Arrays) -> Any:
         return Issue.from_dict(fields)
     for name in _SEGMENTS & set(fields):
         own = fields[name]
-        fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
+        if own is not None:
+            fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
     return _VALUES[value["$type"]](**fields)
 
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import claims, plan_io
+from planner import claims, pipeline, plan_io, processes
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
 from planner.segments import Segment
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
+from tests.verify.planner_jobs import JOBS
 
 RNG = np.random.default_rng(3)
 
@@ -120,6 +121,45 @@ def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
     plan = _plan()
     plan_io.save(plan, tmp_path / "out")
     assert _equal(plan, plan_io.load(tmp_path / "out"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "posed_two",
+        "elastic",
+        "plate",
+        "held",
+        "dpif_p",
+        "adsif",
+        "tpif",
+        "flank",
+        "lines",
+        "engrave",
+        "gcode",
+    ],
+)
+def test_claims_of_every_process_come_back(tmp_path: Path, name: str) -> None:
+    """Those of small jobs of all kinds; files come back as their names."""
+    (own,) = processes.claims(pipeline.load(JOBS[name](tmp_path))).values()
+    plan = _plan()
+    (operation,) = plan.operations
+    operation = dataclasses.replace(operation, targets=dataclasses.replace(operation.targets, claims=own))
+    plan_io.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / "out")
+    back = plan_io.load(tmp_path / "out").operations[0].targets.claims
+    assert _equal(_named(own), back)
+
+
+def _named(value: Any) -> Any:
+    """The value with its files as their names."""
+    if isinstance(value, Path):
+        return Path(value.name)
+    if isinstance(value, tuple):
+        return tuple(map(_named, value))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Segment):
+        fields = {f.name: _named(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return dataclasses.replace(value, **fields)
+    return value
 
 
 def test_equal_plans_give_equal_bytes_and_leave_nothing_else(tmp_path: Path) -> None:

@@ -148,7 +148,6 @@ KINEMATICS: Final = (
         },
     ),
     Fault("tool_off_in_motion", "posed", {"motion.chain:Chain.of": fields(tcp=_moved_pose(z=0.001))}),
-    Fault("stock_off_in_motion", "flank", {"motion.scene:Scene.of": fields(stock=_moved_pose(z=0.002))}),
 )
 
 WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way}),)
