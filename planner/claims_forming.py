@@ -168,9 +168,10 @@ class FormsByTable:
     ``projection`` [m] beyond the level z ``start`` [m], all along. Where it is, seen along z, is where it
     would touch the face, whose wall there tells position angle and gap by ``table``, the text of a CSV file;
     of all that it allows ``prefer`` takes the small "angle" or the large "gap". Under load the tools give way
-    to each other by ``give`` [m] in the sheet's plane. Loops are ``pitch`` [m] apart and go round the way
-    ``turning``, +1 anticlockwise seen from above. Gap and places hold within ``tolerance`` [m]; the tools are
-    square to the sheet within ``lean`` [rad]. ``metal``: what the sheet is of.
+    to each other by ``give`` [m] in the sheet's plane. Loops are ``pitch`` [m] apart, straight moves within
+    ``sag`` [m] of them, and go round the way ``turning``, +1 anticlockwise seen from above. Gap and places
+    hold within ``tolerance`` [m]; the tools are square to the sheet within ``lean`` [rad]. ``metal``: what
+    the sheet is of.
     """
 
     segment: Segment
@@ -186,6 +187,7 @@ class FormsByTable:
     table: str
     prefer: str
     pitch: float
+    sag: float
     projection: float
     give: float
     turning: int

@@ -22,7 +22,7 @@ from planner.claims_forming import (
 from planner.forming import adsif_table, holder, ridges
 from planner.forming.border import border_curve
 from planner.forming.job import Job, segment
-from planner.forming.operation import GAPPED
+from planner.forming.operation import GAPPED, Forming
 from planner.forming.opposite import FACING
 from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
@@ -89,12 +89,19 @@ def _by_table(job: Job, one: Pass, other: str) -> FormsByTable:
         table=adsif_table.text_of(held.file or adsif_table.BUILT_IN),
         prefer=held.prefer,
         pitch=held.pitch_mm * MM,
+        sag=_sag(op, one),
         projection=held.projection_mm * MM,
         give=give,
         turning=1 if op.direction == "ccw" else -1,
         tolerance=op.gap_tol_mm * MM,
         lean=SQUARE + op.cone_deg * DEG,
     )
+
+
+def _sag(op: Forming, one: Pass) -> float:
+    """How far [m] the user's chord and tangent let straight moves be off a loop as wide as the part."""
+    wide = 0.5 * float(np.ptp(one.vertices[:, :2], axis=0).max())
+    return min(op.chord_mm * MM, wide * (1.0 - float(np.cos(0.5 * op.tangent_deg * DEG))))
 
 
 def scallop(job: Job, one: Pass) -> FloatArray:

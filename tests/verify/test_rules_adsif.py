@@ -177,6 +177,23 @@ def test_what_the_table_does_not_want_is_caught(made, kind):
     assert "verify.adsif" in broken(own.prove(changed, last="verify.adsif")), kind
 
 
+def test_straight_moves_of_the_last_loop_may_be_off_as_far_as_the_user_lets_them(tmp_path):
+    """Almost a whole pitch is left beyond the last loop, and moves that turn by 12 degrees go up to
+    r (1 - cos 6 deg) inside of it, 0.07 mm; a user who lets them be off by less gets more targets."""
+    width = 12.99 * 0.2e-3
+    part = shapes.cone(WALL, width * np.tan(np.deg2rad(WALL)), RADIUS * 1e-3, 72)
+    found, texts = planned(tmp_path, part, path="contour", tangent_deg=12, chord_mm=0.1)
+    claims = processes.claims(found)
+    assert broken(Prover(found, claims).prove(texts, last="verify.adsif")) == set()
+    finer = {
+        name: tuple(
+            dataclasses.replace(one, sag=1e-6) if isinstance(one, FormsByTable) else one for one in group
+        )
+        for name, group in claims.items()
+    }
+    assert "verify.adsif" in broken(Prover(found, finer).prove(texts, last="verify.adsif"))
+
+
 def test_another_part_is_proven_on_its_other_side(tmp_path):
     """An oval that goes up, in loops, for tools that yield."""
     held = {"force_n": 100.0, "stiffness_n_mm": 5000.0}
