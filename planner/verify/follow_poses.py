@@ -103,7 +103,9 @@ class _Tool:
         apart = value - self.bounds.mean(axis=1)
         apart = np.abs(apart - np.where(turns, 2.0 * np.pi * np.round(apart / (2.0 * np.pi)), 0.0))
         beyond = np.maximum(apart - 0.5 * np.diff(self.bounds, axis=1)[:, 0], 0.0)
-        return off + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
+        return np.asarray(
+            off + np.stack([beyond[:, ~turns].sum(axis=1), beyond[:, turns].sum(axis=1)], axis=1)
+        )
 
 
 @dataclasses.dataclass(frozen=True)
