@@ -36,6 +36,7 @@ def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
     assert proven(carried[0]).ok
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "wrong",
     [lambda v: v * [1.0, 1.0, 0.9], lambda v: v * 0.93],

@@ -24,6 +24,7 @@ from planner.claims_forming import (
     SheetState,
     SupportsBorder,
     ToolGap,
+    ToolsLean,
 )
 from planner.forming import job as forming_job
 from planner.forming.feature_surface import joined, polygons, triangulated
@@ -39,11 +40,11 @@ from tests.forming import shapes
 
 KINDS = ("helical", "contour", "alternating", "stepped")
 MODES: dict[str, tuple[dict[str, Any], set[type]]] = {
-    "spif": ({}, {FormsSheet}),
-    "dsif": ({}, {FormsSheet, ToolGap}),
-    "dpif_l": ({"shift_deg": 20}, {FormsSheet, ToolGap}),
-    "dpif_p": ({}, {FormsSheet, SupportsBorder}),
-    "heat": ({}, {FormsSheet, FollowsOpposite}),
+    "spif": ({}, {FormsSheet, ToolsLean}),
+    "dsif": ({}, {FormsSheet, ToolGap, ToolsLean}),
+    "dpif_l": ({"shift_deg": 20}, {FormsSheet, ToolGap, ToolsLean}),
+    "dpif_p": ({}, {FormsSheet, SupportsBorder, ToolsLean}),
+    "heat": ({}, {FormsSheet, FollowsOpposite, ToolsLean}),
     "adsif": ({}, {FormsByTable}),
 }
 

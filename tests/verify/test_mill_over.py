@@ -104,7 +104,12 @@ FAULTS: dict[str, tuple[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", [None, *FAULTS])
+ALWAYS = ("0.4 mm too deep", "margin left out")
+
+
+@pytest.mark.parametrize(
+    "name", [None, *(n if n in ALWAYS else pytest.param(n, marks=pytest.mark.long) for n in FAULTS)]
+)
 def test_faults_in_the_planner_are_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
 ) -> None:

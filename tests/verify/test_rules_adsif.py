@@ -169,7 +169,12 @@ def test_a_planned_cone_is_proven(made):
     assert rule.ran and rule.worst < 0.5 * rule.limit
 
 
-@pytest.mark.parametrize("kind", MUTANTS)
+ALWAYS = ("0.3 mm aside", "a loop is missing", "the way in beside")
+
+
+@pytest.mark.parametrize(
+    "kind", [kind if kind in ALWAYS else pytest.param(kind, marks=pytest.mark.long) for kind in MUTANTS]
+)
 def test_what_the_table_does_not_want_is_caught(made, kind):
     own, texts = made
     changed = MUTANTS[kind](texts)
@@ -177,6 +182,7 @@ def test_what_the_table_does_not_want_is_caught(made, kind):
     assert "verify.adsif" in broken(own.prove(changed, last="verify.adsif")), kind
 
 
+@pytest.mark.long
 def test_straight_moves_of_the_last_loop_may_be_off_as_far_as_the_user_lets_them(tmp_path):
     """Almost a whole pitch is left beyond the last loop, and moves that turn by 12 degrees go up to
     r (1 - cos 6 deg) inside of it, 0.07 mm; a user who lets them be off by less gets more targets."""
@@ -194,6 +200,7 @@ def test_straight_moves_of_the_last_loop_may_be_off_as_far_as_the_user_lets_them
     assert "verify.adsif" in broken(Prover(found, finer).prove(texts, last="verify.adsif"))
 
 
+@pytest.mark.long
 def test_another_part_is_proven_on_its_other_side(tmp_path):
     """An oval that goes up, in loops, for tools that yield."""
     held = {"force_n": 100.0, "stiffness_n_mm": 5000.0}

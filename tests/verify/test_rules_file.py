@@ -361,8 +361,12 @@ def test_outlines_that_both_read_alike_are_proven(drawings, more) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"plate__dxf__file": "wide.dxf"}, {"plate__dxf__file": "hollow.dxf"}, {"plate__dxf__unit": "in"}],
-    ids=lambda wrong: " ".join(map(str, wrong.values())),
+    [
+        {"plate__dxf__file": "wide.dxf"},
+        {"plate__dxf__file": "hollow.dxf"},
+        pytest.param({"plate__dxf__unit": "in"}, marks=pytest.mark.long),
+    ],
+    ids=["wide", "hollow", "inches"],
 )
 def test_outlines_that_are_read_otherwise_are_not_proven(drawings, wrong) -> None:
     size = np.array([6.0, 6.0, 0.2])

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 import pytest
 
-from planner.claims_forming import FollowsOpposite, SupportsBorder
+from planner.claims_forming import FollowsOpposite, SupportsBorder, ToolsLean
 from planner.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
@@ -223,6 +223,16 @@ def test_programs_that_do_not_meet_a_claim_are_told(kind):
     code, changes = CLAIMS[kind]
     proof = Prover(job.problem(), job.claims(**changes)).prove(job.programs(), last=code)
     assert code in broken(proof)
+
+
+@pytest.mark.parametrize(("above", "told"), [(True, False), (False, True)])
+def test_tools_stand_as_the_problem_lets_them(above, told):
+    """The forming tool of this job stands upright above the sheet."""
+    lean = ToolsLean(job.SEGMENT, ("left",), (above,), np.deg2rad(0.05))
+    proof = Prover(job.problem(), job.claims((lean,))).prove(job.programs(), last="verify.lean")
+    assert ("verify.lean" in broken(proof)) == told
+    rule = proof.rule("verify.lean")
+    assert rule.worst == pytest.approx(180.0 if told else 0.0, abs=1e-2)
 
 
 def test_nothing_is_formed_unclaimed():
