@@ -8,6 +8,7 @@ mirror or scale, has to bring all surfaces at once onto what the programs make, 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 from typing import Any, Final
@@ -226,11 +227,10 @@ def _place(
     target = [file_made.of_claim(one, _TARGET // len(pairs)) for _, one in pairs]
     bound, middle = np.concatenate([s.bound for s in surfaces]), np.array([0.0, 0.0, 0.5 * block[2]])
     tried = []
-    for k in range(max(len(surface.samples) for surface, _ in pairs)):
+    ways = range(max(len(surface.samples) for surface, _ in pairs))
+    for all_around, k in itertools.product((False, True), ways):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
-        at = placing.found(source, target, bound, middle)
-        if all(len(surface.samples) == 1 for surface, _ in pairs):
-            return at
+        at = placing.found(source, target, bound, middle, all_around)
         share = [
             _Tried(surface, one, own.moved(at), at, milling).share
             for (surface, one), own in zip(pairs, source, strict=True)

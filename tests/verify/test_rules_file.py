@@ -465,3 +465,21 @@ def test_a_sheet_that_is_read_otherwise_is_not_proven(tmp_path, wrong) -> None:
     assert rule.ran
     assert not rule.passed
     assert "dish.obj" in issues[0].message
+
+
+@pytest.mark.parametrize("seed", [0, 8, 11])
+def test_irregular_rings_whose_place_is_open_are_found(tmp_path, seed) -> None:
+    """Seven corners each, joined with the least twist: of what is made, only the guides are known."""
+    rng = np.random.default_rng(seed)
+    radius, angle = rng.uniform(60.0, 90.0, 7).round(1), 2.0 * np.pi * np.arange(7) / 7
+
+    def ring(z, size, turn):
+        wide = size * radius * [[1.0], [1.4]] * np.stack([np.cos(angle + turn), np.sin(angle + turn)])
+        points = np.column_stack([*wide, np.full(7, z)]).round(2).tolist()
+        return {"polyline_mm": points, "corner_deg": 20.0}
+
+    sides = {"name": "sides", "closed": True, "match": "least_twist"}
+    said = {"ruled": [sides | {"start": ring(0.0, 1.0, 0.0), "end": ring(100.0, 0.7, 0.2)}]}
+    assert not judged(said, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues
+    wrong = {"ruled": [sides | {"start": ring(0.0, 1.0, 0.0), "end": ring(100.0, 0.72, 0.2)}]}
+    assert judged(wrong, said, tmp_path, size=np.array([0.9, 1.1, 0.7])).issues

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from planner.verify.files.samples import Samples
 
@@ -30,6 +31,8 @@ _TRIED: Final = 240
 _SPOTS: Final = 32
 _FEW: Final = 6
 _MOST: Final = 30
+_AROUND: Final = 400
+"""Turns all over, the nearest of which is some 15 degrees off."""
 
 
 class _Target:
@@ -46,14 +49,24 @@ class _Target:
         return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
 
 
-def found(source: list[Samples], target: list[Samples], bound: FloatArray, middle: FloatArray) -> FloatArray:
+def found(
+    source: list[Samples],
+    target: list[Samples],
+    bound: FloatArray,
+    middle: FloatArray,
+    all_around: bool = False,
+) -> FloatArray:
     """The pose (4, 4) at which ``source`` is nearest to ``target``, each surface counting by its area, with
-    the box around ``bound`` (K, 3) about ``middle`` (3,)."""
+    the box around ``bound`` (K, 3) about ``middle`` (3,).
+
+    ``all_around``: begin from turns all over, for where the axes of inertia lead to another pose, or are not
+    those of what is made, of which ``source`` may have the guides only."""
     points, normals, weight = _together(source)
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target(target, size)
     some = np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(np.int64))
-    best = _best(_seeds((points, weight), (goal.points, goal.weight)), (points, normals, weight), goal, some)
+    seeds = _all_around(bound, middle) if all_around else _seeds((points, weight), (goal.points, goal.weight))
+    best = _best(seeds, (points, normals, weight), goal, some)
     for _ in range(_MOST):
         own, up = _at(best, points), normals @ best[:3, :3].T
         at, _ = goal.near(own, up)
@@ -165,6 +178,18 @@ def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, Floa
             pose[:3, :3] = goal @ turn @ goal.T @ rotation
             pose[:3, 3] = there - pose[:3, :3] @ here
             out.append(pose)
+    return out
+
+
+def _all_around(bound: FloatArray, middle: FloatArray) -> list[FloatArray]:
+    """Poses with the box around ``bound`` about ``middle``, turned all over, the same ones each time."""
+    out = []
+    for turn in Rotation.random(_AROUND, random_state=0).as_matrix():
+        pose = np.eye(4)
+        pose[:3, :3] = turn
+        seen = _at(pose, bound)
+        pose[:3, 3] = middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        out.append(pose)
     return out
 
 
