@@ -467,7 +467,7 @@ def test_a_sheet_that_is_read_otherwise_is_not_proven(tmp_path, wrong) -> None:
     assert "dish.obj" in issues[0].message
 
 
-@pytest.mark.parametrize("seed", [0, 8, 11])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (8, 11))])
 def test_irregular_rings_whose_place_is_open_are_found(tmp_path, seed) -> None:
     """Seven corners each, joined with the least twist: of what is made, only the guides are known."""
     rng = np.random.default_rng(seed)
