@@ -84,7 +84,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
     timed("start-up", load)
     from planner import pipeline, processes
-    from planner.milling.job import job
+    from planner.milling.work import work
     from planner.motion import solve
     from planner.post import write
 
@@ -99,7 +99,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
     rows.append({**whole, "note": note})
     outcome = pipeline.Outcome(problem, plan, proof, programs)
     timed("report, replay and files", lambda: outcome.save(folder))
-    made = job(problem.operations[0], problem.setup_of(0), problem.part)
+    made = work(problem.operations[0], problem.setup_of(0), problem.part)
     return [*rows, _against_all(made)]
 
 

@@ -1,8 +1,8 @@
 """The process ``forming``: from the mesh of a part to the poses of one or two tools that form it out of a
 clamped sheet.
 
-See ``job`` (features, order, passes), ``paths`` (the contact on each face), ``support`` (both tools by mode),
-``route`` (the ways between), ``frames`` (poses and freedoms), ``forming_claims`` (what must hold).
+See ``work`` (features, order, passes), ``paths`` (the contact on each face), ``support`` (both tools by
+mode), ``route`` (the ways between), ``frames`` (poses and freedoms), ``forming_claims`` (what must hold).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from planner.forming import forming_claims, holder, part_claim
 from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
-from planner.forming.job import Job, job, segment
 from planner.forming.laid import SHORTEST, lay
 from planner.forming.operation import Forming
 from planner.forming.route import Route, lay_out
 from planner.forming.values import Pass, ToolPath
+from planner.forming.work import Work, segment, work
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup
 from planner.targets import Action, Targets
@@ -54,9 +54,9 @@ class FormingJob:
     part: Part | None
 
     @functools.cached_property
-    def made(self) -> Job:
+    def made(self) -> Work:
         """Features, order and passes: worked out once, and nobody can write into their arrays."""
-        return read_only(job(self.operation, self.setup, self.part))
+        return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
@@ -76,17 +76,17 @@ class FormingJob:
         return (whole, *forming_claims.claims(self.made))
 
 
-def _route(made: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
+def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
     most = int(min(RUN * setup.cell.controller.max_moves, MOST))
     return lay_out(made, paths, CLEARANCE, most)
 
 
-def _poses(made: Job, route: Route) -> dict[str, FloatArray]:
+def _poses(made: Work, route: Route) -> dict[str, FloatArray]:
     return {arm: poses(route.centre[arm], route.axis[arm]) for arm in made.operation.arms}
 
 
 def _targets(
-    made: Job,
+    made: Work,
     setup: Setup,
     paths: Sequence[tuple[Pass, ToolPath]],
     route: Route,
@@ -132,7 +132,7 @@ def _stops(route: Route, actions: Sequence[Action]) -> NDArray[np.bool_]:
 
 
 def _actions(
-    made: Job, setup: Setup, route: Route, paths: Sequence[tuple[Pass, ToolPath]]
+    made: Work, setup: Setup, route: Route, paths: Sequence[tuple[Pass, ToolPath]]
 ) -> tuple[Action, ...]:
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM

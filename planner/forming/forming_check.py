@@ -12,13 +12,13 @@ from planner.forming.clamp import clamp_issues
 from planner.forming.die import die_issues
 from planner.forming.die_body import die_mesh
 from planner.forming.force import ForceEstimate, estimate, payload_issue
-from planner.forming.job import Job
 from planner.forming.passes import ALIKE, pass_issues
 from planner.forming.state import states
 from planner.forming.state_check import clear_issues
 from planner.forming.support import support_issues
 from planner.forming.thickness import steepest
 from planner.forming.values import Pass, ToolPath
+from planner.forming.work import Work
 from planner.issues import Issue
 from planner.problem import Setup
 from planner.sheet_metals import thickness_doubt
@@ -26,17 +26,17 @@ from planner.tooling import profile
 from planner.units import DEG, MM
 
 
-def check(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
     """All issues of a job: metal, passes, forces, the die and its holder, supports that cannot do as they
     should, tools that would cut into what is formed already."""
-    out = [*job.tree.issues, *_metal(job), *_forces(job, setup, paths), *_clear(job, paths)]
-    return [*out, *_die(job), *holder.step_issues(job, paths)]
+    out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
+    return [*out, *_die(work), *holder.step_issues(work, paths)]
 
 
-def shift_issues(job: Job) -> Iterator[Issue]:
+def shift_issues(work: Work) -> Iterator[Issue]:
     """Features around whose wall the support cannot be turned by the stated shift (forming.shift): beyond the
     vertical it would leave the wall that it supports."""
-    shift, final = job.operation.shift_deg, {one.feature: one for one in job.passes}
+    shift, final = work.operation.shift_deg, {one.feature: one for one in work.passes}
     for number, one in final.items():
         wall = steepest(one.vertices, one.faces) / DEG
         if shift > wall + ALIKE / DEG:
@@ -49,53 +49,53 @@ def shift_issues(job: Job) -> Iterator[Issue]:
             )
 
 
-def force(job: Job, one: Pass, path: ToolPath) -> ForceEstimate:
+def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
     """The axial force on the forming tool of a pass."""
-    op, radius = job.operation, job.heads[job.former(one)].radius
+    op, radius = work.operation, work.heads[work.former(one)].radius
     walls = path.contact.angle[path.contact.angle > 0.0]
     if op.stepdown_mm is not None:
         step = op.stepdown_mm * MM
     else:  # the step whose ridges are as high as stated, at the steepest wall
         ridge = (op.scallop_mm or 0.0) * MM
         step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
-    return estimate(job.sheet.metal, job.thickness, 2.0 * radius, step, walls, op.force_n)
+    return estimate(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, op.force_n)
 
 
-def _clear(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
-    found = states(job.tree, job.mesh, job.passes, job.thickness)
+def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    found = states(work.tree, work.mesh, work.passes, work.thickness)
     for (one, path), state in zip(paths, found, strict=True):
-        arms = tuple(filter(None, (job.former(one), job.supporter(one))))
-        heads = [job.heads[arm] for arm in arms]
+        arms = tuple(filter(None, (work.former(one), work.supporter(one))))
+        heads = [work.heads[arm] for arm in arms]
         support = heads[1] if len(heads) > 1 else None
-        yield from support_issues(one, path, job.operation, heads[0], support, job.thickness)
+        yield from support_issues(one, path, work.operation, heads[0], support, work.thickness)
         profiles = [profile(head) for head in heads]
-        yield from clear_issues(one, path, state, arms, profiles, job.pressed)
-        if job.operation.cone_deg == 0.0:  # else motion may tilt it out of there
-            yield from clamp_issues(one, path, job.clamp, arms, profiles)
+        yield from clear_issues(one, path, state, arms, profiles, work.pressed)
+        if work.operation.cone_deg == 0.0:  # else motion may tilt it out of there
+            yield from clamp_issues(one, path, work.clamp, arms, profiles)
 
 
-def _die(job: Job) -> Iterator[Issue]:
-    die = job.operation.die
+def _die(work: Work) -> Iterator[Issue]:
+    die = work.operation.die
     if die is not None:
-        final = {one.feature: one for one in job.passes}  # shapes in between stand off the die
-        tolerance = job.operation.gouge_tol_mm * MM
-        yield from die_issues(tuple(final.values()), die, die_mesh(die), job.thickness, tolerance)
+        final = {one.feature: one for one in work.passes}  # shapes in between stand off the die
+        tolerance = work.operation.gouge_tol_mm * MM
+        yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
 
 
-def _metal(job: Job) -> Iterator[Issue]:
-    doubt = thickness_doubt(job.sheet.metal, job.thickness)
+def _metal(work: Work) -> Iterator[Issue]:
+    doubt = thickness_doubt(work.sheet.metal, work.thickness)
     if doubt is not None:
         yield doubt
-    yield from pass_issues(job.passes, job.thickness, job.operation, job.sheet.metal)
+    yield from pass_issues(work.passes, work.thickness, work.operation, work.sheet.metal)
 
 
-def _forces(job: Job, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
     """The largest force of each arm against what it carries."""
     most: dict[str, ForceEstimate] = {}
     for one, path in paths:
-        found = force(job, one, path)
-        for arm in filter(None, (job.former(one), job.supporter(one))):
-            if job.operation.mode == "heat" and arm != job.former(one):
+        found = force(work, one, path)
+        for arm in filter(None, (work.former(one), work.supporter(one))):
+            if work.operation.mode == "heat" and arm != work.former(one):
                 continue
             if arm not in most or found.force > most[arm].force:
                 most[arm] = found

@@ -21,12 +21,12 @@ from planner.claims_forming import (
 )
 from planner.forming import adsif_table, holder, ridges
 from planner.forming.border import border_curve
-from planner.forming.job import Job, segment
 from planner.forming.operation import GAPPED, Forming
 from planner.forming.opposite import FACING
 from planner.forming.state import State, states
 from planner.forming.thickness import by_corner
 from planner.forming.values import Pass
+from planner.forming.work import Work, segment
 from planner.geometry.mesh import TriangleMesh
 from planner.tooling import profile
 from planner.units import DEG, MM
@@ -44,48 +44,48 @@ AIMED: Final = 10.0 * DEG
 it follows the smooth face, not its facets."""
 
 
-def claims(job: Job) -> tuple[Claim, ...]:
+def claims(work: Work) -> tuple[Claim, ...]:
     """The claims of all passes."""
-    found = states(job.tree, job.mesh, job.passes, job.thickness)
-    out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in job.passes))]
-    sinking = holder.claim(job)
+    found = states(work.tree, work.mesh, work.passes, work.thickness)
+    out: list[Claim] = [FormsInOrder(tuple(segment(one) for one in work.passes))]
+    sinking = holder.claim(work)
     if sinking is not None:
         out.append(sinking)
-    for one, state in zip(job.passes, found, strict=True):
-        out.append(_state(job, one, state))
-        out.append(FormingFeed(segment(one), job.operation.arms, job.operation.feed_mm_s * MM))
-        out += _lean(job, one)
-        other = job.supporter(one)
-        by_table = job.operation.mode == "adsif" and other is not None
-        out += [_by_table(job, one, other)] if by_table and other is not None else _of(job, one)
+    for one, state in zip(work.passes, found, strict=True):
+        out.append(_state(work, one, state))
+        out.append(FormingFeed(segment(one), work.operation.arms, work.operation.feed_mm_s * MM))
+        out += _lean(work, one)
+        other = work.supporter(one)
+        by_table = work.operation.mode == "adsif" and other is not None
+        out += [_by_table(work, one, other)] if by_table and other is not None else _of(work, one)
     return tuple(out)
 
 
-def _lean(job: Job, one: Pass) -> list[Claim]:
+def _lean(work: Work, one: Pass) -> list[Claim]:
     """How far tools may lean; a source of heat leans as the wall does, and by the table adsif has its own."""
-    op, other = job.operation, job.supporter(one)
+    op, other = work.operation, work.supporter(one)
     if op.mode == "adsif":
         return []
-    arms = (job.former(one), *(() if other is None or op.mode == "heat" else (other,)))
+    arms = (work.former(one), *(() if other is None or op.mode == "heat" else (other,)))
     upper = SQUARE + (op.lean_deg + op.cone_deg) * DEG
-    return [ToolsLean(segment(one), arms, tuple(job.above(arm) for arm in arms), upper)]
+    return [ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
 
 
-def _by_table(job: Job, one: Pass, other: str) -> FormsByTable:
-    op, held = job.operation, job.operation.adsif
-    arms = (job.former(one), other)
+def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
+    op, held = work.operation, work.operation.adsif
+    arms = (work.former(one), other)
     give = 0.0 if held.stiffness_n_mm is None else held.force_n / held.stiffness_n_mm * MM
     return FormsByTable(
         segment(one),
         arms,
         one.side,
-        (job.heads[arms[0]].radius, job.heads[arms[1]].radius),
+        (work.heads[arms[0]].radius, work.heads[arms[1]].radius),
         one.vertices,
         one.faces,
         one.start,
         one.end,
-        thickness=job.thickness,
-        metal=job.sheet.metal.name,
+        thickness=work.thickness,
+        metal=work.sheet.metal.name,
         table=adsif_table.text_of(held.file or adsif_table.BUILT_IN),
         prefer=held.prefer,
         pitch=held.pitch_mm * MM,
@@ -104,25 +104,27 @@ def _sag(op: Forming, one: Pass) -> float:
     return min(op.chord_mm * MM, wide * (1.0 - float(np.cos(0.5 * op.tangent_deg * DEG))))
 
 
-def scallop(job: Job, one: Pass) -> FloatArray:
+def scallop(work: Work, one: Pass) -> FloatArray:
     """Height (F,) [m] of the ridges that the path leaves at the triangles of a pass: the stated one, or that
     of the stated step."""
-    op, radius = job.operation, job.heads[job.former(one)].radius
+    op, radius = work.operation, work.heads[work.former(one)].radius
     if op.stepdown_mm is None:
         return np.full(len(one.faces), (op.scallop_mm or 0.0) * MM)
     return ridges.heights(TriangleMesh(one.vertices, one.faces), radius, op.stepdown_mm * MM, op.share)
 
 
-def _state(job: Job, one: Pass, state: State) -> SheetState:
-    arms = tuple(filter(None, (job.former(one), job.supporter(one))))
-    heads = tuple(profile(job.heads[arm]) for arm in arms)
-    return SheetState(segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, job.pressed)
+def _state(work: Work, one: Pass, state: State) -> SheetState:
+    arms = tuple(filter(None, (work.former(one), work.supporter(one))))
+    heads = tuple(profile(work.heads[arm]) for arm in arms)
+    return SheetState(
+        segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, work.pressed
+    )
 
 
-def _of(job: Job, one: Pass) -> list[Claim]:
-    op, arm, other = job.operation, job.former(one), job.supporter(one)
-    radius, gouge = job.heads[arm].radius, op.gouge_tol_mm * MM
-    ridge = scallop(job, one) + gouge
+def _of(work: Work, one: Pass) -> list[Claim]:
+    op, arm, other = work.operation, work.former(one), work.supporter(one)
+    radius, gouge = work.heads[arm].radius, op.gouge_tol_mm * MM
+    ridge = scallop(work, one) + gouge
     face = (one.vertices, one.faces)
     out: list[Claim] = [
         FormsSheet(segment(one), arm, one.side, radius, *face, one.start, one.end, gouge, ridge, op.share)
@@ -130,9 +132,9 @@ def _of(job: Job, one: Pass) -> list[Claim]:
     if other is None:
         return out
     if op.mode in GAPPED:
-        vertices, faces, thick = by_corner(one, job.thickness)
+        vertices, faces, thick = by_corner(one, work.thickness)
         gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
-        radii, step = (radius, job.heads[other].radius), op.handshake_gap_mm * MM
+        radii, step = (radius, work.heads[other].radius), op.handshake_gap_mm * MM
         out.append(
             ToolGap(
                 segment(one),
@@ -148,7 +150,7 @@ def _of(job: Job, one: Pass) -> list[Claim]:
             )
         )
     elif op.mode == "dpif_p":
-        border = border_curve(one, job.heads[other], job.thickness)
+        border = border_curve(one, work.heads[other], work.thickness)
         out.append(SupportsBorder(segment(one), other, border, BORDER))
     else:
         away = radius + float(np.median(one.thickness))

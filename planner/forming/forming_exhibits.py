@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from planner.forming.forming_check import force
 from planner.forming.forming_claims import scallop
-from planner.forming.job import Job
 from planner.forming.thickness import thickness_map, thinnest, wall_angle_map
 from planner.forming.values import Pass, ToolPath
+from planner.forming.work import Work
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -22,33 +22,35 @@ SHOWN: Final = 60
 """Loops that the picture of a path shows at most."""
 
 
-def exhibits(job: Job, paths: Laid) -> dict[str, Any]:
+def exhibits(work: Work, paths: Laid) -> dict[str, Any]:
     """Exhibits by name, in the forms that the report knows."""
     out: dict[str, Any] = {
-        "setup": _setup(job, paths),
-        "features": _features(job),
-        "passes": _passes(job, paths),
-        "wall_angle": _map(job, "Wall angle", wall_angle_map(job.mesh.vertices, job.mesh.faces) / DEG, "deg"),
+        "setup": _setup(work, paths),
+        "features": _features(work),
+        "passes": _passes(work, paths),
+        "wall_angle": _map(
+            work, "Wall angle", wall_angle_map(work.mesh.vertices, work.mesh.faces) / DEG, "deg"
+        ),
         "thickness": _map(
-            job,
+            work,
             "Thickness by the sine law",
-            thickness_map(job.mesh.vertices, job.mesh.faces, job.thickness) / MM,
+            thickness_map(work.mesh.vertices, work.mesh.faces, work.thickness) / MM,
             "mm",
         ),
         "paths": _paths(paths),
     }
     if any(np.isfinite(path.gap).any() for _, path in paths):
-        out["gap"] = _gap(job, paths)
+        out["gap"] = _gap(work, paths)
     return out
 
 
-def _setup(job: Job, paths: Laid) -> dict[str, Any]:
-    op, thin = job.operation, thinnest(job.mesh.vertices, job.mesh.faces, job.thickness)
-    largest = max((force(job, one, path) for one, path in paths), key=lambda found: found.force)
+def _setup(work: Work, paths: Laid) -> dict[str, Any]:
+    op, thin = work.operation, thinnest(work.mesh.vertices, work.mesh.faces, work.thickness)
+    largest = max((force(work, one, path) for one, path in paths), key=lambda found: found.force)
     items: list[tuple[Any, ...]] = [
-        ("sheet", f"{job.thickness / MM:g} mm {job.sheet.metal.title}"),
+        ("sheet", f"{work.thickness / MM:g} mm {work.sheet.metal.title}"),
         ("mode", op.mode),
-        *((f"tool of arm {arm}", _tool(job, arm)) for arm in op.arms),
+        *((f"tool of arm {arm}", _tool(work, arm)) for arm in op.arms),
         ("TCP of a ball tool", "the centre of its ball, z out of the shaft"),
         ("feed on the sheet", f"{op.feed_mm_s:g}", "mm/s"),
         ("thinnest place", f"{thin.thickness / MM:.2f} mm, wall of {thin.angle / DEG:.1f} deg"),
@@ -58,14 +60,14 @@ def _setup(job: Job, paths: Laid) -> dict[str, Any]:
     return {"kind": "setup", "title": "Sheet forming", "items": items}
 
 
-def _tool(job: Job, arm: str) -> str:
-    head = job.heads[arm]
+def _tool(work: Work, arm: str) -> str:
+    head = work.heads[arm]
     return f"{head.kind}, radius {head.radius / MM:g} mm, {head.length / MM:g} mm from holder to TCP"
 
 
-def _features(job: Job) -> dict[str, Any]:
+def _features(work: Work) -> dict[str, Any]:
     names, parents = ["sheet"], [-1]
-    for feature in job.tree.features:
+    for feature in work.tree.features:
         way = "down" if feature.kind == "concave" else "up"
         names.append(
             f"{feature.id}: {way} from {feature.start / MM:.1f} to {feature.end / MM:.1f} mm ({feature.kind})"
@@ -74,17 +76,17 @@ def _features(job: Job) -> dict[str, Any]:
     return {"kind": "tree", "title": "Features of the part", "nodes": names, "parent": parents}
 
 
-def _passes(job: Job, paths: Laid) -> dict[str, Any]:
+def _passes(work: Work, paths: Laid) -> dict[str, Any]:
     rows = []
     for number, (one, path) in enumerate(paths, 1):
-        contact, ridge = path.contact, scallop(job, one) / MM
+        contact, ridge = path.contact, scallop(work, one) / MM
         length = float(np.linalg.norm(np.diff(path.former, axis=0), axis=1).sum())
         rows.append(
             (
                 number,
                 one.name,
                 one.feature,
-                job.former(one),
+                work.former(one),
                 f"{one.start / MM:.1f} to {one.end / MM:.1f}",
                 f"{float(contact.angle.max()) / DEG:.1f}",
                 int(contact.loop.max()) + 1,
@@ -110,8 +112,8 @@ def _passes(job: Job, paths: Laid) -> dict[str, Any]:
     return {"kind": "table", "title": "Passes in the order of forming", "columns": columns, "rows": rows}
 
 
-def _map(job: Job, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
-    return {"kind": "heatmap", "title": title, "points": job.mesh.vertices, "value": value, "unit": unit}
+def _map(work: Work, title: str, value: FloatArray, unit: str) -> dict[str, Any]:
+    return {"kind": "heatmap", "title": title, "points": work.mesh.vertices, "value": value, "unit": unit}
 
 
 def _paths(paths: Laid) -> dict[str, Any]:
@@ -125,14 +127,14 @@ def _paths(paths: Laid) -> dict[str, Any]:
     return {"kind": "paths", "title": "Path of the contact (some of its loops)", "curves": curves}
 
 
-def _gap(job: Job, paths: Laid) -> dict[str, Any]:
+def _gap(work: Work, paths: Laid) -> dict[str, Any]:
     gap = np.concatenate([path.gap for _, path in paths])
     got = []
     for one, path in paths:
-        other = job.supporter(one)
+        other = work.supporter(one)
         if other is None or path.support is None:
             continue
-        radii = job.heads[job.former(one)].radius + job.heads[other].radius
+        radii = work.heads[work.former(one)].radius + work.heads[other].radius
         got.append(np.linalg.norm(path.former - path.support, axis=1) - radii)
     return {
         "kind": "curve",

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from planner.claims_forming import SinksHolder
-from planner.forming.job import Job, segment
 from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
+from planner.forming.work import Work, segment
 from planner.issues import Issue, Severity
 from planner.targets import Action
 from planner.units import MM
@@ -30,27 +30,27 @@ SAME: Final = 1e-6
 """Levels nearer to each other [m] are the same."""
 
 
-def sinks(job: Job) -> bool:
+def sinks(work: Work) -> bool:
     """Whether the clamp sinks while the sheet is formed."""
-    return job.operation.die is not None and job.operation.die.holder == "sinking"
+    return work.operation.die is not None and work.operation.die.holder == "sinking"
 
 
-def step(job: Job) -> float:
+def step(work: Work) -> float:
     """By how much [m] a pulse lowers the clamp."""
-    op = job.operation
+    op = work.operation
     own = None if op.die is None else op.die.step_mm
     return (own if own is not None else op.stepdown_mm or 0.0) * MM
 
 
-def claim(job: Job) -> SinksHolder | None:
+def claim(work: Work) -> SinksHolder | None:
     """What must hold of the signal: in the first pass, in which alone the clamp sinks."""
-    die = job.operation.die
-    if die is None or not sinks(job):
+    die = work.operation.die
+    if die is None or not sinks(work):
         return None
-    one = job.passes[0]
-    arm = job.former(one)
-    radius = job.heads[arm].radius
-    return SinksHolder(segment(one), arm, one.side, radius, die.signal, one.start, one.end, step(job), PULSE)
+    one = work.passes[0]
+    arm = work.former(one)
+    radius = work.heads[arm].radius
+    return SinksHolder(segment(one), arm, one.side, radius, die.signal, one.start, one.end, step(work), PULSE)
 
 
 def pulses(one: Pass, path: ToolPath, radius: float, by: float) -> IntArray:
@@ -69,9 +69,9 @@ def pulses(one: Pass, path: ToolPath, radius: float, by: float) -> IntArray:
     return np.diff(np.maximum.accumulate(total), prepend=0.0).astype(np.int64)
 
 
-def issues(job: Job) -> Iterator[Issue]:
+def issues(work: Work) -> Iterator[Issue]:
     """Dies and holders that do not go together; to be asked before paths are laid."""
-    die = job.operation.die
+    die = work.operation.die
     if die is None:
         return
     if die.kind == "male" and die.holder == "fixed":
@@ -81,8 +81,8 @@ def issues(job: Job) -> Iterator[Issue]:
     if die.kind == "female" and die.holder == "sinking":
         what = "the sheet's rim lies on a female die; a clamp that sinks would bend it over the die's edge"
         yield Issue("forming.holder", what, field="die.holder", hint="state holder: fixed")
-    features = sorted({one.feature for one in job.passes})
-    if sinks(job) and len(features) > 1:
+    features = sorted({one.feature for one in work.passes})
+    if sinks(work) and len(features) > 1:
         what = (
             f"the part has {len(features)} features, allowed is 1: while the clamp sinks they would all have "
             "to be formed level by level"
@@ -91,13 +91,13 @@ def issues(job: Job) -> Iterator[Issue]:
         yield Issue("forming.holder", what, field="die", value=len(features), limit=1, hint=hint)
 
 
-def step_issues(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+def step_issues(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
     """Where the clamp cannot keep within a step of the tool, or does not come to the rim's level."""
-    if not sinks(job):
+    if not sinks(work):
         return
-    (one, path), by = paths[0], step(job)
-    sunk = _sunk(one, path, job.heads[job.former(one)].radius)
-    total = by * np.cumsum(pulses(one, path, job.heads[job.former(one)].radius, by))
+    (one, path), by = paths[0], step(work)
+    sunk = _sunk(one, path, work.heads[work.former(one)].radius)
+    total = by * np.cumsum(pulses(one, path, work.heads[work.former(one)].radius, by))
     after = np.append(sunk[1:], sunk[-1])
     off = np.maximum(np.abs(sunk - total), np.abs(after - total))
     k = int(np.argmax(off))
@@ -119,12 +119,12 @@ def step_issues(job: Job, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Is
         yield Issue("forming.holder_step", what, Severity.WARNING, field="die.step_mm", hint=hint)
 
 
-def actions(job: Job, one: Pass, path: ToolPath, first: int) -> Iterator[Action]:
+def actions(work: Work, one: Pass, path: ToolPath, first: int) -> Iterator[Action]:
     """The pulses at the targets of the first pass, whose first one is target ``first``."""
-    die = job.operation.die
-    if die is None or not sinks(job):
+    die = work.operation.die
+    if die is None or not sinks(work):
         return
-    count = pulses(one, path, job.heads[job.former(one)].radius, step(job))
+    count = pulses(one, path, work.heads[work.former(one)].radius, step(work))
     for row in np.flatnonzero(count):
         for _ in range(count[row]):
             yield Action(first + int(row), "on", signal=die.signal)

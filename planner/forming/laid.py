@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from planner.forming.adsif_path import adsif_tool_path
-from planner.forming.job import Job
 from planner.forming.paths import make_path
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.forming.work import Work
 from planner.units import MM
 
 SHORTEST: Final = 0.006
@@ -20,17 +20,17 @@ TOP: Final = 5.0 * MM
 """Loops about the top of a male die that are no wider than this may be left out."""
 
 
-def lay(job: Job, one: Pass) -> ToolPath:
+def lay(work: Work, one: Pass) -> ToolPath:
     """Where the tools are over a pass. Raises ``TandemError`` with the codes ``forming.*``."""
-    op, other = job.operation, job.supporter(one)
-    former = job.heads[job.former(one)]
+    op, other = work.operation, work.supporter(one)
+    former = work.heads[work.former(one)]
     if op.mode == "adsif" and other is not None:
-        return adsif_tool_path(one, op, former, job.heads[other], job.thickness, job.sheet.metal)
-    contact = make_path(one, former.radius, job.options)
-    if job.tree.feature(one.feature).sign == one.side:
+        return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
+    contact = make_path(one, former.radius, work.options)
+    if work.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
-    support = None if other is None else job.heads[other]
-    return tool_path(one, contact, op, former, support, job.thickness, job.clamp)
+    support = None if other is None else work.heads[other]
+    return tool_path(one, contact, op, former, support, work.thickness, work.clamp)
 
 
 def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.forming.job import Job, segment
 from planner.forming.values import Pass, ToolPath
+from planner.forming.work import Work, segment
 from planner.geometry.vectors import dots
 from planner.segments import Segment
 from planner.units import DEG
@@ -38,24 +38,24 @@ class Route:
     stop: NDArray[np.bool_]
 
 
-def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, most: int) -> Route:
+def lay_out(work: Work, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, most: int) -> Route:
     """The route through all passes. Between passes tools go over the highest place of the part, ``clearance``
     [m] and a little more away. They stop at sharp corners, and at least every ``most`` targets of a pass, at
     the end of a loop, so that programs can be split there."""
-    arms = job.operation.arms
-    away = {arm: _away(job, arm, clearance) for arm in arms}
+    arms = work.operation.arms
+    away = {arm: _away(work, arm, clearance) for arm in arms}
     centre: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     axis: dict[str, list[FloatArray]] = {arm: [] for arm in arms}
     segments: list[Segment] = []
     stops: list[NDArray[np.bool_]] = []
-    sharp = max(SHARP, 1.1 * job.operation.tangent_deg * DEG)
+    sharp = max(SHARP, 1.1 * work.operation.tangent_deg * DEG)
     for number, (one, path) in enumerate(paths):
-        own = _by_arm(job, one, path)
+        own = _by_arm(work, one, path)
         count, formed = len(path.former), segment(one)
         first, last = number == 0, number == len(paths) - 1
         for arm in arms:
             points, axes = own[arm]
-            rise = np.array([0.0, 0.0, 1.0 if job.above(arm) else -1.0])
+            rise = np.array([0.0, 0.0, 1.0 if work.above(arm) else -1.0])
             start, end = (np.where([0, 0, 1], away[arm], points[k]) for k in (0, -1))
             row = [start, start, *points, end] if not first else [start + BACK * rise, start, *points, end]
             row = row[0 if first else 1 :]
@@ -82,23 +82,23 @@ def lay_out(job: Job, paths: Sequence[tuple[Pass, ToolPath]], clearance: float, 
     )
 
 
-def _by_arm(job: Job, one: Pass, path: ToolPath) -> dict[str, tuple[FloatArray, FloatArray]]:
-    out = {job.former(one): (path.former, path.axis)}
-    other = job.supporter(one)
+def _by_arm(work: Work, one: Pass, path: ToolPath) -> dict[str, tuple[FloatArray, FloatArray]]:
+    out = {work.former(one): (path.former, path.axis)}
+    other = work.supporter(one)
     if other is not None and path.support is not None and path.support_axis is not None:
         out[other] = (path.support, path.support_axis)
     return out
 
 
-def _away(job: Job, arm: str, clearance: float) -> float:
+def _away(work: Work, arm: str, clearance: float) -> float:
     """Height z [m] at which a tool's TCP is off everything of the sheet, whatever is formed already."""
-    head, heights = job.heads[arm], job.mesh.vertices[:, 2]
-    shifts = [one.vertices[:, 2] for one in job.passes]
+    head, heights = work.heads[arm], work.mesh.vertices[:, 2]
+    shifts = [one.vertices[:, 2] for one in work.passes]
     low = min(float(heights.min()), *(float(z.min()) for z in shifts))
-    high = max(float(heights.max()), *(float(z.max()) for z in shifts)) + job.thickness
+    high = max(float(heights.max()), *(float(z.max()) for z in shifts)) + work.thickness
     reach = head.radius if head.kind == "ball" else 0.0
     gap = clearance + AIR + reach
-    return high + gap if job.above(arm) else low - gap
+    return high + gap if work.above(arm) else low - gap
 
 
 def _corners(points: FloatArray, angle: float) -> NDArray[np.bool_]:

@@ -14,9 +14,9 @@ from planner.geometry.mesh import TriangleMesh
 from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.milling import body
-from planner.milling.job import Done, Face, Job
 from planner.milling.operation import FlankCut
 from planner.milling.values import Run
+from planner.milling.work import Done, Face, Work
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -40,20 +40,20 @@ ROUNDED: Final = 2e-5
 """What facets of the part and of the path may hide [m]."""
 
 
-def check(job: Job) -> list[Issue]:
+def check(work: Work) -> list[Issue]:
     """Issues of all cuts."""
-    out = list(job.notes)
-    for face in job.faces:
+    out = list(work.notes)
+    for face in work.faces:
         known: dict[float, tuple[FloatArray, IntArray]] = {}
-        for one in job.cuts:
+        for one in work.cuts:
             own = one.face is not None and one.face.name == face.name
-            twist = _twist(job, one) if own else []
-            out += twist or _gouges(job, one, face, known)
+            twist = _twist(work, one) if own else []
+            out += twist or _gouges(work, one, face, known)
     return out
 
 
-def _twist(job: Job, one: Done) -> list[Issue]:
-    radius = job.cutter.radius
+def _twist(work: Work, one: Done) -> list[Issue]:
+    radius = work.cutter.radius
     if not isinstance(one.cut, FlankCut) or not one.tolerance < one.off < TWISTED * radius:
         return []
     fits = radius * one.tolerance / one.off  # the deviation goes with the radius
@@ -72,13 +72,15 @@ def _twist(job: Job, one: Done) -> list[Issue]:
     ]
 
 
-def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray, IntArray]]) -> list[Issue]:
+def _gouges(
+    work: Work, one: Done, face: Face, known: dict[float, tuple[FloatArray, IntArray]]
+) -> list[Issue]:
     """Gouges of one cut into a face, one issue for each section; ``known``: places of the face by their
     distance."""
     out: list[Issue] = []
     told: set[str] = set()
     deep = one.depth if face.name == "front" else 0.0
-    for section in body.sections(job.cutter):
+    for section in body.sections(work.cutter):
         ways = [(run, *_way(run)) for run in one.runs]
         ways = [way for way in ways if body.comes_near(face.mesh.vertices, *way[1:], section)]
         if not ways:
@@ -96,7 +98,7 @@ def _gouges(job: Job, one: Done, face: Face, known: dict[float, tuple[FloatArray
             if apart[k] >= -allowed or section.name in told:
                 continue
             told.add(section.name)
-            out.append(_gouge(job, one, run, face, section, points, owner, apart, k, int(where[k]), allowed))
+            out.append(_gouge(work, one, run, face, section, points, owner, apart, k, int(where[k]), allowed))
     return out
 
 
@@ -109,7 +111,7 @@ def _way(run: Run) -> tuple[FloatArray, FloatArray]:
 
 
 def _gouge(
-    job: Job,
+    work: Work,
     one: Done,
     run: Run,
     face: Face,

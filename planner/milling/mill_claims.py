@@ -23,9 +23,9 @@ from planner.claims_milling import (
 from planner.milling import spoken
 from planner.milling.flank_cut import surface
 from planner.milling.gcode_file import GCodeCut, GCodeFile
-from planner.milling.job import Done, Job
 from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
 from planner.milling.route import SIDES
+from planner.milling.work import Done, Work
 from planner.part_ruled_file import GuideFile
 from planner.problem import Mesh, Part, Ruled
 from planner.segments import Segment
@@ -43,28 +43,28 @@ BESIDE: Final = 0.5 * MM
 """How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
-def claims(job: Job, part: Part | None) -> tuple[Claim, ...]:
+def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
     """Claims on the spindle, on the feed and the shape of each cut, and on the part
     that all of them spare."""
-    op = job.operation
+    op = work.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
-    out.append(ConfirmedPower(op.signal, spoken.told(job), ((spoken.READY,),), spoken.DONE, op.spin_down_s))
-    for number, one in enumerate(job.cuts):
+    out.append(ConfirmedPower(op.signal, spoken.told(work), ((spoken.READY,),), spoken.DONE, op.spin_down_s))
+    for number, one in enumerate(work.cuts):
         if isinstance(one.cut, GCodeCut):
-            out.append(_program(job, one, one.cut, number == 0))
+            out.append(_program(work, one, one.cut, number == 0))
             segments: tuple[Segment, ...] = (Segment(MILL, one.cut.name),)
         elif isinstance(one.cut, EngraveCut):
-            out.append(_engraving(job, one, one.cut))
+            out.append(_engraving(work, one, one.cut))
             count = len(one.cut.engrave)
             segments = tuple(Segment(MILL, f"{one.cut.name}_c{k + 1}") for k in range(count))
         else:
-            out += _feeds(job, one)
-            out += _shape(job, one, part)
+            out += _feeds(work, one)
+            out += _shape(work, one, part)
             segments = tuple(run.segment for run in one.runs)
-        for face in job.faces:
+        for face in work.faces:
             deep = one.depth if face.name == "front" else 0.0
             mesh = (face.mesh.vertices, face.mesh.faces)
-            out.append(SparesPart(segments, op.arms[0], job.cutter, *mesh, deep, one.tolerance))
+            out.append(SparesPart(segments, op.arms[0], work.cutter, *mesh, deep, one.tolerance))
     return tuple(out)
 
 
@@ -95,20 +95,20 @@ def program_file(own: GCodeFile) -> ProgramFile:
     )
 
 
-def _program(job: Job, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
+def _program(work: Work, one: Done, cut: GCodeCut, first: bool) -> MillsProgram:
     """The way of a file, which the proof reads itself."""
-    safe = _safe(job.operation, job.box)
+    safe = _safe(work.operation, work.box)
     file = program_file(cut.gcode)
-    return MillsProgram(cut.name, job.operation.arms[0], file, safe, one.tolerance, TURN, first)
+    return MillsProgram(cut.name, work.operation.arms[0], file, safe, one.tolerance, TURN, first)
 
 
-def _engraving(job: Job, one: Done, cut: EngraveCut) -> Engraves:
+def _engraving(work: Work, one: Done, cut: EngraveCut) -> Engraves:
     """Curves on the part's front."""
-    op, front = job.operation, next(face.mesh for face in job.faces if face.name == "front")
+    op, front = work.operation, next(face.mesh for face in work.faces if face.name == "front")
     return Engraves(
         name=cut.name,
         arm=op.arms[0],
-        cutter=job.cutter,
+        cutter=work.cutter,
         curves=tuple(_drawn(curve) for curve in cut.engrave),
         vertices=front.vertices,
         faces=front.faces,
@@ -118,7 +118,7 @@ def _engraving(job: Job, one: Done, cut: EngraveCut) -> Engraves:
         lead=cut.lead_deg * DEG,
         tilt=cut.tilt_deg * DEG,
         feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
-        safe=_safe(op, job.box),
+        safe=_safe(op, work.box),
         tolerance=one.tolerance,
         turn=TURN,
     )
@@ -143,9 +143,9 @@ def _safe(op: Milling, box: FloatArray) -> SafeWays:
     return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)
 
 
-def _feeds(job: Job, one: Done) -> list[Claim]:
+def _feeds(work: Work, one: Done) -> list[Claim]:
     """The feeds of all passes of a cut, ways in and out too."""
-    op, out = job.operation, list[Claim]()
+    op, out = work.operation, list[Claim]()
     own = None if isinstance(one.cut, GCodeCut) else one.cut.feed_mm_s
     feed = (own or op.feed_mm_s) * MM
     for run in one.runs:
@@ -155,9 +155,9 @@ def _feeds(job: Job, one: Done) -> list[Claim]:
     return out
 
 
-def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
+def _shape(work: Work, one: Done, part: Part | None) -> list[Claim]:
     """The surface that a cut makes; where it follows curves, those."""
-    op = job.operation
+    op = work.operation
     out: list[Claim] = []
     if one.face is not None:
         # roughing passes leave the surface to the last one
@@ -167,36 +167,36 @@ def _shape(job: Job, one: Done, part: Part | None) -> list[Claim]:
         if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
             mesh, margin = part.front, one.cut.margin_mm * MM
         bounds = one.tolerance, op.share, margin
-        out.append(MillsSurface(segments, op.arms[0], job.cutter, mesh.vertices, mesh.faces, *bounds))
+        out.append(MillsSurface(segments, op.arms[0], work.cutter, mesh.vertices, mesh.faces, *bounds))
     # where a surface is claimed it is the measure; the way then only says that nothing else is milled
     near = one.tolerance if one.face is None else max(one.tolerance, BESIDE)
     if isinstance(one.cut, LinesCut) and part is not None and part.front is not None:
-        return [*out, _over(job, one, one.cut, part.front, near)]
+        return [*out, _over(work, one, one.cut, part.front, near)]
     if isinstance(one.cut, FlankCut):
-        return [*out, _flank(job, one, one.cut, surface(part, one.cut.flank), near)]
+        return [*out, _flank(work, one, one.cut, surface(part, one.cut.flank), near)]
     return out
 
 
-def _over(job: Job, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
+def _over(work: Work, one: Done, cut: LinesCut, front: Mesh, near: float) -> MillsOver:
     """The front, which the cutter's end passes over."""
     return MillsOver(
         segments=tuple(run.segment for run in one.runs),
-        arm=job.operation.arms[0],
-        cutter=job.cutter,
+        arm=work.operation.arms[0],
+        cutter=work.cutter,
         vertices=front.vertices,
         faces=front.faces,
         margin=cut.margin_mm * MM,
         upright=cut.axis == "upright",
         lean=float(np.arctan(np.hypot(np.tan(cut.lead_deg * DEG), np.tan(cut.tilt_deg * DEG)))),
-        safe=_safe(job.operation, job.box),
+        safe=_safe(work.operation, work.box),
         tolerance=near,
         turn=TURN,
     )
 
 
-def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
+def _flank(work: Work, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> MillsFlank:
     """A ruled surface that the cutter's side passes, or two guides that its axis does."""
-    op, cutter = job.operation, job.cutter
+    op, cutter = work.operation, work.cutter
     from_start, by_surface = cut.tip == "start", cut.guides == "surface"
     return MillsFlank(
         segments=tuple(run.segment for run in one.runs),
@@ -213,7 +213,7 @@ def _flank(job: Job, one: Done, cut: FlankCut, ruled: Ruled, near: float) -> Mil
         stepdown=cut.stepdown_mm * MM if cut.stepdown_mm is not None and by_surface else None,
         lead=None if cut.lead_mm is None else cut.lead_mm * MM,
         feed=(cut.feed_mm_s or op.feed_mm_s) * MM,
-        safe=_safe(op, job.box),
+        safe=_safe(op, work.box),
         tolerance=near,
         turn=TURN,
     )

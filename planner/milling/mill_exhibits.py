@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from planner.milling.gcode_file import GCodeCut
-from planner.milling.job import Job
 from planner.milling.operation import FlankCut, LinesCut
 from planner.milling.route import Route
+from planner.milling.work import Work
 from planner.units import MM
 
 KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
@@ -18,13 +18,13 @@ SHOWN: Final = 80
 """Curves that the picture of the ways shows at most."""
 
 
-def exhibits(job: Job, route: Route) -> dict[str, Any]:
+def exhibits(work: Work, route: Route) -> dict[str, Any]:
     """Exhibits by name, in the forms that the report knows."""
-    return {"setup": _setup(job), "cuts": _cuts(job), "paths": _paths(job)}
+    return {"setup": _setup(work), "cuts": _cuts(work), "paths": _paths(work)}
 
 
-def _setup(job: Job) -> dict[str, Any]:
-    op, cutter = job.operation, job.cutter
+def _setup(work: Work) -> dict[str, Any]:
+    op, cutter = work.operation, work.cutter
     size = f"{2e3 * cutter.radius:g} mm, flute {cutter.flute / MM:g} mm"
     corner = f", corner {cutter.corner / MM:g} mm" if cutter.kind == "bull" else ""
     items: list[tuple[Any, ...]] = [
@@ -33,22 +33,22 @@ def _setup(job: Job) -> dict[str, Any]:
         ("TCP", "the tip of the cutter, on its axis; z out of the spindle"),
         ("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)"),
         ("spindle signal", op.signal),
-        ("feed", _feeds(job), "mm/s"),
+        ("feed", _feeds(work), "mm/s"),
         ("safe plane", f"{op.safe_mm:g} mm off the block, side {op.safe_side}"),
     ]
     return {"kind": "setup", "title": "Milling", "items": items}
 
 
-def _feeds(job: Job) -> str:
+def _feeds(work: Work) -> str:
     """Least and greatest feed [mm/s] of the passes."""
-    feeds = np.concatenate([run.path.feed[run.first + 1 : run.last + 1] for run in job.runs]) / MM
+    feeds = np.concatenate([run.path.feed[run.first + 1 : run.last + 1] for run in work.runs]) / MM
     low, high = float(feeds.min()), float(feeds.max())
     return f"{low:g}" if np.isclose(low, high) else f"{low:.3g} to {high:.3g}"
 
 
-def _cuts(job: Job) -> dict[str, Any]:
+def _cuts(work: Work) -> dict[str, Any]:
     rows = []
-    for one in job.cuts:
+    for one in work.cuts:
         kind = next((name for model, name in KINDS if isinstance(one.cut, model)), "engraving")
         for run in one.runs:
             way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
@@ -62,7 +62,7 @@ def _cuts(job: Job) -> dict[str, Any]:
     return {"kind": "table", "title": "Passes in order", "columns": names, "rows": shown}
 
 
-def _paths(job: Job) -> dict[str, Any]:
-    runs = job.runs
+def _paths(work: Work) -> dict[str, Any]:
+    runs = work.runs
     curves = [run.path.tip for run in runs[:: max(1, len(runs) // SHOWN)]]
     return {"kind": "paths", "title": "Way of the cutter's tip", "curves": curves}

@@ -1,6 +1,6 @@
 """The process ``milling``: from surfaces, curves and a cutter to the poses of one arm that mills them.
 
-See ``job`` (cuts as passes), ``flank_cut``, ``lines_cut`` and ``engrave_cut`` (each kind), ``route`` (the
+See ``work`` (cuts as passes), ``flank_cut``, ``lines_cut`` and ``engrave_cut`` (each kind), ``route`` (the
 ways between), ``mill_check`` (what would go wrong), ``mill_claims`` (what must hold).
 """
 
@@ -19,11 +19,11 @@ from planner.claims import Claim
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling import mill_claims, spoken
 from planner.milling.frames import poses, spin
-from planner.milling.job import Job, job
 from planner.milling.mill_check import check
 from planner.milling.mill_exhibits import exhibits
 from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
+from planner.milling.work import Work, work
 from planner.problem import Part, Setup
 from planner.targets import Action, Targets
 
@@ -44,9 +44,9 @@ class MillingJob:
     part: Part | None
 
     @functools.cached_property
-    def made(self) -> Job:
+    def made(self) -> Work:
         """Cuts as passes: worked out once, and nobody can write into their arrays."""
-        return read_only(job(self.operation, self.setup, self.part))
+        return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
@@ -62,7 +62,7 @@ class MillingJob:
         return mill_claims.claims(self.made, self.part)
 
 
-def _targets(made: Job, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
+def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
     op = made.operation
     arm, count = op.arms[0], len(route.segment)
     actions = tuple(sorted(_actions(made, route), key=lambda action: action.at))
@@ -94,7 +94,7 @@ def _travel(route: Route) -> FloatArray:
     return out
 
 
-def _actions(made: Job, route: Route) -> tuple[Action, ...]:
+def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     """What the operator is told and asked, and the spindle."""
     op = made.operation
     last = len(route.segment) - 1
@@ -110,7 +110,7 @@ def _actions(made: Job, route: Route) -> tuple[Action, ...]:
     )
 
 
-def _between(made: Job, route: Route) -> Iterator[Action]:
+def _between(made: Work, route: Route) -> Iterator[Action]:
     """What is asked on the safe plane between passes, with the spindle standing, and waits within them."""
     op = made.operation
     starts = [i for i, segment in enumerate(route.segment) if segment.kind in ("approach", "link")]

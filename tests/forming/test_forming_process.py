@@ -26,9 +26,8 @@ from planner.claims_forming import (
     ToolGap,
     ToolsLean,
 )
-from planner.forming import job as forming_job
 from planner.forming.feature_surface import joined, polygons, triangulated
-from planner.forming.job import Job
+from planner.forming.work import Work, work
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
 from planner.segments import Segment
@@ -53,8 +52,8 @@ def problem(folder: Path, mode: str = "spif", part: Mesh | None = None, **operat
     return pipeline.load(small_forming.write(folder, small_forming.problem(mode, **operation), part))
 
 
-def job(found: Problem) -> Job:
-    return forming_job.job(found.operations[0], found.setups[0], found.part)  # type: ignore[arg-type]
+def made_of(found: Problem) -> Work:
+    return work(found.operations[0], found.setups[0], found.part)  # type: ignore[arg-type]
 
 
 def gentle() -> Mesh:
@@ -149,7 +148,7 @@ def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
     more, _ = MODES[mode]
     part = gentle() if mode == "adsif" else small_forming.dish()
     found = problem(tmp_path, mode, part, **more)
-    targets, made = processes.job(found, 0).targets(), job(found)
+    targets, made = processes.job(found, 0).targets(), made_of(found)
     away = [k for k, segment in enumerate(targets.segment) if not segment.works]
     assert {0, len(targets.segment) - 1} <= set(away)
     low, high = float(part.vertices[:, 2].min()), MM
@@ -166,7 +165,7 @@ def test_tools_begin_and_end_off_the_sheet(tmp_path: Path, mode: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_ball_is_on_the_mesh_and_never_in_it(tmp_path: Path, kind: str) -> None:
     found = problem(tmp_path, path=kind)
-    targets, made = processes.job(found, 0).targets(), job(found)
+    targets, made = processes.job(found, 0).targets(), made_of(found)
     (one,) = made.passes
     centre = centres(targets, "robot", "form/f1")
     mesh = trimesh.Trimesh(one.vertices, one.faces, process=False)
@@ -245,7 +244,7 @@ def test_a_support_on_the_border_never_comes_over_the_part(tmp_path: Path, outli
         data["cell"]["arms"][1]["tool"] = dict(small_forming.DISK, radius_mm=8, shaft_radius_mm=6)
         radius = 8.0 * MM
     found = pipeline.load(small_forming.write(tmp_path, data, part))
-    targets, (one,) = processes.job(found, 0).targets(), job(found).passes
+    targets, (one,) = processes.job(found, 0).targets(), made_of(found).passes
     place = centres(targets, "right", "form/f1")
     region = shapely.Polygon(one.region[:, :2])
     inside = shapely.LineString(place[:, :2]).distance(region)
@@ -263,7 +262,7 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     with pytest.raises(TandemError) as caught:
         processes.job(found, 0).targets()
     (issue,) = caught.value.issues
-    border = np.linalg.norm(job(found).passes[0].region[:, :2], axis=1).max()
+    border = np.linalg.norm(made_of(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
     # the bars are chords of the opening's circle, and the support keeps 0.4 mm outside of its border
     assert issue.value == pytest.approx(border / MM + 40.4 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
@@ -273,7 +272,7 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
 
 def test_ridges_are_as_high_as_stated(tmp_path: Path) -> None:
     found = problem(tmp_path, scallop_mm=0.05, chord_mm=0.005, path="contour")
-    targets, (one,) = processes.job(found, 0).targets(), job(found).passes
+    targets, (one,) = processes.job(found, 0).targets(), made_of(found).passes
     centre = centres(targets, "robot", "form/f1")
     share = np.linspace(0.0, 1.0, 10)[:, None, None]
     dense = ((1.0 - share) * centre[:-1] + share * centre[1:]).reshape(-1, 3)
@@ -303,7 +302,7 @@ def test_both_sides_in_one_program_swap_the_tools(tmp_path: Path) -> None:
     )
     part = facing_up(part)
     found = problem(tmp_path, "dsif", part)
-    targets, made = processes.job(found, 0).targets(), job(found)
+    targets, made = processes.job(found, 0).targets(), made_of(found)
     assert sorted(one.side for one in made.passes) == [-1, 1]
     for one in made.passes:
         (claim,) = [
@@ -328,7 +327,7 @@ def test_repeats_and_stated_passes_are_passes_of_their_own(tmp_path: Path) -> No
     ]
     one, two = (centres(twice, "robot", f"form/f1_p{k}") for k in (1, 2))
     np.testing.assert_array_equal(one[-100:], two[-100:])
-    steps = job(problem(tmp_path, "dsif", small_forming.dish(30, 12, 55, 8), passes=[40])).passes
+    steps = made_of(problem(tmp_path, "dsif", small_forming.dish(30, 12, 55, 8), passes=[40])).passes
     assert [one.number for one in steps] == [1, 2]
     assert steps[0].end > steps[1].end - 1e-9
 

@@ -15,10 +15,10 @@ import yaml
 from planner import pipeline, processes
 from planner.forming import forming, holder
 from planner.forming.die_body import die_mesh, with_die
-from planner.forming.job import Job, job
 from planner.forming.laid import lay
 from planner.forming.operation import Die, Forming
 from planner.forming.state import states
+from planner.forming.work import Work, work
 from planner.issues import TandemError
 from planner.motion import solve
 from planner.post import write
@@ -47,9 +47,9 @@ def coarse() -> Problem:
     return dataclasses.replace(problem, operations=(one,))
 
 
-def made(one: Forming) -> Job:
+def made(one: Forming) -> Work:
     problem = coarse()
-    return job(one, problem.setups[0], problem.part)
+    return work(one, problem.setups[0], problem.part)
 
 
 @functools.cache

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.milling import body
-from planner.milling.job import job
 from planner.milling.mill_claims import claims
 from planner.milling.milling import MillingJob
+from planner.milling.work import work
 from planner.tooling import Cutter
 from planner.verify import mill_body
 from tests.milling.small_mill import WALL, problem
@@ -175,7 +175,7 @@ def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path:
     assert mine.made is first
     second = MillingJob(other.operations[0], other.setup_of(0), other.part).made
     assert second.box[1, 1] > first.box[1, 1]
-    fresh = job(one.operations[0], one.setup_of(0), one.part)
+    fresh = work(one.operations[0], one.setup_of(0), one.part)
     for a, b in zip(claims(fresh, one.part), claims(first, one.part), strict=True):
         assert repr(a) == repr(b)
     with pytest.raises(ValueError, match="read-only"):

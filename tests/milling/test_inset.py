@@ -10,7 +10,7 @@ import pytest
 from planner import processes
 from planner.claims_milling import MillsSurface
 from planner.milling import inset
-from planner.milling import job as milling_job
+from planner.milling.work import work
 from planner.problem import Mesh
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_rules_milling import Job
@@ -59,7 +59,7 @@ def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:
     edge = made.part.front.vertices[:, :2]
     low, high = edge.min(axis=0), edge.max(axis=0)
     assert claim.margin == 0.012
-    face = milling_job.job(made.operations[0], made.setup_of(0), made.part).cuts[0].face
+    face = work(made.operations[0], made.setup_of(0), made.part).cuts[0].face
     assert face is not None
     # the panel is a piece of a ring seen from above, and is narrower than the box around it by 1.5 mm at most
     own = face.mesh.vertices[:, :2]

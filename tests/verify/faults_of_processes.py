@@ -316,7 +316,7 @@ FORMING: Final = (
     Fault(
         "form_step_doubled",
         "spif",
-        {"forming.job:Job.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
+        {"forming.work:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
     ),
     Fault("form_half_the_depth", "spif", {"forming.paths:make_path": _half_path}),
     Fault(
@@ -461,7 +461,7 @@ MILLING: Final = (
     Fault("mill_spindle_off", "flank", {"milling.milling:_actions": result(_without("on"))}),
     Fault("mill_no_spin_up", "flank", {"milling.milling:_actions": result(_short_waits)}),
     Fault("mill_signal_other", "flank", {"milling.milling:_actions": result(_renamed)}),
-    Fault("mill_pass_lost", "flank_rough", {"milling.job:Job.runs": result(lambda r: r[1:])}),
+    Fault("mill_pass_lost", "flank_rough", {"milling.work:Work.runs": result(lambda r: r[1:])}),
     Fault("mill_longer_cutter", "engrave", {"milling.milling:_targets": _own_poses(_shift(z=0.001))}),
 )
 

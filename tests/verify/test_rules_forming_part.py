@@ -132,7 +132,7 @@ def gaps(function):
     return patch
 
 
-PASSES = "planner.forming.job.passes"
+PASSES = "planner.forming.work.passes"
 BY_CORNER = "planner.forming.forming_claims.by_corner"
 VIRGIN = "planner.forming.feature_order.on_virgin_sheet"
 BORDER = "planner.forming.forming_claims.border_curve"

@@ -1,4 +1,4 @@
-"""A milling job: the cutter, its cuts as passes, and the faces of the part that it must spare."""
+"""What a milling operation comes to: the cutter, its cuts as passes, and the faces that it must spare."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Done:
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class Work:
     """What one operation mills. ``faces``: all faces of the part that the problem knows."""
 
     operation: Milling
@@ -70,7 +70,7 @@ class Job:
         return tuple(run for one in self.cuts for run in one.runs)
 
 
-def job(op: Milling, setup: Setup, part: Part | None) -> Job:
+def work(op: Milling, setup: Setup, part: Part | None) -> Work:
     """The job, from the problem alone. Raises ``TandemError`` with the codes ``milling.*``, and
     ``problem.duplicate_name``."""
     cutter = _cutter(op, setup)
@@ -97,7 +97,7 @@ def job(op: Milling, setup: Setup, part: Part | None) -> Job:
             faults += error.issues
     if faults:
         raise TandemError(faults)
-    whole = Job(op, cutter, tuple(done), _faces(op, part), box, tuple(notes))
+    whole = Work(op, cutter, tuple(done), _faces(op, part), box, tuple(notes))
     both = clash(run.segment for run in whole.runs)
     if both is not None:
         what = (

@@ -24,7 +24,7 @@ NAMED: Final = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
     working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet."""
 
@@ -85,7 +85,7 @@ def segment(one: Pass) -> Segment:
     return Segment("form", one.name)
 
 
-def job(operation: Forming, setup: Setup, part: Part | None) -> Job:
+def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     """The job of an operation. Raises ``TandemError`` with the codes ``forming.*``."""
     sheet, mesh = setup.stock.sheet, None if part is None or part.formed is None else part.formed.mesh
     if sheet is None or mesh is None:
@@ -97,7 +97,7 @@ def job(operation: Forming, setup: Setup, part: Part | None) -> Job:
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
-    return Job(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock))
+    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock))
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
