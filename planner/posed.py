@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import math
@@ -21,10 +20,10 @@ from planner.claims import Claim
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Setup, Stock
+from planner.problem import Stock
 from planner.schema import Name, Strict
 from planner.segments import Segment
-from planner.targets import ScrewFreedom, Targets
+from planner.targets import Job, ScrewFreedom, Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -99,13 +98,8 @@ class Posed(Strict):
         return self
 
 
-@dataclasses.dataclass(frozen=True)
-class PosedJob:
+class PosedJob(Job[Posed]):
     """An operation that follows the poses of a file."""
-
-    operation: Posed
-    setup: Setup
-    part: Part | None
 
     def targets(self) -> Targets:
         """Targets from the operation's file. Raises ``TandemError`` with every fault of the file, by row and
@@ -152,7 +146,7 @@ class PosedJob:
             claims=self.claims(),
         )
 
-    def claims(self) -> tuple[Claim, ...]:
+    def stated(self) -> tuple[Claim, ...]:
         """Each TCP passes the poses of the file, as the proof reads it, up to its free axes."""
         op = self.operation
         free = tuple(

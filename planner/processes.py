@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from pydantic import BaseModel
 
@@ -17,18 +17,7 @@ from planner.hotwire.straight_operation import Straight
 from planner.milling.operation import Milling
 from planner.posed import Posed
 from planner.problem import Part, Problem, Setup
-from planner.targets import Targets
-
-
-class Job(Protocol):
-    """One operation as a process sees it. Targets and claims come from the same read-only inputs; no claim is
-    made of targets."""
-
-    def targets(self) -> Targets:
-        """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
-
-    def claims(self) -> tuple[Claim, ...]:
-        """What must hold of the motion, from the problem alone."""
+from planner.targets import Job
 
 
 class Process(NamedTuple):
@@ -38,9 +27,9 @@ class Process(NamedTuple):
     module: str
     name: str
 
-    def job(self, operation: Any, setup: Setup, part: Part | None) -> Job:
+    def job(self, operation: Any, setup: Setup, part: Part | None) -> Job[Any]:
         """The job of an operation of this process."""
-        made: Job = getattr(import_module(self.module), self.name)(operation, setup, part)
+        made: Job[Any] = getattr(import_module(self.module), self.name)(operation, setup, part)
         return made
 
 
@@ -58,18 +47,18 @@ def schemas() -> dict[str, type[BaseModel]]:
     return {name: process.schema for name, process in PROCESSES.items()}
 
 
-def job(problem: Problem, index: int) -> Job:
+def job(problem: Problem, index: int) -> Job[Any]:
     """The job of one operation, by its index."""
     operation = problem.operations[index]
     return PROCESSES[operation.process].job(operation, problem.setup_of(index), problem.part)
 
 
-def jobs(problem: Problem) -> tuple[Job, ...]:
+def jobs(problem: Problem) -> tuple[Job[Any], ...]:
     """The jobs of all operations, in order."""
     return tuple(job(problem, index) for index in range(len(problem.operations)))
 
 
-def claims(problem: Problem, made: Sequence[Job] | None = None) -> dict[str, tuple[Claim, ...]]:
+def claims(problem: Problem, made: Sequence[Job[Any]] | None = None) -> dict[str, tuple[Claim, ...]]:
     """What must hold of each operation, by its name; ``made`` are the problem's jobs where there are some."""
     return {
         operation.name: one.claims()

@@ -6,10 +6,11 @@ paths without knowing a process. Poses are (..., 4, 4) float64, in metres, in th
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from planner.claims import Claim
 from planner.geometry.rigid import exp_twist, log_pose
 from planner.issues import Issue
+from planner.problem import Part, Setup
 from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
@@ -195,6 +197,35 @@ class Targets:
             if isinstance(freedom, ScrewFreedom) and arm in freedom.axis:
                 pose = pose @ exp_twist(values[..., j, None] * freedom.axis[arm])
         return pose
+
+
+_Operation = TypeVar("_Operation")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Job(abc.ABC, Generic[_Operation]):
+    """One operation as a process sees it, with the cell, tools and block that it finds. Targets and claims
+    come from these same inputs, which nobody writes into; no claim is made of targets."""
+
+    operation: _Operation
+    setup: Setup
+    part: Part | None
+
+    @abc.abstractmethod
+    def targets(self) -> Targets:
+        """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
+
+    @abc.abstractmethod
+    def stated(self) -> tuple[Claim, ...]:
+        """What must hold of the motion, worked out from the problem alone."""
+
+    def claims(self) -> tuple[Claim, ...]:
+        """What must hold of the motion: as :meth:`stated`, which is asked once."""
+        return self._claims
+
+    @functools.cached_property
+    def _claims(self) -> tuple[Claim, ...]:
+        return self.stated()
 
 
 def lagrange(nodes: FloatArray, value: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ mode), ``route`` (the ways between), ``frames`` (poses and freedoms), ``forming_
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Final
@@ -27,8 +26,8 @@ from planner.forming.route import Route, lay_out
 from planner.forming.values import Pass, ToolPath
 from planner.forming.work import Work, segment, work
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.problem import Part, Setup
-from planner.targets import Action, Targets
+from planner.problem import Setup
+from planner.targets import Action, Job, Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
@@ -45,13 +44,8 @@ RUN: Final = 0.8
 MOST: Final = 4000
 
 
-@dataclasses.dataclass(frozen=True)
-class FormingJob:
+class FormingJob(Job[Forming]):
     """An operation that forms a sheet, with the tools that it finds."""
-
-    operation: Forming
-    setup: Setup
-    part: Part | None
 
     @functools.cached_property
     def made(self) -> Work:
@@ -70,7 +64,7 @@ class FormingJob:
             raise TandemError(aggregate(issues))
         return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())
 
-    def claims(self) -> tuple[Claim, ...]:
+    def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         whole = part_claim.wanted(self.operation, self.setup, self.part)
         return (whole, *forming_claims.claims(self.made))

@@ -8,8 +8,6 @@ hold).
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +27,7 @@ from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
-from planner.targets import Action, Edge, Freedom, ScrewFreedom, Targets
+from planner.targets import Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -44,13 +42,8 @@ _KERF_ROUNDS = 2  # local speeds follow from the wires, which follow from the ke
 _DRIVE_TOL = 0.05  # of the tolerance: how far the wire may be off half-way between targets
 
 
-@dataclasses.dataclass(frozen=True)
-class ElasticJob:
+class ElasticJob(Job[ElasticWire]):
     """An operation with a bent wire, on the block that it finds."""
-
-    operation: ElasticWire
-    setup: Setup
-    part: Part | None
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``wire.*`` and ``part.*`` where the
@@ -97,13 +90,13 @@ class ElasticJob:
             operation,
             wire,
             setup,
-            part,
+            self.claims(),
             route,
             issues,
             exhibits(operation, wire, route, cuts, figures, tried),
         )
 
-    def claims(self) -> tuple[Claim, ...]:
+    def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         return elastic_claims.claims(self.operation, self.setup, self.part)
 
@@ -224,7 +217,7 @@ def _targets(
     op: ElasticWire,
     wire: Wire,
     setup: Setup,
-    part: Part | None,
+    claims: tuple[Claim, ...],
     route: Route,
     issues: list[Issue],
     pictures: dict[str, object],
@@ -249,7 +242,7 @@ def _targets(
         coupled=True,
         edge=Edge(points, 0.5 * wire.width),
         actions=_actions(op, wire, route),
-        claims=ElasticJob(op, setup, part).claims(),
+        claims=claims,
         exhibits=pictures,
         issues=aggregate(issues),
     )

@@ -7,8 +7,6 @@ between), ``straight_frames`` (poses and freedoms), ``straight_check`` (what mus
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +24,7 @@ from planner.hotwire.straight_steps import actions, check_drops
 from planner.hotwire.straight_tool import bow_of
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup
-from planner.targets import Targets
+from planner.targets import Job, Targets
 from planner.tooling import Bow
 from planner.units import MM
 
@@ -36,13 +34,8 @@ AIR_FEED = 0.1
 """Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
 
 
-@dataclasses.dataclass(frozen=True)
-class StraightJob:
+class StraightJob(Job[Straight]):
     """An operation with a straight wire, on the block and the tools that it finds."""
-
-    operation: Straight
-    setup: Setup
-    part: Part | None
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``bow.*``, ``straight.*``,
@@ -69,9 +62,9 @@ class StraightJob:
         issues += check_holder(operation, setup, cuts, route.lines, route.segment)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
-        return _targets(operation, setup, part, bow, todo, cuts, route, pose, (first, last), issues)
+        return _targets(operation, setup, self.claims(), bow, todo, cuts, route, pose, (first, last), issues)
 
-    def claims(self) -> tuple[Claim, ...]:
+    def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         return straight_claims.claims(self.operation, self.setup, self.part)
 
@@ -100,7 +93,7 @@ def _kerf(op: Straight, setup: Setup, bow: Bow, todo: list[Wanted]) -> tuple[Ker
 def _targets(
     op: Straight,
     setup: Setup,
-    part: Part | None,
+    claims: tuple[Claim, ...],
     bow: Bow,
     todo: list[Wanted],
     cuts: list[Cut],
@@ -130,7 +123,7 @@ def _targets(
         stop=route.stop,
         segment=route.segment,
         actions=actions(op, bow, setup, cuts, route),
-        claims=straight_claims.claims(op, setup, part),
+        claims=claims,
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
     )

@@ -6,7 +6,6 @@ ways between), ``mill_check`` (what would go wrong), ``mill_claims`` (what must 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Iterator
 from typing import Final
@@ -24,8 +23,7 @@ from planner.milling.mill_exhibits import exhibits
 from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
 from planner.milling.work import Work, work
-from planner.problem import Part, Setup
-from planner.targets import Action, Targets
+from planner.targets import Action, Job, Targets
 
 FloatArray = NDArray[np.float64]
 
@@ -35,13 +33,8 @@ LEVER: Final = 0.05
 """A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
 
 
-@dataclasses.dataclass(frozen=True)
-class MillingJob:
+class MillingJob(Job[Milling]):
     """An operation that mills, with the cutter and the block that it finds."""
-
-    operation: Milling
-    setup: Setup
-    part: Part | None
 
     @functools.cached_property
     def made(self) -> Work:
@@ -57,7 +50,7 @@ class MillingJob:
             raise TandemError(aggregate(issues))
         return _targets(made, route, aggregate(issues), self.claims())
 
-    def claims(self) -> tuple[Claim, ...]:
+    def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         return mill_claims.claims(self.made, self.part)
 
