@@ -310,6 +310,7 @@ CODES: Final[dict[str, str]] = {
     "motion.timing": "no clock was found for a piece of the path",
     "motion.feed_min": "the arms cannot make a move as fast as the process wants",
     "motion.stops": "the arm stops at corners that it would else have to pass very slowly",
+    "motion.short_moves": "moves take or go less than controllers like, so that these may stop there",
     "motion.no_placement": "no place of the stock was found from which the whole job can be done",
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
     "claims.unproven": "a process claims something that no rule of the proof looks at",

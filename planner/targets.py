@@ -136,6 +136,8 @@ class Targets:
     the way to target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there
     (fine point). ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move
     keeps the relation that the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
+    ``apart`` [m]: by how much two TCPs may stand to each other otherwise where they pass by targets at which
+    they need not stand, 0 where they have to stand at each.
     ``segment`` (N,): the segment that the move to target i belongs to.
     ``exhibits`` is named data for the report, by kind of picture.
     """
@@ -150,6 +152,7 @@ class Targets:
     stop: NDArray[np.bool_]
     segment: tuple[Segment, ...]
     coupled: bool = False
+    apart: float = 0.0
     edge: Edge | None = None
     actions: tuple[Action, ...] = ()
     claims: tuple[Claim, ...] = ()

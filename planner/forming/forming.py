@@ -32,6 +32,8 @@ from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
+APART: Final = 0.3
+"""Part of the gap's tolerance that fewer targets may take; straight moves between them take as much."""
 AIR_FEED: Final = 0.1
 """Upper limit of the tools' speed between passes [m/s]."""
 FROM_REST: Final = 0.5
@@ -107,6 +109,7 @@ def _targets(
         travel=travel,
         stop=stop,
         segment=route.segment,
+        apart=APART * op.gap_tol_mm * MM,
         actions=actions,
         claims=claims,
         exhibits=exhibits(made, paths),

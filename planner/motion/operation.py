@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, halts, rounding, transit
+from planner.motion import aim, corridor, diagnose, entry, halts, rounding, thinning, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, tcp_ways
 from planner.motion.paths import find
@@ -37,6 +37,11 @@ RIM = 24
 """Targets on either side of those over which a better path goes from the one that is kept to its own."""
 
 REPORTED_REACH = 0.2
+JOININGS = 3
+"""So often short moves are joined, each time by the clock that the last time led to."""
+
+Timed = tuple[Targets, Clock, float]
+"""Targets with their stops, their clock, and how far [m] that is off the way."""
 
 
 def plan_operation(
@@ -62,9 +67,11 @@ def plan_operation(
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
         diagnose.require_moves(scene, targets, found.path.branch, samples)
-    wanted = targets
-    targets, ticks, deviation = _clock(scene, targets, samples)
+    wanted, timed = targets, _clock(scene, targets, samples)
+    wanted, better, timed = _joined(scene, wanted, found, better, timed)
+    targets, ticks, deviation = timed
     issues = [*_slow(targets, ticks.time), *halts.told(wanted, targets)]
+    issues += thinning.told(targets, better.values, ticks.time)
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
@@ -178,13 +185,42 @@ def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np
     return np.asarray(some.move[lost | ~diagnose.clear(scene, targets, some)])
 
 
-def _clock(scene: Scene, targets: Targets, samples: Dense) -> tuple[Targets, Clock, float]:
+def _joined(
+    scene: Scene, targets: Targets, found: Found, better: Improved, timed: Timed
+) -> tuple[Targets, Improved, Timed]:
+    """Targets, path and clock again, with short moves joined to longer ones where that changes nothing, and
+    those that are left slowed where nothing asks for speed."""
+    kept = np.arange(targets.count)
+    some, path = targets, better
+    samples = dense(scene, some, found.path.branch, path.q)
+    for _ in range(JOININGS):
+        fewer = thinning.joined(targets, better.values, timed[1].time, kept)
+        if len(fewer) == len(kept):
+            break
+        new, way = thinning.picked(targets, fewer), better.at(fewer)
+        looked = dense(scene, new, found.path.branch, way.q)
+        if any(np.isnan(q).any() for q in looked.q.values()):
+            break
+        kept, some, path, samples = fewer, new, way, looked
+        timed = _clock(scene, some, samples)
+    if thinning.short(some, path.values, timed[1].time).any():
+        timed = _clock(scene, some, samples, thinning.slowed)
+    return some, path, timed
+
+
+def _clock(
+    scene: Scene,
+    targets: Targets,
+    samples: Dense,
+    slowed: Callable[[Targets, FloatArray], FloatArray] | None = None,
+) -> Timed:
     """The targets with the stops that they have after all, their clock, and how far [m] it is off the way."""
     settings = scene.settings
     speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
     strength = np.concatenate([scene.chains[arm].robot.acceleration for arm in targets.arms])
     lengths = tcp_ways(scene, targets, samples)
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
+    least = least if slowed is None else slowed(targets, least)
     try:
         rounded = functools.partial(rounding.shares, scene, targets, samples)
         limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))

@@ -57,6 +57,12 @@ class Improved:
     cost_before: float
     iterations: int
 
+    def at(self, rows: NDArray[np.intp]) -> Improved:
+        """The path at some of its targets."""
+        return dataclasses.replace(
+            self, values=self.values[rows], q={arm: angles[rows] for arm, angles in self.q.items()}
+        )
+
 
 def improve(
     scene: Scene,

@@ -1,0 +1,206 @@
+"""Fewer targets where moves are shorter than controllers like: neighbours on one line become one move.
+
+Controllers plan a move for some 20 to 50 ms at least; a run of shorter ones ends in stops at corners that
+nobody asked for (ABB: 50024, corner path failure; KUKA: approximation not possible).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import corners
+from planner.claims import FollowsPoses, FollowsTable
+from planner.geometry.rigid import interpolate, log_rotation
+from planner.geometry.vectors import lengths
+from planner.issues import Issue, Severity
+from planner.motion.subset import subset
+from planner.targets import Targets
+from planner.units import MM
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
+
+LEAST_TIME: Final = 0.04
+"""Least time of a move [s] that controllers take gladly,"""
+LEAST_WAY: Final = 0.2
+"""and its least way [mm]; turning counts by :data:`planner.corners.LEVER`."""
+WANTED: Final = 1.25
+"""Moves are joined until they last so many times the least time: the clock is worked out anew then."""
+SLOWER: Final = 2.5
+"""At most so many times as long as their feeds ask for do moves take so as to last the least time."""
+
+
+def short(targets: Targets, values: FloatArray, time: FloatArray) -> BoolArray:
+    """Whether (N,) the move to each target takes or goes less than controllers like; the first leads nowhere.
+
+    ``values`` (N, F) of the freedoms, ``time`` (N,) [s].
+    """
+    out = (np.diff(time, prepend=-np.inf) < LEAST_TIME) | (_ways(targets, values) < LEAST_WAY)
+    out[0] = False
+    return np.asarray(out)
+
+
+def joined(targets: Targets, values: FloatArray, time: FloatArray, kept: IntArray) -> IntArray:
+    """Those of the targets ``kept`` (K,) that stay where short moves are joined to longer ones.
+
+    ``time`` (K,) [s] is the clock of the kept ones. No target is farther off the joined moves than a corner
+    may be, along the way too, nor do two TCPs stand to each other otherwise than by ``targets.apart``. Poses
+    that a user stated stay, and so do stops, actions and the ends of segments.
+    """
+    if _stated(targets) or (len(targets.arms) > 1 and targets.apart <= 0.0):
+        return kept
+    brief = short(subset(targets, kept), values[kept], time)
+    if not brief.any():
+        return kept
+    line = _Line(targets, values)
+    fixed = _fixed(targets)[kept]
+    stay = [0]
+    for row in range(1, len(kept)):
+        first = stay[-1]
+        enough = (
+            time[row] - time[first] >= WANTED * LEAST_TIME and line.way(kept[first], kept[row]) >= LEAST_WAY
+        )
+        follows = row + 1 < len(kept) and not fixed[row] and not enough
+        if follows and (brief[row] or brief[row + 1]) and line.straight(kept[first], kept[row + 1]):
+            continue
+        stay.append(row)
+        short_end = time[row] - time[first] < LEAST_TIME or line.way(kept[first], kept[row]) < LEAST_WAY
+        if short_end and len(stay) > 2 and not fixed[first] and line.straight(kept[stay[-3]], kept[row]):
+            stay.pop(-2)
+    return kept[stay]
+
+
+def picked(targets: Targets, kept: IntArray) -> Targets:
+    """The targets with the rows ``kept`` (K,) alone; feeds and ways of joined moves are those of their parts
+    together."""
+    place = np.zeros(targets.count, dtype=np.intp)
+    place[kept] = np.arange(len(kept))
+    starts = np.append(0, kept[:-1] + 1)
+    travel, fastest, slowest = (
+        np.add.reduceat(parts, starts)
+        for parts in (
+            targets.travel,
+            _times(targets.travel, targets.feed),
+            _times(targets.travel, targets.feed_min),
+        )
+    )
+    alone = np.diff(kept, prepend=-1) == 1
+    slow = np.minimum.reduceat(targets.feed, starts)  # of moves from and to rest, which are faster in between
+    rest = targets.stop[kept] | np.append(True, targets.stop[kept][:-1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        feed = np.where(alone | (fastest <= 0.0), targets.feed[kept], travel / fastest)
+    feed = np.where(rest & ~alone, slow, feed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        least = np.where(alone, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
+    return dataclasses.replace(
+        subset(targets, kept),
+        feed=feed,
+        feed_min=np.where(np.isfinite(least), least, 0.0),
+        travel=travel,
+        actions=tuple(dataclasses.replace(a, at=int(place[a.at])) for a in targets.actions),
+        claims=targets.claims,
+        exhibits=targets.exhibits,
+        issues=targets.issues,
+    )
+
+
+def slowed(targets: Targets, least: FloatArray) -> FloatArray:
+    """Least times (N,) [s] by which short moves take longer than ``least`` (N,) [s] where no least feed is
+    asked for, unless poses and their pace are a user's own."""
+    free = (targets.feed_min == 0.0) & (not _stated(targets))
+    return np.where(free, np.maximum(least, np.minimum(LEAST_TIME, SLOWER * least)), least)
+
+
+def told(targets: Targets, values: FloatArray, time: FloatArray) -> list[Issue]:
+    """A warning about moves that stay shorter than controllers like (``motion.short_moves``)."""
+    rows = np.flatnonzero(short(targets, values, time))
+    if not len(rows):
+        return []
+    took, way = np.diff(time, prepend=0.0)[rows], _ways(targets, values)[rows]
+    first, name = int(rows[0]), targets.name(int(rows[0]))
+    what = (
+        f"{len(rows)} moves take less than {LEAST_TIME:g} s or go less than {LEAST_WAY:g} mm, first that to "
+        f"{name}; the least take {took.min():.3f} s and go {way.min():.3f} mm: a controller may stop there"
+    )
+    hint = "lower the feed, or give a coarser tolerance or path there"
+    return [
+        Issue(
+            "motion.short_moves",
+            what,
+            Severity.WARNING,
+            index=first,
+            target=name,
+            value=float(took.min()),
+            limit=LEAST_TIME,
+            unit="s",
+            hint=hint,
+        )
+    ]
+
+
+class _Line:
+    """Poses of all arms at all targets, and whether targets lie on the straight move between two others."""
+
+    def __init__(self, targets: Targets, values: FloatArray) -> None:
+        self.poses = targets.poses(values)
+        self.along = np.cumsum(_ways(targets, values))
+        off = corners.deviations(targets, targets.segment)
+        self.allowed = MM * np.minimum(off, corners.DEVIATION)
+        self.apart = targets.apart
+
+    def way(self, first: int, last: int) -> float:
+        """Way and turning [mm] from one target to another."""
+        return float(self.along[last] - self.along[first])
+
+    def straight(self, first: int, last: int) -> bool:
+        """Whether all targets between two are passed within what is allowed [m], at the share of the way at
+        which they stand."""
+        inner = np.arange(first + 1, last)
+        whole = self.way(first, last)
+        if whole <= 0.0:
+            return True
+        share = (self.along[inner] - self.along[first]) / whole
+        allowed = float(self.allowed[first + 1 : last + 1].min())
+        off = []
+        for pose in self.poses.values():
+            there = interpolate(pose[first], pose[last], share)
+            off.append(there[:, :3, 3] - pose[inner, :3, 3])
+            turn = log_rotation(np.swapaxes(there[:, :3, :3], -1, -2) @ pose[inner, :3, :3])
+            if np.any(lengths(off[-1]) + MM * corners.LEVER * lengths(turn) > allowed):
+                return False
+        return len(off) < 2 or not np.any(lengths(off[1] - off[0]) > self.apart)
+
+
+def _ways(targets: Targets, values: FloatArray) -> FloatArray:
+    """Ways (N,) [mm] to the targets, turning included: of the arm that goes farthest."""
+    out = np.zeros(targets.count)
+    for pose in targets.poses(values).values():
+        moved = lengths(np.diff(pose[:, :3, 3], axis=0)) / MM
+        turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], -1, -2) @ pose[1:, :3, :3])
+        out[1:] = np.maximum(out[1:], moved + corners.LEVER * lengths(turn))
+    return out
+
+
+def _stated(targets: Targets) -> bool:
+    """Whether a user stated the poses themselves."""
+    return any(isinstance(claim, FollowsTable | FollowsPoses) for claim in targets.claims)
+
+
+def _fixed(targets: Targets) -> BoolArray:
+    """Targets (N,) that stay: ends, stops, those with actions, and the last ones of segments."""
+    out = targets.stop.copy()
+    out[[0, -1]] = True
+    out[[action.at for action in targets.actions]] = True
+    out[:-1] |= np.array([a != b for a, b in zip(targets.segment[:-1], targets.segment[1:], strict=True)])
+    return np.asarray(out)
+
+
+def _times(travel: FloatArray, speed: FloatArray) -> FloatArray:
+    """Times (N,) [s] of ways at speeds; of no way at no speed: without end."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(travel > 0.0, travel / speed, 0.0)

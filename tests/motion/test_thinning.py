@@ -1,0 +1,128 @@
+"""Short moves: joined where targets lie on one line, slowed where nothing asks for speed, else told."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from shapely import LineString, Point
+
+from planner import corners
+from planner.claims import FollowsPoses
+from planner.motion import thinning
+from planner.motion.operation import plan_operation
+from planner.problem import Settings
+from planner.targets import Action
+from planner.units import MM
+from tests.motion.scenes import HIGH, arc_wire, s_curve
+
+FEED = 0.1
+
+
+def s_targets(count, **changes):
+    """The cell and the targets of an S-curve with so many targets, which one arm follows fast."""
+    cell, targets = s_curve(count)
+    place = targets.pose["arm"][:, :3, 3]
+    travel = np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    values = {"travel": travel, "feed": np.full(count, FEED), **changes}
+    return cell, dataclasses.replace(targets, **values)
+
+
+def short_moves(plan):
+    return [issue for issue in plan.issues if issue.code == "motion.short_moves"]
+
+
+def test_dense_targets_are_joined_and_none_is_farther_off_than_a_corner_may_be():
+    cell, targets = s_targets(1500)
+    assert (targets.travel[1:] / FEED).max() < thinning.LEAST_TIME
+    plan = plan_operation("dense", cell, targets, Settings(), HIGH)
+    assert plan.targets.count < 0.7 * targets.count
+    assert not short_moves(plan)
+    assert np.diff(plan.time).min() >= thinning.LEAST_TIME
+    way = plan.targets.poses(plan.values)["arm"][:, :3, 3]
+    line = LineString(way / MM)  # shapely measures in the plane; the curve lies in it
+    assert np.ptp(way[:, 2]) < 1e-9
+    off = max(line.distance(Point(*place[:2] / MM)) for place in targets.pose["arm"][:, :3, 3])
+    assert off < corners.DEVIATION
+
+
+def test_feeds_and_ways_of_joined_moves_are_those_of_their_parts_together():
+    rng = np.random.default_rng(5)
+    feed = rng.uniform(0.05, 0.2, 400)
+    _, targets = s_targets(400, feed=feed, feed_min=feed / 3.0)
+    values = targets.neutral()
+    time = np.cumsum(np.append(0.0, targets.travel[1:] / feed[1:]))
+    kept = thinning.joined(targets, values, time, np.arange(400))
+    fewer = thinning.picked(targets, kept)
+    assert 2 < fewer.count < 400
+    assert fewer.travel.sum() == pytest.approx(targets.travel.sum(), rel=1e-12)
+    rest = np.append(True, targets.stop[kept][:-1]) | targets.stop[kept]
+    took = np.diff(time[kept], prepend=0.0)
+    np.testing.assert_allclose((fewer.travel / fewer.feed)[~rest], took[~rest], rtol=1e-9)
+    np.testing.assert_allclose((fewer.travel / fewer.feed_min)[~rest], 3.0 * took[~rest], rtol=1e-9)
+    assert (fewer.feed[rest] <= FEED * 2.0).all()
+
+
+def test_stops_actions_and_ends_of_segments_stay():
+    _, targets = s_targets(600)
+    stop = targets.stop.copy()
+    stop[[100, 333]] = True
+    actions = (Action(333, "wait", seconds=1.0),)
+    targets = dataclasses.replace(targets, stop=stop, actions=actions)
+    kept = thinning.joined(targets, targets.neutral(), np.arange(600) * 0.01, np.arange(600))
+    edges = [i for i in range(599) if targets.segment[i] != targets.segment[i + 1]]
+    assert {0, 100, 333, 599, *edges} <= set(kept.tolist())
+    fewer = thinning.picked(targets, kept)
+    assert len(kept) < 400
+    assert kept[fewer.actions[0].at] == 333
+
+
+def test_where_a_least_feed_is_asked_for_and_the_way_bends_short_moves_are_told():
+    cell, targets = s_targets(400)
+    place = targets.pose["arm"][:, :3, 3]
+    place[1:-1:2, 0] += 5e-5  # a saw with teeth of 0.05 mm
+    targets = dataclasses.replace(targets, feed=np.full(400, 0.15), feed_min=np.full(400, 0.02))
+    plan = plan_operation("teeth", cell, targets, Settings(), HIGH)
+    (issue,) = short_moves(plan)
+    assert issue.limit == thinning.LEAST_TIME
+    assert issue.value is not None
+    assert issue.value < thinning.LEAST_TIME
+    assert plan.targets.count >= 398
+    free = dataclasses.replace(targets, feed_min=np.zeros(400))
+    slower = plan_operation("teeth", cell, free, Settings(), HIGH)
+    assert np.diff(slower.time).min() > 1.2 * np.diff(plan.time).min()
+
+
+def test_poses_that_a_user_stated_and_arms_that_have_to_meet_stay():
+    _, targets = s_targets(300)
+    claim = FollowsPoses("arm", "world", targets.pose["arm"], (), 1e-5, 1e-4)
+    stated = dataclasses.replace(targets, claims=(claim,))
+    time = np.arange(300) * 0.005
+    every = np.arange(300)
+    assert len(thinning.joined(targets, targets.neutral(), time, every)) < 300
+    assert len(thinning.joined(stated, targets.neutral(), time, every)) == 300
+    assert (thinning.slowed(stated, np.full(300, 0.01)) == 0.01).all()
+    wire = arc_wire(200)
+    rows = np.arange(200)
+    assert len(thinning.joined(wire, wire.neutral(), rows * 0.005, rows)) == 200
+
+
+def test_two_arms_are_joined_as_far_as_they_stay_together():
+    _, targets = s_targets(300)
+    other = targets.pose["arm"].copy()
+    other[:, 0, 3] += 0.1
+    pair = dataclasses.replace(
+        targets,
+        arms=("arm", "other"),
+        pose={"arm": targets.pose["arm"], "other": other},
+        frame={"arm": "stock", "other": "stock"},
+        apart=2e-6,
+    )
+    rows, time = np.arange(300), np.arange(300) * 0.01
+    together = thinning.joined(pair, pair.neutral(), time, rows)
+    assert len(together) < 200
+    shaken = other.copy()
+    shaken[1:-1, 2, 3] += np.random.default_rng(3).uniform(-5e-6, 5e-6, 298)
+    apart = dataclasses.replace(pair, pose={**pair.pose, "other": shaken})
+    assert len(together) < len(thinning.joined(apart, pair.neutral(), time, rows))
