@@ -30,6 +30,7 @@ from tests import small_problem
 from tests.hotwire import test_straight
 from tests.milling import small_mill
 from tests.verify import straight_job
+from tests.verify.planner_jobs import JOBS
 
 PHASES = st.sampled_from(["", "in", "out"])
 WORDS = st.sampled_from(
@@ -255,6 +256,15 @@ def test_two_operations_of_one_setup_with_one_segment_are_refused(tmp_path: Path
     found = [i for i in pipeline.check(pipeline.load(_written(tmp_path, data))) if i.code == "post.name"]
     assert [issue.field for issue in found] == ["operations.1"]
     assert "'again'" in found[0].message and "wall" in found[0].message and "setup" in str(found[0].hint)
+
+
+def test_two_operations_with_one_cut_of_g_code_are_refused(tmp_path: Path) -> None:
+    path = JOBS["gcode"](tmp_path)
+    data = yaml.safe_load(path.read_text())
+    data["operations"].append(data["operations"][0] | {"name": "again"})
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    found = [i for i in pipeline.check(pipeline.load(path)) if i.severity is Severity.ERROR]
+    assert [(issue.code, issue.field) for issue in found] == [("post.name", "operations.1")]
 
 
 def test_two_setups_may_work_on_one_segment_each_by_its_own_claims(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def _shared(problem: Problem, made: Sequence[Targets]) -> list[Issue]:
             keys = {segment.key: segment for segment in dict.fromkeys(targets.segment)}
             claimed = _claimed(targets.claims) | _claimed(made[before].claims)
             both = [key for key in dict.fromkeys(s.key for s in made[before].segment) if key in keys]
-            own = [keys[key] for key in both if key in claimed]
+            own = [keys[key] for key in both if key in claimed or keys[key].works]  # G-code is claimed whole
             if own:
                 shown = str(own[0].at(""))
                 names = [problem.operations[index].name for index in (before, number)]
