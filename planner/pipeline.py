@@ -17,7 +17,7 @@ from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output
-from planner.verify import kinds, margins, prove
+from planner.verify import kinds, margins, program_text, prove
 from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -118,10 +118,10 @@ def read_programs(folder: str | Path) -> dict[str, str]:
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
-            return path.read_text("utf-8")
+            return program_text.decode(path.read_bytes())
         what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
-    except (OSError, UnicodeDecodeError) as error:
-        what = f"is not text in UTF-8 ({error})"
+    except OSError as error:
+        what = f"cannot be read ({error})"
     raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))
 
 

@@ -17,6 +17,7 @@ from planner.verify.krl_ast import (
     Call,
     DataList,
     Halt,
+    Interrupt,
     Joint,
     Listen,
     Output,
@@ -45,6 +46,8 @@ from planner.verify.values import (
 )
 
 MAX_CALLS = 10
+WORK = 100_000
+"""Statements that may run more than once; programs call each other seldom."""
 MAIN = "main"
 """What the procedure of the main program is called in steps: its own name is the problem's."""
 _BLOCK = "l_block_"
@@ -88,6 +91,8 @@ class Runner:
         self.program: Program
         self.procedure = MAIN
         self.depth = 0
+        self.started = False
+        self.work = WORK + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
 
     def run(self, main: Program) -> tuple[Step, ...]:
@@ -95,9 +100,14 @@ class Runner:
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        first = next((s for s in main.body if not isinstance(s, Said)), None)
-        if not isinstance(first, Start):
-            self._fail(first.line if first else 1, "the main program does not begin with BAS(#INITMOV,0)")
+        head = [s for s in main.body if not isinstance(s, Said)]
+        if [s.on for s in head[:2] if isinstance(s, Interrupt)] == [False, True]:
+            head = head[2:]
+        if not head or not isinstance(head[0], Start):
+            line = head[0].line if head else 1
+            self._fail(line, "the main program does not begin with BAS(#INITMOV,0)")
+        if again := next((s for s in head if isinstance(s, Interrupt)), None):
+            self._fail(again.line, "the stop interrupt stands elsewhere than once, before BAS(#INITMOV,0)")
         self._block(main.body)
         return tuple(self.steps)
 
@@ -106,6 +116,9 @@ class Runner:
 
     def _block(self, body: Sequence[Statement]) -> None:
         for statement in body:
+            self.work -= 1
+            if self.work < 0:
+                self._fail(statement.line, "the programs call each other too often to be read")
             if isinstance(statement, Straight):
                 self._straight(statement)
                 continue
@@ -121,9 +134,14 @@ class Runner:
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
+            case Interrupt(on=on):
+                if self.depth:
+                    self._fail(line, "the stop interrupt stands elsewhere than in the main program")
+                self.steps.append(SettingStep(*where, f"INTERRUPT {'ON' if on else 'DECL'} 3", (), ()))
             case Start():
-                if len(self.steps) or self.depth:
+                if self.started or self.depth:
                     self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
+                self.started = True
                 self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
             case Set(name=name, value=value):
                 self._set(line, name, value)
