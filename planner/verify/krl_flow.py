@@ -114,6 +114,11 @@ class Runner:
     def _fail(self, line: int, message: str) -> NoReturn:
         raise FlowError([Fault(line, 1, "krl.flow", message, self.program.file)])
 
+    def _misplaced(self, line: int, wrong: bool, message: str) -> None:
+        """Refuse what stands where the programs do not have it."""
+        if wrong:
+            self._fail(line, message)
+
     def _block(self, body: Sequence[Statement]) -> None:
         for statement in body:
             self.work -= 1
@@ -196,9 +201,9 @@ class Runner:
     # ---- settings ----
 
     def _set(self, line: int, name: str, value: float | str) -> None:
-        if (name in MOVING) != (self.depth > 0):
-            where = "a file with moves" if name in MOVING else "the main program"
-            self._fail(line, f"{name.upper()} is set elsewhere than in {where}")
+        where = "a file with moves" if name in MOVING else "the main program"
+        wrong = (name in MOVING) != (self.depth > 0)
+        self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
         if name in CHOICES or name == "$advance":
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(SettingStep(*where_, name.upper(), (), ()))
@@ -256,8 +261,7 @@ class Runner:
     # ---- moves ----
 
     def _joint(self, line: int, name: str) -> None:
-        if self.depth:
-            self._fail(line, "PTP stands elsewhere than in the main program")
+        self._misplaced(line, self.depth > 0, "PTP stands elsewhere than in the main program")
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
@@ -275,8 +279,8 @@ class Runner:
     def _straight(self, move: Straight) -> None:
         line = move.line
         self._carry(line)
-        if not self.depth:
-            self._fail(line, f"{move.word} stands in the main program; moves have files of their own")
+        what = f"{move.word} stands in the main program; moves have files of their own"
+        self._misplaced(line, not self.depth, what)
         if self.question:
             self._fail(line, "a question (;?) that no HALT follows")
         if self.here is None:

@@ -70,4 +70,6 @@ def _plain(letter: str) -> bool:
 def _commented(text: str, at: int, mark: str) -> bool:
     """Whether a place is behind the mark of a comment on its line; a mark in a string opens none."""
     before = text[text.rfind("\n", 0, at) + 1 : at]
+    if mark == ";" and before.lstrip().startswith("&"):
+        return True  # a line of KRL's header
     return mark in _STRING.sub("", before).partition('"')[0]
