@@ -103,21 +103,31 @@ def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> i
     """Prove the programs in a result folder again, from their text and the problem alone.
 
     Args:
-        folder: a result folder; of it, only programs/ and problem/ are read.
+        folder: a result folder; of it, only programs/ and problem/ are read. With ``problem``, also a folder
+            of programs that somebody else has written: what of them can be read and proven is told.
         problem: the problem file to prove against, instead of the copy in the folder.
     """
     pipeline = _pipeline()
 
     try:
         loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
-        programs = pipeline.read_programs(folder)
+        programs = pipeline.read_programs(folder, bare=problem is not None)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
     try:
         proof = pipeline.verify(loaded, programs)
     except TandemError as error:
         return _refused(error, NOT_PROVEN)
-    _print_issues(proof.issues)
+    foreign = problem is not None and not proof.read
+    if foreign:
+        try:
+            partly = pipeline.read_partly(loaded, programs)
+        except TandemError as error:
+            return _refused(error, NOT_PROVEN)
+        _print_issues(partly.issues)
+        out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
+    else:
+        _print_issues(proof.issues)
     passed = sum(rule.passed for rule in proof.rules)
     out.print(
         f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"

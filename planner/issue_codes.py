@@ -315,6 +315,7 @@ CODES: Final[dict[str, str]] = {
     "motion.path_kept": "the optimised path did not keep clearance, so the ladder's path is used",
     "claims.unproven": "a process claims something that no rule of the proof looks at",
     "claims.none": "a process claims nothing of an operation",
+    "verify.unread": "a line of somebody else's program is not read, or a move of it is not proven",
     "verify.no_programs": "a result folder holds no programs",
     # features of a part that is formed from a sheet
     "forming.undercut": "a part turns over: a wall beyond 90 degrees",

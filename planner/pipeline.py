@@ -17,7 +17,8 @@ from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output
-from planner.verify import kinds, margins, prove
+from planner.verify import kinds, margins, partial, program_text, prove
+from planner.verify.partial import Partial
 from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
@@ -104,10 +105,25 @@ def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
     return prove.prove(problem, processes.claims(problem), programs)
 
 
-def read_programs(folder: str | Path) -> dict[str, str]:
-    """The texts in ``folder/programs``, by relative name. Raises ``TandemError`` if there are none."""
+_PROGRAMS = frozenset({".mod", ".modx", ".sys", ".sysx", ".pgf", ".src", ".dat", ".sub"})
+
+
+def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
+    """How much of programs of any origin is read and proven, for the cell of ``problem``."""
+    return partial.read_partly(problem, programs)
+
+
+def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
+    """The texts in ``folder/programs``, by relative name; ``bare``: those of robot programs in ``folder``
+    itself where it has no such folder, such as somebody else's. Raises ``TandemError`` if there are none."""
     root = Path(folder) / "programs"
-    texts = {p.relative_to(root).as_posix(): _text(p) for p in sorted(root.rglob("*")) if p.is_file()}
+    alone = bare and not root.is_dir()
+    root = Path(folder) if alone else root
+    texts = {
+        p.relative_to(root).as_posix(): _text(p)
+        for p in sorted(root.rglob("*"))
+        if p.is_file() and (not alone or p.suffix.lower() in _PROGRAMS)
+    }
     if not texts:
         raise TandemError(
             Issue("verify.no_programs", f"{root}: no programs there; plan the problem first", file=str(root))
@@ -118,10 +134,10 @@ def read_programs(folder: str | Path) -> dict[str, str]:
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
-            return path.read_text("utf-8")
+            return program_text.decode(path.read_bytes())
         what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
-    except (OSError, UnicodeDecodeError) as error:
-        what = f"is not text in UTF-8 ({error})"
+    except OSError as error:
+        what = f"cannot be read ({error})"
     raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))
 
 

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 
 from planner.catalogue import robot
 from planner.problem import Arm, Problem
-from planner.verify import handshake_stages, krl_reader
+from planner.verify import handshake_stages, krl_reader, program_text
 from planner.verify.faults import Fault, FlowError
 from planner.verify.handshake_text import Reading
 from planner.verify.krl_flow import Signals
@@ -70,7 +70,8 @@ class Stage:
 @dataclasses.dataclass(frozen=True)
 class JobText:
     """All tasks, the stages they share (empty where the synchronisation points do not match), and faults of
-    reading. ``readings``: what each program does with the wires between two controllers, None for one."""
+    reading. ``readings``: what each program does with the wires between two controllers, None for one;
+    ``notes``: what was put right in files before they were read."""
 
     tasks: tuple[TaskText, ...]
     stages: tuple[Stage, ...]
@@ -79,6 +80,7 @@ class JobText:
     strays: tuple[str, ...]
     lists: Mapping[str, str]
     readings: Mapping[str, Reading] | None = None
+    notes: tuple[Fault, ...] = ()
 
 
 def task_names(problem: Problem) -> tuple[str, ...]:
@@ -132,6 +134,9 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
 def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
     controller = problem.cell.controller
+    plain = {path: program_text.settled(path, text) for path, text in programs.items()}
+    programs = {path: text for path, (text, _) in plain.items()}
+    notes = tuple(note for _, found in plain.values() for note in found)
     files, strays = task_files(problem, programs)
     tasks: list[TaskText] = []
     faults: list[Fault] = []
@@ -154,7 +159,7 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
         found = handshake_stages.readings(problem, ways, aside)
         if len(tasks) > 1:
             stages = tuple(Stage(*part) for part in handshake_stages.parts(found, ways))
-    return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found)
+    return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found, notes)
 
 
 _Read = tuple[TaskText, Sequence[Fault], Sequence[Fault]]

@@ -20,6 +20,13 @@ class Start(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class Interrupt(Statement):
+    """The stop interrupt of KUKA's own template, which calls IR_STOPM(): declared, or switched ``on``."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Set(Statement):
     """A setting, its name in lower case; `value` is a number, or a name or #word in lower case."""
 
@@ -54,8 +61,8 @@ class Joint(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Straight(Statement):
-    """LIN or SLIN (`word`) to X, Y, Z [mm], A, B, C [deg]; `corner` C_DIS, C_ORI, C_SPL, or "" for an exact
-    stop."""
+    """LIN or SLIN (`word`) to X, Y, Z [mm], A, B, C [deg], in single precision; `corner` C_DIS, C_ORI, C_SPL,
+    or "" for an exact stop."""
 
     word: str
     place: tuple[float, float, float, float, float, float]

@@ -17,6 +17,7 @@ from planner.verify.krl_ast import (
     Call,
     DataList,
     Halt,
+    Interrupt,
     Joint,
     Listen,
     Output,
@@ -45,6 +46,8 @@ from planner.verify.values import (
 )
 
 MAX_CALLS = 10
+WORK = 100_000
+"""Statements that may run more than once; programs call each other seldom."""
 MAIN = "main"
 """What the procedure of the main program is called in steps: its own name is the problem's."""
 _BLOCK = "l_block_"
@@ -88,6 +91,8 @@ class Runner:
         self.program: Program
         self.procedure = MAIN
         self.depth = 0
+        self.started = False
+        self.work = WORK + sum(len(program.body) for program in programs.values())
         self._open: list[str] = []
 
     def run(self, main: Program) -> tuple[Step, ...]:
@@ -95,17 +100,30 @@ class Runner:
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        first = next((s for s in main.body if not isinstance(s, Said)), None)
-        if not isinstance(first, Start):
-            self._fail(first.line if first else 1, "the main program does not begin with BAS(#INITMOV,0)")
+        head = [s for s in main.body if not isinstance(s, Said)]
+        if [s.on for s in head[:2] if isinstance(s, Interrupt)] == [False, True]:
+            head = head[2:]
+        if not head or not isinstance(head[0], Start):
+            line = head[0].line if head else 1
+            self._fail(line, "the main program does not begin with BAS(#INITMOV,0)")
+        if again := next((s for s in head if isinstance(s, Interrupt)), None):
+            self._fail(again.line, "the stop interrupt stands elsewhere than once, before BAS(#INITMOV,0)")
         self._block(main.body)
         return tuple(self.steps)
 
     def _fail(self, line: int, message: str) -> NoReturn:
         raise FlowError([Fault(line, 1, "krl.flow", message, self.program.file)])
 
+    def _misplaced(self, line: int, wrong: bool, message: str) -> None:
+        """Refuse what stands where the programs do not have it."""
+        if wrong:
+            self._fail(line, message)
+
     def _block(self, body: Sequence[Statement]) -> None:
         for statement in body:
+            self.work -= 1
+            if self.work < 0:
+                self._fail(statement.line, "the programs call each other too often to be read")
             if isinstance(statement, Straight):
                 self._straight(statement)
                 continue
@@ -121,9 +139,14 @@ class Runner:
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
+            case Interrupt(on=on):
+                if self.depth:
+                    self._fail(line, "the stop interrupt stands elsewhere than in the main program")
+                self.steps.append(SettingStep(*where, f"INTERRUPT {'ON' if on else 'DECL'} 3", (), ()))
             case Start():
-                if len(self.steps) or self.depth:
+                if self.started or self.depth:
                     self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
+                self.started = True
                 self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
             case Set(name=name, value=value):
                 self._set(line, name, value)
@@ -178,9 +201,9 @@ class Runner:
     # ---- settings ----
 
     def _set(self, line: int, name: str, value: float | str) -> None:
-        if (name in MOVING) != (self.depth > 0):
-            where = "a file with moves" if name in MOVING else "the main program"
-            self._fail(line, f"{name.upper()} is set elsewhere than in {where}")
+        where = "a file with moves" if name in MOVING else "the main program"
+        wrong = (name in MOVING) != (self.depth > 0)
+        self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
         if name in CHOICES or name == "$advance":
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(SettingStep(*where_, name.upper(), (), ()))
@@ -238,8 +261,7 @@ class Runner:
     # ---- moves ----
 
     def _joint(self, line: int, name: str) -> None:
-        if self.depth:
-            self._fail(line, "PTP stands elsewhere than in the main program")
+        self._misplaced(line, self.depth > 0, "PTP stands elsewhere than in the main program")
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
@@ -257,8 +279,8 @@ class Runner:
     def _straight(self, move: Straight) -> None:
         line = move.line
         self._carry(line)
-        if not self.depth:
-            self._fail(line, f"{move.word} stands in the main program; moves have files of their own")
+        what = f"{move.word} stands in the main program; moves have files of their own"
+        self._misplaced(line, not self.depth, what)
         if self.question:
             self._fail(line, "a question (;?) that no HALT follows")
         if self.here is None:

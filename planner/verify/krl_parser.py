@@ -15,6 +15,7 @@ from planner.verify.krl_ast import (
     Data,
     DataList,
     Halt,
+    Interrupt,
     Joint,
     Listen,
     Output,
@@ -26,20 +27,20 @@ from planner.verify.krl_ast import (
     Statement,
     Straight,
 )
-from planner.verify.krl_values import KrlValueError
+from planner.verify.krl_values import UNSIGNED, KrlValueError
 from planner.verify.krl_words import CHOICES, FRAMES, LINE_LENGTH, NAME_LENGTH, NUMBERS, RESERVED
+from planner.verify.values import singles
 
 _NAME = r"[A-Za-z_]\w*"
-_COARSE = r"(-?\d+\.\d{4,})"
-_FINE = r"(-?\d+\.\d{5,})"
-_TARGET = rf"X {_COARSE},Y {_COARSE},Z {_COARSE},A {_FINE},B {_FINE},C {_FINE}"
+_PLAIN = r"(-?\d{1,9}\.\d{1,20})"
+_TARGET = ",".join(f"{name} {_PLAIN}" for name in "XYZABC")
 _QUICK = re.compile(rf"(S?LIN) \{{{_TARGET}\}}(?: (C_(?:SPL|DIS|ORI)))?", re.ASCII)
 _STRAIGHT = re.compile(r"(S?LIN)\s*(\{.*\})\s*(C_SPL|C_DIS|C_ORI)?", re.IGNORECASE | re.ASCII)
-_SET = re.compile(r"(\$[\w.]+(?:\[\d+\])?)\s*=\s*(#?\w[\w.+-]*)", re.IGNORECASE | re.ASCII)
-_NUMBER = re.compile(r"\d+(?:\.\d+)?", re.ASCII)
+_SET = re.compile(r"(\$[\w.]+(?:\[\d+\])?)\s*=\s*(#?[\w+.][\w.+-]*)", re.IGNORECASE | re.ASCII)
+_NUMBER = re.compile(rf"\+?{UNSIGNED}", re.ASCII)
 _OUT = re.compile(r"\$OUT\[(\d{1,4})\]\s*=\s*(TRUE|FALSE)", re.IGNORECASE | re.ASCII)
 _PTP = re.compile(rf"PTP\s+({_NAME})", re.IGNORECASE | re.ASCII)
-_WAIT = re.compile(r"WAIT\s+SEC\s+(\d+(?:\.\d+)?)", re.IGNORECASE | re.ASCII)
+_WAIT = re.compile(rf"WAIT\s+SEC\s+(\+?{UNSIGNED})", re.IGNORECASE | re.ASCII)
 _CALL = re.compile(rf"({_NAME})\s*\(\s*\)", re.ASCII)
 _EXT = re.compile(rf"EXT\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
 _DEF = re.compile(rf"DEF\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
@@ -49,7 +50,23 @@ _DECL = re.compile(
 )
 _CHAR = re.compile(rf"DECL\s+CHAR\s+({_NAME})\[(\d{{1,3}})\]", re.IGNORECASE | re.ASCII)
 _TEXT = re.compile(rf'({_NAME})\[\s*\]\s*=\s*"([^"]*)"', re.ASCII)
-_HEAD = (re.compile(r"&ACCESS RVP"), re.compile(r"&REL \d+"))
+_HEAD = {
+    "ACCESS": re.compile(r"R?V?[PO]?\d{0,2}", re.ASCII),
+    "REL": re.compile(r"\d{1,9}", re.ASCII),
+    "COMMENT": re.compile(r".*"),
+    "PARAM": re.compile(r"[A-Z]+\s*=.*", re.ASCII | re.IGNORECASE),
+}
+"""Lines that files begin with, behind an ampersand; the controller's own, of which programs see nothing."""
+_LONGEST_LINE = 10 * LINE_LENGTH
+"""Longer lines are not read: they are refused anyway."""
+_INTERRUPT = (
+    re.compile(
+        r"GLOBAL\s+INTERRUPT\s+DECL\s+3\s+WHEN\s+\$STOPMESS\s*==\s*TRUE\s+DO\s+IR_STOPM\s*\(\s*\)",
+        re.IGNORECASE,
+    ),
+    re.compile(r"INTERRUPT\s+ON\s+3", re.IGNORECASE),
+)
+"""The stop interrupt that every program of the controller's own template begins with, and no other one."""
 _SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
 
 # the guarded wait, statement by statement
@@ -85,6 +102,7 @@ class Reader:
         self.file = file
         self.faults: list[Fault] = []
         self.rows = [row.rstrip(" \t\r") for row in text.split("\n")]
+        long = [n for n, row in enumerate(self.rows) if len(row) > _LONGEST_LINE]
         self.at = 0
         if self.rows and not self.rows[-1]:
             self.rows.pop()
@@ -92,6 +110,8 @@ class Reader:
             if len(row) > LINE_LENGTH:
                 what = f"the line has {len(row)} characters; allowed: {LINE_LENGTH}; break it"
                 self.fault(number, "line_length", what)
+        for n in long:
+            self.rows[n] = ""
 
     def fault(self, line: int, kind: str, message: str) -> None:
         """Note a fault of the line."""
@@ -114,10 +134,10 @@ class Reader:
                     self.fault(line, "syntax", f"{_shown(row)} stands behind END")
                 continue
             quick = _QUICK.fullmatch(row)
-            if quick is not None and "-0." not in row:
-                word, x, y, z, a, b, c, corner = quick.groups()
-                numbers = (float(x), float(y), float(z), float(a), float(b), float(c))
-                body.append(Straight(line, word, numbers, corner or ""))
+            if quick is not None:
+                word, *place, corner = quick.groups()
+                x, y, z, a, b, c = (singles(place) + 0.0).tolist()
+                body.append(Straight(line, word, (x, y, z, a, b, c), corner or ""))
                 continue
             if not row or row.startswith(";"):
                 body += said(line, row)
@@ -234,11 +254,19 @@ class Reader:
             self.fault(line, "name_reserved", f"{name} is a word of KRL; take another name")
 
     def _head(self) -> None:
-        for pattern in _HEAD:
-            if self.at >= len(self.rows) or pattern.fullmatch(self.rows[self.at].strip()) is None:
-                self.fault(self.at + 1, "syntax", f"{pattern.pattern.replace(chr(92), '')} must stand here")
-                continue
+        found: list[str] = []
+        while self.at < len(self.rows) and self.rows[self.at].lstrip().startswith("&"):
+            row = self.rows[self.at].strip()
             self.at += 1
+            word, _, rest = row[1:].partition(" ")
+            pattern = _HEAD.get(word.upper())
+            if pattern is None or pattern.fullmatch(rest.strip()) is None:
+                self.fault(self.at, "syntax", f"{_shown(row)}: no header line that is understood")
+            if word.upper() in found and word.upper() in ("ACCESS", "REL"):
+                self.fault(self.at, "syntax", f"{_shown(row)}: &{word.upper()} stands twice")
+            found.append(word.upper())
+        if "ACCESS" not in found:
+            self.fault(1, "syntax", "&ACCESS RVP must stand here")
 
     def _frame(self, pattern: re.Pattern[str], wanted: str) -> str | None:
         for line, row in self._lines():
@@ -307,6 +335,11 @@ def _straight(line: int, found: re.Match[str]) -> Statement:
     return Straight(line, found[1].upper(), krl_values.place(found[2]), (found[3] or "").upper())
 
 
+def _pause(line: int, found: re.Match[str]) -> Statement:
+    krl_values.number("WAIT SEC", found[1])  # the time counts as written, but has to be a number
+    return Pause(line, float(found[1]))
+
+
 def _output(line: int, found: re.Match[str]) -> Statement:
     return Output(line, int(found[1]), found[2].upper() == "TRUE")
 
@@ -316,7 +349,9 @@ _FORMS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]],
     (_SET, _set),
     (_STRAIGHT, _straight),
     (_PTP, lambda line, found: Joint(line, found[1].lower())),
-    (_WAIT, lambda line, found: Pause(line, float(found[1]))),
+    (_WAIT, _pause),
+    (_INTERRUPT[0], lambda line, _: Interrupt(line, False)),
+    (_INTERRUPT[1], lambda line, _: Interrupt(line, True)),
     (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: Start(line)),
     (re.compile(r"HALT", re.IGNORECASE), lambda line, _: Halt(line)),
     (_CALL, lambda line, found: Call(line, found[1].lower())),

@@ -60,8 +60,9 @@ def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:
     lists: list[DataList] = []
     faults: list[Fault] = []
     for file, text in files.items():
-        if len(text.encode()) > most_bytes:
-            what = f"{len(text.encode())} bytes; allowed: {most_bytes}; split the file"
+        size = len(text.encode("utf-8", "surrogatepass"))
+        if size > most_bytes:
+            what = f"{size} bytes; allowed: {most_bytes}; split the file"
             faults.append(Fault(1, 1, "krl.file_size", what, file))
         reader = Reader(text, file)
         is_list = PurePosixPath(file).suffix.lower() == ".dat"

@@ -11,11 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from planner.verify.values import Array, JointTarget, Load, StatusTarget, poses
+from planner.verify.values import LARGEST, Array, JointTarget, Load, StatusTarget, poses, single
 
-_NUMBER = r"[+-]?\d+(?:\.\d+)?(?:E[+-]?\d+)?"
-_PART = re.compile(rf"\s*(?P<name>[A-Z]+\d?)\s+(?:(?P<number>{_NUMBER})|(?P<open>\{{))\s*", re.IGNORECASE)
-NEGATIVE_ZERO = re.compile(r"(?<![\w.])-0+(?:\.0*)?(?![\d.])")
+UNSIGNED = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[Ee][+-]?\d+)?"
+"""A numeral without its sign, which nothing of a word may follow."""
+_NUMBER = rf"[+-]?{UNSIGNED}(?![\w.])"
+_BITS = r"'[Bb](?P<bits>[01]{1,8})'"
+_PART = re.compile(
+    rf"\s*(?P<name>[A-Z]+\d?)\s+(?:(?P<number>{_NUMBER})|{_BITS}|(?P<open>\{{))\s*",
+    re.IGNORECASE | re.ASCII,
+)
 
 _PLACE = ("X", "Y", "Z", "A", "B", "C")
 _OUTER = ("E1", "E2", "E3", "E4", "E5", "E6")
@@ -25,8 +30,6 @@ _PARTS: dict[str, tuple[str, ...]] = {
     "e6pos": (*_PLACE, "S", "T", *_OUTER),
     "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_OUTER),
 }
-_DECIMALS: dict[str, int] = dict.fromkeys(("X", "Y", "Z"), 4) | dict.fromkeys(("A", "B", "C"), 5)
-_DECIMALS |= dict.fromkeys(("A1", "A2", "A3", "A4", "A5", "A6"), 4)
 TYPES = tuple(_PARTS)
 
 
@@ -42,9 +45,9 @@ class KrlValueError(Exception):
 def value(kind: str, text: str) -> Any:
     """The value of an aggregate of type `kind`: pose (4, 4) of a frame, Load, StatusTarget or JointTarget.
 
-    Raises `KrlValueError` where parts are missing, strange, in another order or too coarse.
+    Raises `KrlValueError` where parts are missing, strange or in another order.
     """
-    numbers = _read(kind, text, fine=kind != "load")
+    numbers = _read(kind, text)
     match kind:
         case "frame":
             return pose([numbers[name] for name in _PLACE])
@@ -62,8 +65,8 @@ def value(kind: str, text: str) -> Any:
 
 
 def place(text: str) -> tuple[float, float, float, float, float, float]:
-    """X, Y, Z [mm], A, B, C [deg] of a target in place, as written. Raises `KrlValueError`."""
-    numbers = _read("frame", text, fine=True)
+    """X, Y, Z [mm], A, B, C [deg] of a target in place, in single precision. Raises `KrlValueError`."""
+    numbers = _read("frame", text)
     x, y, z, a, b, c = (numbers[name] for name in _PLACE)
     return x, y, z, a, b, c
 
@@ -92,8 +95,8 @@ def pose(numbers: list[float]) -> Array:
     return poses(np.array(numbers[:3]) * 1e-3, np.array(quaternion(*numbers[3:])))
 
 
-def _read(kind: str, text: str, fine: bool) -> dict[str, Any]:
-    """Numbers by name, aggregates inside as texts. `fine`: decimals have to be as many as targets need."""
+def _read(kind: str, text: str) -> dict[str, Any]:
+    """Numbers by name as the controller holds them, aggregates inside as texts."""
     text = text.strip()
     if not (text.startswith("{") and text.endswith("}")):
         raise KrlValueError("syntax", f"{text!r:.40}: a value in braces must stand here")
@@ -104,14 +107,20 @@ def _read(kind: str, text: str, fine: bool) -> dict[str, Any]:
         if found is None:
             raise KrlValueError("syntax", f"{inside[at : at + 20]!r}: a name and a number must stand here")
         name, at = found["name"].upper(), found.end()
+        if name in out:
+            raise KrlValueError("type", f"{name} stands twice in {text:.40}")
         if found["open"]:
             end = inside.find("}", at)
             if end < 0:
                 raise KrlValueError("syntax", f"the value of {name} has no closing brace")
             out[name], at = "{" + inside[at:end] + "}", end + 1
             at += len(inside[at:]) - len(inside[at:].lstrip())
+        elif found["bits"]:
+            if name not in ("S", "T"):
+                raise KrlValueError("type", f"{name} takes a number; got '{found['bits']}' as bits")
+            out[name] = float(int(found["bits"], 2))
         else:
-            out[name] = _number(name, found["number"], fine)
+            out[name] = number(name, found["number"])
         if at == len(inside):
             break
         if inside[at] != ",":
@@ -123,16 +132,12 @@ def _read(kind: str, text: str, fine: bool) -> dict[str, Any]:
     return out
 
 
-def _number(name: str, text: str, fine: bool) -> float:
-    if NEGATIVE_ZERO.fullmatch(text):
-        raise KrlValueError("number", f"{name} {text} is a negative zero; write it without the sign")
-    wanted = _DECIMALS.get(name, 0) if fine else 0
-    if len(text.partition(".")[2]) < wanted:
-        raise KrlValueError("number", f"{name} {text} has fewer than {wanted} decimals; write all of them")
-    number = float(text)
-    if not math.isfinite(number):
-        raise KrlValueError("number", f"{name} {text} is not a finite number")
-    return number
+def number(name: str, text: str) -> float:
+    """The number of a numeral as the controller holds it, in single precision."""
+    found = float(text)
+    if not abs(found) < LARGEST:
+        raise KrlValueError("number", f"{name} {text:.40} is no number that a controller holds")
+    return single(found) or 0.0  # controllers write -0.0, too
 
 
 def _bits(name: str, number: float, most: int) -> int:
@@ -146,16 +151,15 @@ def _outer(numbers: dict[str, Any]) -> Array:
 
 
 def _load(numbers: dict[str, Any]) -> Load:
-    centre = _read("frame", numbers["CM"], fine=False)
+    centre = _read("frame", numbers["CM"])
     inertia = _axes(numbers["J"])
     turn = np.array(quaternion(centre["A"], centre["B"], centre["C"]))
     return Load(numbers["M"], np.array([centre[name] for name in "XYZ"]) * 1e-3, turn, inertia)
 
 
 def _axes(text: str) -> Array:
-    found = re.fullmatch(
-        rf"\{{\s*X\s+({_NUMBER})\s*,\s*Y\s+({_NUMBER})\s*,\s*Z\s+({_NUMBER})\s*\}}", text, re.IGNORECASE
-    )
+    parts = r"\s*,\s*".join(rf"{name}\s+({_NUMBER})" for name in "XYZ")
+    found = re.fullmatch(rf"\{{\s*{parts}\s*\}}", text, re.IGNORECASE | re.ASCII)
     if found is None:
         raise KrlValueError("type", f"J has X, Y and Z; got {text!r:.60}")
-    return np.array([float(number) for number in found.groups()])
+    return np.array([number("J", numeral) for numeral in found.groups()])

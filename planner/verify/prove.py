@@ -16,12 +16,13 @@ import numpy as np
 
 from planner.cell.plant import CellModel, build
 from planner.claims import Claim
-from planner.issues import Issue, TandemError, aggregate
+from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Problem
 from planner.verify import (
     formed_part,
     handshake_apart,
     mill_worked,
+    pendant,
     report_series,
     rules_adsif,
     rules_cell,
@@ -73,6 +74,7 @@ TEXT: _RuleTable = (
     ("verify.files", rules_text.files),
     ("verify.digest", rules_text.digest),
 )
+_OF_TEXT = frozenset(code for code, _ in TEXT)
 ROBOTS: _RuleTable = (("verify.robot_model", rules_kinematics.robot_model),)
 TASKS: _RuleTable = (
     ("verify.task_list", rules_sync.task_list),
@@ -310,16 +312,22 @@ class _Run:
 
     @property
     def broken(self) -> bool:
-        return bool(self.issues)
+        return has_errors(self.issues)
 
     def broken_any(self, *codes: str) -> bool:
         return any(code in self.results and not self.results[code].passed for code in codes)
 
+    @functools.cached_property
+    def _changed(self) -> pendant.Marks:
+        return pendant.marks(self.context.job)
+
     def add(self, code: str, outcome: Outcome) -> None:
-        self.issues += [told(issue) for issue in outcome.issues]
-        self.results[code] = RuleResult(
-            code, TITLES[code], not outcome.issues, outcome.worst, outcome.limit, outcome.unit, outcome.where
-        )
+        at_moves = code not in _OF_TEXT
+        self.issues += [
+            pendant.told(self._changed, told(issue)) if at_moves else told(issue) for issue in outcome.issues
+        ]
+        passed, measure = not has_errors(outcome.issues), (outcome.worst, outcome.limit, outcome.unit)
+        self.results[code] = RuleResult(code, TITLES[code], passed, *measure, outcome.where)
 
     def proof(self) -> Proof:
         rules = tuple(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
-
-import numpy as np
 
 from planner.verify.faults import FlowError
 from planner.verify.rapid_ast import (
@@ -28,19 +27,25 @@ from planner.verify.rapid_ast import (
 from planner.verify.rapid_check import placed
 from planner.verify.rapid_values import OPAQUE, PREDEFINED, RECORDS, RapidValueError, SyncIdent, Value, build
 from planner.verify.rapid_words import FORMS
+from planner.verify.values import LARGEST, single
 
 UNKNOWN = None  # the value of what only the controller knows
+WORK = 100_000
+WORK_PER_LINE = 20
+"""Statements that may run in all, a move counting as five: most programs run each line about once."""
 
 
 class Names:
     """What names mean in the modules of a task, worked out once for all that is read from them.
 
-    `modules` by lower-case name; `written`: names, in lower case, that some statement writes to.
+    `modules` by lower-case name; `written`: names, in lower case, that some statement writes to; `work`: how
+    much may still be done on the way through them, so that loops and calls without end come to one.
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self.modules = {module.name.lower(): module for module in modules}
         self.written = frozenset(name for module in modules for name in _written(module))
+        self.work = WORK + WORK_PER_LINE * sum(module.lines for module in modules)
         self._items: dict[str, dict[str, list[Data | Procedure]]] = {}
         self._found: dict[tuple[str, str], tuple[Module, Data | Procedure] | None] = {}
 
@@ -99,24 +104,29 @@ class Evaluator:
             case None:
                 return UNKNOWN
             case Literal():
-                return build(kind, expr.value) if expr.kind == "list" else expr.value
+                return self._built(expr, kind, expr.value) if expr.kind == "list" else expr.value
             case Name():
                 return self._name(expr)
             case Aggregate():
                 items = self._plain(expr)
-                try:
-                    return UNKNOWN if items is None else build(kind, items)
-                except RapidValueError as wrong:
-                    raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
+                return UNKNOWN if items is None else self._built(expr, kind, items)
             case Unary():
                 inner = self.value(expr.operand, "num")
-                return UNKNOWN if inner is None else _UNARY[expr.operator](inner)
+                return UNKNOWN if not isinstance(inner, bool | float | int) else _UNARY[expr.operator](inner)
             case Binary():
                 return self._binary(expr)
             case Function():
                 return UNKNOWN
 
+    def _built(self, expr: Expr, kind: str, items: Any) -> Value:
+        try:
+            return build(kind, items)
+        except RapidValueError as wrong:
+            raise FlowError([placed(self.module, expr.start, wrong.code, wrong.message)]) from None
+
     def _plain(self, expr: Expr) -> Any:
+        if isinstance(expr, Literal):
+            return expr.value
         if isinstance(expr, Aggregate):
             items = [self._plain(item) for item in expr.items]
             return UNKNOWN if any(item is None for item in items) else items
@@ -158,7 +168,9 @@ class Evaluator:
             if data.size is None:
                 return self.value(data.initial, data.kind)
             items = self._plain(data.initial)
-            return UNKNOWN if items is None else tuple(build(data.kind, item) for item in items)
+            if items is None:
+                return UNKNOWN
+            return tuple(self._built(data.initial, data.kind, item) for item in items)
         finally:
             self.module = here
 
@@ -172,17 +184,21 @@ class Evaluator:
             return UNKNOWN
         if isinstance(left, str):  # what counts as equal is the controller's alphabet
             return left + right if expr.operator == "+" else UNKNOWN
+        if not isinstance(left, bool | float | int) or not isinstance(right, bool | float | int):
+            return UNKNOWN  # records are compared by the controller
         try:
             found = _BINARY[expr.operator](left, right)
-        except (ZeroDivisionError, OverflowError):
-            raise self.fail(expr.start, f"{left} {expr.operator} {right} has no value") from None
+        except (ArithmeticError, ValueError):
+            found = math.nan
+        if not abs(found) < LARGEST:
+            raise self.fail(expr.start, f"{left:g} {expr.operator} {right:g} has no value")
         return found if all(map(_single, (left, right, found))) else UNKNOWN
 
 
 def _single(value: Any) -> bool:
     """Whether a value is the same in the controller, which counts in single precision. What is computed from
     others, or compared with them, may come out otherwise there."""
-    return not isinstance(value, float) or float(np.float32(value)) == value
+    return not isinstance(value, float) or single(value) == value
 
 
 def _written(module: Module) -> Iterator[str]:

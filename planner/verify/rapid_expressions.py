@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from typing import Any
 
@@ -11,11 +10,13 @@ from planner.verify.rapid_ast import Aggregate, Binary, Expr, Function, Literal,
 from planner.verify.rapid_lexer import Cursor, RapidSyntaxError, shown
 from planner.verify.rapid_values import NUMBERS, OPAQUE, RapidValueError, base_type, build
 from planner.verify.rapid_words import RESERVED
+from planner.verify.values import LARGEST
 
 MAX_DEPTH = 40
+MAX_OPERATORS = 60
+"""As many as one expression may have: what is read here is walked through by recursion."""
 
 NUMERIC = re.compile(r"[\[\]\d+\-.eE, \t\r\n]*")
-NEGATIVE_ZERO = re.compile(r"-0+(?:\.0*)?(?:[eE][+-]?\d+)?(?![\d.])")
 _COMPARE = frozenset({"=", "<>", "<", ">", "<=", ">="})
 
 
@@ -25,13 +26,15 @@ def expression(cursor: Cursor, longest_string: int, depth: int = 0) -> Expr:
     """
     if depth > MAX_DEPTH:
         raise cursor.fault(f"at most {MAX_DEPTH} nested brackets")
+    if not depth:
+        cursor.operators = 0
     left = _logical_term(cursor, longest_string, depth)
     while True:
         start = cursor.token.start
         word = cursor.take_word("or", "xor")
         if word is None:
             return left
-        left = Binary(start, word, left, _logical_term(cursor, longest_string, depth))
+        left = _joined(cursor, start, word, left, _logical_term(cursor, longest_string, depth))
 
 
 def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
@@ -46,7 +49,7 @@ def _logical_term(cursor: Cursor, longest: int, depth: int) -> Expr:
             raise RapidSyntaxError(
                 at, "rapid.syntax", "NOT before AND: write brackets that say what it means"
             )
-        left = Binary(at, "and", left, _relation(cursor, longest, depth))
+        left = _joined(cursor, at, "and", left, _relation(cursor, longest, depth))
 
 
 def _relation(cursor: Cursor, longest: int, depth: int) -> Expr:
@@ -62,7 +65,7 @@ def _sum(cursor: Cursor, longest: int, depth: int) -> Expr:
     left = _product(cursor, longest, depth)
     while cursor.token.kind == "symbol" and cursor.token.text in "+-":
         token = cursor.take()
-        left = Binary(token.start, token.text, left, _product(cursor, longest, depth))
+        left = _joined(cursor, token.start, token.text, left, _product(cursor, longest, depth))
     return left
 
 
@@ -73,8 +76,16 @@ def _product(cursor: Cursor, longest: int, depth: int) -> Expr:
         "mod",
     ):
         token = cursor.take()
-        left = Binary(token.start, token.word, left, _primary(cursor, longest, depth))
+        left = _joined(cursor, token.start, token.word, left, _primary(cursor, longest, depth))
     return left
+
+
+def _joined(cursor: Cursor, start: int, operator: str, left: Expr, right: Expr) -> Expr:
+    cursor.operators += 1
+    if cursor.operators > MAX_OPERATORS:
+        message = f"the expression has more than {MAX_OPERATORS} operators; part it"
+        raise RapidSyntaxError(start, "rapid.syntax", message)
+    return Binary(start, operator, left, right)
 
 
 def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
@@ -99,9 +110,9 @@ def _primary(cursor: Cursor, longest: int, depth: int) -> Expr:
 
 
 def number(text: str, start: int) -> float:
-    """The number of an unsigned numeral; refuses what a float cannot hold."""
+    """The number of an unsigned numeral; refuses what a controller's number cannot hold."""
     value = float(text)
-    if not math.isfinite(value):
+    if value >= LARGEST:
         raise RapidSyntaxError(start, "rapid.number", f"{shown(text)} is too large for a number")
     return value
 
@@ -112,9 +123,8 @@ def _signed(cursor: Cursor, longest: int, depth: int) -> Expr:
         raise cursor.fault(f"at most {MAX_DEPTH} nested signs")
     operand = _primary(cursor, longest, depth + 1)
     if isinstance(operand, Literal) and operand.kind == "num":
-        if sign.text == "-" and operand.value == 0.0:
-            raise RapidSyntaxError(sign.start, "rapid.number", 'got "-0"; write 0')
-        return Literal(sign.start, "num", -operand.value if sign.text == "-" else operand.value)
+        value = -operand.value if sign.text == "-" else operand.value
+        return Literal(sign.start, "num", value or 0.0)  # controllers write -0.00, too
     return Unary(sign.start, sign.text, operand)
 
 
@@ -174,23 +184,19 @@ def number_list(text: str, start: int) -> tuple[list[Any], int] | None:
     A list of plain numbers is JSON too, and the JSON reader is fast. Anything else (names, truths, faults)
     returns None, and the ordinary way reads it and says what is wrong.
     """
-    extent = NUMERIC.match(text, start)
-    if extent is None:
-        return None
-    piece = extent.group()
     try:
-        found, length = _DECODER.raw_decode(piece)
+        found, end = _DECODER.raw_decode(text, start)
     except (ValueError, RecursionError):
         return None
-    if NEGATIVE_ZERO.search(piece, 0, length) or piece.count("[", 0, length) > MAX_DEPTH:
+    if NUMERIC.fullmatch(text, start, end) is None or text.count("[", start, end) > MAX_DEPTH:
         return None
-    return (found, start + length) if isinstance(found, list) and _finite(found) else None
+    return (found, end) if isinstance(found, list) and _finite(found) else None
 
 
 def _finite(found: Any) -> bool:
     if isinstance(found, list):
         return bool(found) and all(map(_finite, found))
-    return bool(-1e300 < found < 1e300)
+    return bool(-LARGEST < found < LARGEST)
 
 
 def plain(found: Expr) -> Any:

@@ -44,10 +44,9 @@ from planner.verify.steps import (
     SyncStep,
     WaitStep,
 )
-from planner.verify.values import WorkObject
+from planner.verify.values import WorkObject, single
 
 MAX_CALLS = 50
-MAX_STEPS = 2_000_000
 MAX_ROUNDS = 100_000
 _ENDS = ("RETURN", "EXIT", "RAISE", "RETRY", "TRYNEXT")
 _MESSAGES = ("TPWrite", "TPErase", "UIMsgBox", "TPReadFK", "ErrWrite")
@@ -74,6 +73,7 @@ class Runner(Evaluator):
         self.condition = ""
         self.depth = 0
         self.entered: set[tuple[str, str]] = set()
+        self._at = 0
 
     # ---- entry ----
 
@@ -94,8 +94,12 @@ class Runner(Evaluator):
         """Steps of a block of a procedure."""
         self.module, self.procedure = module, procedure.name
         self.entered.add((module.name, procedure.name))
+        self._at = procedure.start
         with suppress(_LeaveError):
-            self.block(body)
+            try:
+                self.block(body)
+            except RecursionError:
+                raise self.fail(self._at, "blocks and calls are nested too deeply") from None
         return tuple(self.steps)
 
     # ---- statements ----
@@ -105,8 +109,7 @@ class Runner(Evaluator):
             self.statement(statement)
 
     def statement(self, statement: Statement) -> None:
-        if len(self.steps) > MAX_STEPS:
-            raise self.fail(statement.start, f"more than {MAX_STEPS} steps; the loop has no end")
+        self._spend(statement, 5 if isinstance(statement, Move) else 1)
         match statement:
             case Move():
                 self.steps.append(self._move(statement))
@@ -130,6 +133,12 @@ class Runner(Evaluator):
                 self._while(statement)
             case For():
                 self._for(statement)
+
+    def _spend(self, statement: Statement, work: int) -> None:
+        self._at = statement.start
+        self.names.work -= work
+        if self.names.work < 0:
+            raise self.fail(statement.start, "the program has no end, or runs its lines too often to be read")
 
     def call(self, start: int, name: str) -> None:
         """Put the steps of a procedure in place. `name` may be "module:procedure"."""
@@ -177,8 +186,8 @@ class Runner(Evaluator):
         form = FORMS[move.kind.lower()]
         target = self._needed(move.target, form.required[0])
         ident = None if move.id is None else int(self._needed(move.id, "num"))
-        time = None if move.time is None else float(self._needed(move.time, "num"))
-        velocity = None if move.velocity is None else float(self._needed(move.velocity, "num")) * 1e-3
+        time = None if move.time is None else single(self._needed(move.time, "num"))
+        velocity = None if move.velocity is None else single(self._needed(move.velocity, "num")) * 1e-3
         wobj: WorkObject = (
             PREDEFINED["wobj0"][1] if move.wobj is None else self._needed(move.wobj, "wobjdata")
         )
@@ -279,23 +288,21 @@ class Runner(Evaluator):
             self._choice(statement, f"not ({undecided})", lambda: self.block(statement.otherwise))
 
     def _while(self, statement: While) -> None:
-        rounds = 0
         while (truth := self.value(statement.condition, "bool")) is True:
+            self._spend(statement, 1)
             self.block(statement.body)
-            rounds += 1
-            if rounds > MAX_ROUNDS:
-                raise self.fail(statement.start, f"the loop ran {MAX_ROUNDS} times; it has no end")
         if truth is None:
             self._choice(statement, statement.source, lambda: self.block(statement.body))
 
     def _for(self, statement: For) -> None:
         first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
         step = self._needed(statement.step, "num") if statement.step else (1.0 if last >= first else -1.0)
-        if step == 0 or abs(last - first) / abs(step) > MAX_ROUNDS:
+        if step == 0 or abs(last - first) > MAX_ROUNDS * abs(step):
             raise self.fail(statement.start, f"FOR from {first:g} to {last:g} by {step:g} has no end")
         key = ("for", statement.name.lower())
         outer = self.cells.get(key)
         for count in range(int((last - first) / step + 1e-9) + 1 if (last - first) / step >= 0 else 0):
+            self._spend(statement, 1)
             self.cells[key] = first + count * step
             self.block(statement.body)
         self.cells[key] = outer
@@ -304,6 +311,7 @@ class Runner(Evaluator):
         """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or
         synchronise.
         """
+        self._spend(statement, 1 + len(self.cells))
         steps, outer, cells = self.steps, self.condition, dict(self.cells)
         self.steps, self.condition = [], condition if not outer else f"{outer} and {condition}"
         try:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 _SKIP = re.compile(r"(?:[ \t\r\n]+|![^\n]*)*")
 _TOKEN = re.compile(
     r"""(?P<name>[A-Za-z][A-Za-z0-9_]*)
-    |(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?(?![\w.\#]))
+    |(?P<number>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.\#]))
     |(?P<string>"(?:[^"\n]|"")*")
     |(?P<symbol>:=|<>|<=|>=|[\\\[\]{}(),;:=<>+\-*/%])
     |(?P<bad>[\d_][\w.\#]*|"[^\n]*|[^\W\d]\w*|.)""",
@@ -51,6 +51,7 @@ class Cursor:
         self.text = text
         self._starts = [0, *(found.end() for found in re.finditer("\n", text))]
         self.end = 0  # offset behind the last token taken
+        self.operators = 0  # of the expression that is being read
         self.token = Token("end", "", "", 0)
         self.jump(0)
 

@@ -9,16 +9,19 @@ from __future__ import annotations
 import re
 
 from planner.verify.rapid_ast import Expr, Literal, Move, Name
-from planner.verify.rapid_expressions import NEGATIVE_ZERO, number_list
+from planner.verify.rapid_expressions import number_list
 from planner.verify.rapid_lexer import Cursor
 from planner.verify.rapid_values import RapidValueError, build
 from planner.verify.rapid_words import RESERVED
+from planner.verify.values import LARGEST
 
 _HEAD = re.compile(r"(?:Move(?P<linear>[LJ])|MoveAbsJ)[ \t]+(?P<name>[A-Za-z]\w*)?", re.IGNORECASE | re.ASCII)
+# possessive, as three runs of blanks in a row would be tried against each other
 _TAIL = re.compile(
-    r"""[ \t]*(?:\\ID:=(?P<id>\d{1,9}))?[ \t]*(?P<still>\\NoEOffs)?[ \t]*,[ \t]*
-    (?P<speed>[A-Za-z]\w*|\[[^\[\]]*\])(?:[ \t]*\\T:=(?P<time>\d+(?:\.\d+)?))?[ \t]*,[ \t]*
-    (?P<zone>[A-Za-z]\w*)[ \t]*,[ \t]*(?P<tool>[A-Za-z]\w*)(?:[ \t]*\\WObj:=(?P<wobj>[A-Za-z]\w*))?[ \t]*;""",
+    r"""[ \t]*+(?:\\ID:=(?P<id>\d{1,9}))?[ \t]*+(?P<still>\\NoEOffs)?[ \t]*+,[ \t]*+
+    (?P<speed>[A-Za-z]\w*|\[[^\[\]]*\])(?:[ \t]*+\\T:=(?P<time>\d+(?:\.\d+)?))?[ \t]*+,[ \t]*+
+    (?P<zone>[A-Za-z]\w*)[ \t]*+,[ \t]*+(?P<tool>[A-Za-z]\w*)
+    (?:[ \t]*+\\WObj:=(?P<wobj>[A-Za-z]\w*))?[ \t]*+;""",
     re.IGNORECASE | re.ASCII | re.VERBOSE,
 )
 
@@ -51,6 +54,8 @@ def quick_move(cursor: Cursor, line: int) -> Move | None:
             return None
     except RapidValueError:
         return None
+    if tail["time"] and float(tail["time"]) >= LARGEST:
+        return None
     ident = Literal(tail.start("id"), "num", float(tail["id"])) if tail["id"] else None
     time = Literal(tail.start("time"), "num", float(tail["time"])) if tail["time"] else None
     switches = ("noeoffs",) if tail["still"] else ()
@@ -67,6 +72,6 @@ def _speed(text: str, tail: re.Match[str]) -> Expr | None:
     if text[start] != "[":
         return _name(tail["speed"], start)
     found = number_list(text, start)
-    if found is None or found[1] != tail.end("speed") or NEGATIVE_ZERO.search(tail["speed"]):
+    if found is None or found[1] != tail.end("speed"):
         return None
     return Literal(start, "speeddata", build("speeddata", found[0]))

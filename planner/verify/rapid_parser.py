@@ -132,11 +132,8 @@ class Parser:
         name = self._new_name("data")
         size: int | None = None
         if self.cursor.take_symbol("{"):
-            if (
-                not self.cursor.token.text.isdecimal()
-                or not 1 <= int(self.cursor.token.text[:9]) <= 1_000_000
-            ):
-                raise self.cursor.fault("the array's length, a whole number from 1")
+            if re.fullmatch(r"[1-9][0-9]{0,6}", self.cursor.token.text) is None:
+                raise self.cursor.fault("the array's length, a whole number from 1 to 9999999")
             size = int(self.cursor.take().text)
             self.cursor.expect_symbol("}", "behind the array's length")
         initial: Expr | None = None

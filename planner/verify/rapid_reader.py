@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from planner.verify import program_text
 from planner.verify.faults import Fault, FlowError
 from planner.verify.rapid_ast import Module
 from planner.verify.rapid_check import Checker
@@ -48,10 +49,7 @@ def read_module(
     limits = limits or Limits()
     size = len(text)
     if isinstance(text, bytes):
-        try:
-            text = text.decode("utf-8-sig")
-        except UnicodeDecodeError as wrong:
-            return None, (Fault(1, 1, "rapid.encoding", f"byte {wrong.start} is not UTF-8 text", file),)
+        text, _ = program_text.settled(file, program_text.decode(text))
     faults: list[Fault] = []
     if size > limits.bytes:
         faults.append(
@@ -62,8 +60,8 @@ def read_module(
     parser = Parser(text, file, limits, quick)
     module = parser.module()
     for row, line in enumerate(text.split("\n"), 1):
-        if len(line) > limits.line:
-            message = f"the line has {len(line)} characters; allowed: {limits.line}"
+        if len(line.rstrip("\r")) > limits.line:
+            message = f"the line has {len(line.rstrip())} characters; allowed: {limits.line}"
             faults.append(Fault(row, limits.line + 1, "rapid.line_length", message, file))
     faults += parser.faults
     return module, tuple(sorted(faults, key=lambda fault: (fault.line, fault.column)))

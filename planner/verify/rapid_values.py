@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.verify.values import (
+    LARGEST,
     Array,
     JointTarget,
     Load,
@@ -25,6 +26,8 @@ from planner.verify.values import (
     WorkObject,
     Zone,
     poses,
+    single,
+    singles,
 )
 
 UNUSED_AXIS = 9e9
@@ -76,7 +79,8 @@ def base_type(name: str) -> str:
 
 
 def build(kind: str, items: Any) -> Value:
-    """The value of type `kind` from nested lists of numbers, truths and strings in file units.
+    """The value of type `kind` from nested lists of numbers, truths and strings in file units. Numbers in
+    records are those that the controller holds, in single precision.
 
     Raises `RapidValueError` where count, type, norm or range is wrong.
     """
@@ -93,6 +97,7 @@ def build(kind: str, items: Any) -> Value:
                 flat = np.array(numbers, dtype=float)
                 _unit("robtarget.2", (a, b, c, d))
                 if math.isfinite(float(flat.sum())):
+                    flat[:7] = singles(flat[:7])
                     flat[:3] *= 1e-3
                     return RobTarget(flat[:3], flat[3:7], (c1, c4, c6, cx), flat[7:])
         except (TypeError, ValueError, OverflowError):
@@ -124,8 +129,8 @@ def conform(kind: str, items: Any, path: str) -> None:
     wanted = base_type(kind)
     if _kind(items) != wanted:
         raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
-    if wanted == "num" and not math.isfinite(items):
-        raise RapidValueError("rapid.number", f"{path}: {items} is not a finite number")
+    if wanted == "num" and not abs(items) < LARGEST:
+        raise RapidValueError("rapid.number", f"{path}: {items} is no number that a controller holds")
 
 
 def _unit(path: str, q: Any) -> None:
@@ -148,32 +153,29 @@ def _kind(item: Any) -> str:
 
 
 def _pos(items: Any) -> Array:
-    return np.array(items, dtype=float) * 1e-3
+    return singles(items) * 1e-3
 
 
 def _pose(items: Any) -> Array:
-    return poses(_pos(items[0]), np.array(items[1], dtype=float))
+    return poses(_pos(items[0]), singles(items[1]))
 
 
 def _load(items: Any) -> Load:
-    return Load(
-        float(items[0]), _pos(items[1]), np.array(items[2], dtype=float), np.array(items[3:], dtype=float)
-    )
+    return Load(float(items[0]), _pos(items[1]), singles(items[2]), np.array(items[3:], dtype=float))
 
 
 def _rob(items: Any) -> RobTarget:
     c1, c4, c6, cx = (int(value) for value in items[2])
-    return RobTarget(
-        _pos(items[0]), np.array(items[1], dtype=float), (c1, c4, c6, cx), np.array(items[3], dtype=float)
-    )
+    return RobTarget(_pos(items[0]), singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float))
 
 
 def _speed(items: Any) -> Speed:
-    return Speed(items[0] * 1e-3, math.radians(items[1]), items[2] * 1e-3, math.radians(items[3]))
+    tcp, turn, linear, rotary = map(single, items)
+    return Speed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
 
 
 def _zone(items: Any) -> Zone:
-    fine, tcp, turn, external, angle, linear, rotary = items
+    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(single, items[1:])
     lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
     return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
@@ -181,10 +183,10 @@ def _zone(items: Any) -> Zone:
 _CONVERT: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
-    "orient": lambda items: np.array(items, dtype=float),
+    "orient": singles,
     "pose": _pose,
     "robtarget": _rob,
-    "jointtarget": lambda items: JointTarget(np.radians(items[0]), np.array(items[1], dtype=float)),
+    "jointtarget": lambda items: JointTarget(np.radians(singles(items[0])), np.array(items[1], dtype=float)),
     "loaddata": _load,
     "tooldata": lambda items: Tool(items[0], _pose(items[1]), _load(items[2])),
     "wobjdata": lambda items: WorkObject(items[0], items[1], items[2], _pose(items[3]), _pose(items[4])),

@@ -82,6 +82,11 @@ class Proof:
         """Whether every rule ran and passed and no issue is an error."""
         return all(rule.passed for rule in self.rules) and not has_errors(self.issues)
 
+    @property
+    def read(self) -> bool:
+        """Whether all of the texts was read: rules on the tasks side by side ran."""
+        return self.rule("verify.task_list").ran
+
     def rule(self, code: str) -> RuleResult:
         """The result of one rule; raises ``KeyError``."""
         for rule in self.rules:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
 
-from planner.issues import Issue
-from planner.verify import rules_krl
+from planner.issues import Issue, Severity
+from planner.verify import pendant, rules_krl
 from planner.verify.context import DIGEST, Context, Outcome
 from planner.verify.faults import Fault
 from planner.verify.files.carried import changed
 from planner.verify.job import task_names
+from planner.verify.program_text import strange
 from planner.verify.rapid_ast import Literal
+from planner.verify.rapid_values import QUATERNION_TOLERANCE
 from planner.verify.steps import MoveStep
 
 _DECLARATION = frozenset({"undeclared", "unknown_procedure", "type", "no_value"})
@@ -26,12 +27,6 @@ _NUMBERS = frozenset({"number", "quaternion"})
 _FILES = frozenset({"name_file"})
 _OTHERS = _DECLARATION | _PERS | _NAMES | _LINES | _SIZES | _NUMBERS | _FILES
 """Kinds of faults of reading, in any language, by the rule that names them; the rest are of syntax."""
-
-POSITION_DECIMALS = 4
-QUATERNION_DECIMALS = 8
-UNIT_TOLERANCE = 1e-7
-_STRANGE = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
-_TARGET = re.compile(r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]")
 
 
 def _faults(context: Context, code: str, faults: Iterable[Fault], hint: str) -> Outcome:
@@ -46,18 +41,13 @@ def syntax(context: Context) -> Outcome:
     """The text is RAPID, or KRL, and has one straight way."""
     job = context.job
     faults = [*(f for f in job.faults if f.kind not in _OTHERS), *job.flow]
-    faults += [f for task in job.tasks for file, text in task.files.items() for f in _strange(file, text)]
-    return _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
-
-
-def _strange(file: str, text: str) -> list[Fault]:
-    """Characters that a controller may take for something else than this reader does, such as a lone carriage
-    return, which would end a comment."""
-    found = _STRANGE.search(text)
-    if found is None:
-        return []
-    line = text.count("\n", 0, found.start()) + 1
-    return [Fault(line, 1, "rapid.encoding", f"character {ord(found.group()[0])} in the text", file)]
+    faults += [f for task in job.tasks for file, text in task.files.items() for f in strange(file, text)]
+    found = _faults(context, "verify.syntax", faults, "write the programs again with Tandem")
+    notes = tuple(
+        Issue("verify.syntax", n.message, Severity.WARNING, file=n.file, line=n.line, field=n.code)
+        for n in job.notes
+    )
+    return dataclasses.replace(found, issues=(*found.issues, *notes))
 
 
 def declarations(context: Context) -> Outcome:
@@ -117,8 +107,8 @@ def module_size(context: Context) -> Outcome:
 
 
 def decimals(context: Context) -> Outcome:
-    """Targets are written finely enough, with unit quaternions or enough decimals of their angles, and
-    without a negative zero."""
+    """Numbers are such as a controller holds, and quaternions are unit ones; targets that were rounded since
+    they were written are told."""
     issues = [
         Issue("verify.decimals", f.message, file=f.file, line=f.line, hint="write plain decimals")
         for f in context.job.faults
@@ -127,38 +117,19 @@ def decimals(context: Context) -> Outcome:
     worst = 0.0
     for task in context.job.tasks:
         if task.krl is not None:
-            continue  # its reader refuses coarse numbers
-        for file, text in task.files.items():
-            issues += _coarse(file, text)
+            continue  # angles are of no length
         for step in task.steps:
             if isinstance(step, MoveStep) and not step.by_joints:
                 off = abs(float((step.target.quaternion**2).sum()) ** 0.5 - 1.0)  # type: ignore[union-attr]
                 worst = max(worst, off)
-                if off > UNIT_TOLERANCE:
-                    message = f"the quaternion's norm is off 1 by {off:.2g}; allowed: {UNIT_TOLERANCE:g}"
+                if off > QUATERNION_TOLERANCE:
+                    message = (
+                        f"the quaternion's norm is off 1 by {off:.2g}; allowed: {QUATERNION_TOLERANCE:g}"
+                    )
                     issues.append(
                         Issue("verify.decimals", message, file=f"{task.name}/{step.module}", line=step.line)
                     )
-    return Outcome(tuple(issues), worst, UNIT_TOLERANCE, "")
-
-
-def _coarse(file: str, text: str) -> list[Issue]:
-    issues = []
-    line, seen = 1, 0
-    for found in _TARGET.finditer(text):
-        if not _few(found.group(1), POSITION_DECIMALS) and not _few(found.group(2), QUATERNION_DECIMALS):
-            continue
-        line, seen = line + text.count("\n", seen, found.start()), found.start()
-        message = (
-            f"a target has fewer than {POSITION_DECIMALS} decimals in mm or {QUATERNION_DECIMALS} "
-            "in its quaternion"
-        )
-        issues.append(Issue("verify.decimals", message, file=file, line=line, hint="write all decimals"))
-    return issues
-
-
-def _few(numbers: str, wanted: int) -> bool:
-    return any(len(part.strip().partition(".")[2]) < wanted for part in numbers.split(","))
+    return Outcome(tuple(issues), worst, QUATERNION_TOLERANCE, "", pendant.summary(context.job))
 
 
 def files(context: Context) -> Outcome:
@@ -195,9 +166,11 @@ def files(context: Context) -> Outcome:
 
 
 def _list(context: Context, path: str, text: str) -> list[Issue]:
+    if "<!" in text:
+        return [Issue("verify.files", "the program list holds more than modules", file=path)]
     try:
         root = ET.fromstring(text.encode("latin-1", "replace"))
-    except ET.ParseError as wrong:
+    except (ET.ParseError, LookupError, ValueError) as wrong:
         return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
     if root.tag != "Program" or any(item.tag != "Module" or len(item) for item in root):
         return [Issue("verify.files", "the program list holds more than modules", file=path)]

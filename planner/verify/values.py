@@ -6,6 +6,7 @@ A reader of a language turns its numbers into these; the replay and the rules se
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,20 @@ class WorkObject:
     unit: str
     user: Array
     object: Array
+
+
+LARGEST = 3.4e38
+"""Numbers of a controller are smaller."""
+
+
+def single(number: float) -> float:
+    """A number as a controller holds it, in single precision; `number` is below `LARGEST`."""
+    return float(np.float32(number))
+
+
+def singles(numbers: Any) -> Array:
+    """Numbers as a controller holds them, in single precision; all below `LARGEST`."""
+    return np.array(numbers, dtype=np.float32).astype(np.float64)
 
 
 def rotation(quaternion: Array) -> Array:

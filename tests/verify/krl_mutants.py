@@ -197,16 +197,38 @@ def long_line(rng, texts):
     return edit(rng, texts, pick(rng, MOVES), "^SLIN", lambda row: f"{row} ; {'x' * 150}")
 
 
-@mutator("verify.decimals")
-def coarse(rng, texts):
-    name, size = pick(rng, [("X", 3), ("Y", 3), ("Z", 3), ("A", 4), ("B", 4), ("C", 4)])
-    pattern = rf"({name} -?\d+\.\d{{{size}}})\d+"
-    return edit(rng, texts, pick(rng, MOVES), "^SLIN", lambda row: re.sub(pattern, r"\1", row))
+def numeral(rng, texts, new, names="XYZAB"):
+    """Texts with one number of a straight move rewritten by ``new``, a function of it as written."""
+    name = pick(rng, names)
+
+    def rewritten(row):
+        return re.sub(rf"{name} (-?[\d.]+)", lambda found: f"{name} {new(found.group(1))}", row)
+
+    return edit(rng, texts, pick(rng, MOVES), "^SLIN", rewritten)
+
+
+@mutator("verify.syntax")
+def number_of_another_base(rng, texts):
+    new = pick(rng, ["'H{}'", "0x{}", "{}#", "16#{}", "%{}"])
+    return numeral(rng, texts, lambda old: new.format(int(abs(float(old)))))
+
+
+@mutator("verify.syntax")
+def number_parted(rng, texts):
+    new = pick(rng, ["- {}", "{} 5", "{}E", "{}.5", "{},5", "--{}", "+-{}", "{}mm", "{}+0.0", "1/{}", "${}"])
+    return numeral(rng, texts, new.format)
 
 
 @mutator("verify.decimals")
-def negative_zero(rng, texts):
-    return edit(rng, texts, pick(rng, MOVES), "^SLIN", lambda row: re.sub(r"Y [-\d.]+", "Y -0.0000", row))
+def number_of_no_float(rng, texts):
+    new = pick(rng, ["1E39", "-4.0E+38", "9" * 60, "1E999", "3.5E38"])
+    return numeral(rng, texts, lambda old: new)
+
+
+@mutator("verify.follows")
+def exponent_turned(rng, texts):
+    """An exponent that has lost its sign, or got one."""
+    return numeral(rng, texts, lambda old: f"{float(old):.6E}".replace("E+", "E-"), "Z")
 
 
 @mutator("verify.files")

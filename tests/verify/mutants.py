@@ -233,31 +233,45 @@ def huge(rng, texts):
     return put(texts, task, rows)
 
 
-@mutator("verify.decimals")
-def coarse(rng, texts):
+def numeral(rng, texts, new):
+    """Texts with one number of a target rewritten by ``new``, a function of it as written."""
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
-    if rng.random() < 0.5:
-        return change(
-            texts, task, k, pos=",".join(f"{float(v):.3f}" for v in field(texts, task, k, "pos").split(","))
-        )
-    return change(
-        texts, task, k, orient=",".join(f"{float(v):.6f}" for v in field(texts, task, k, "orient").split(","))
-    )
+    place = field(texts, task, k, "pos").split(",")
+    i = pick(rng, [0, 2])
+    place[i] = new(place[i])
+    return change(texts, task, k, pos=",".join(place))
+
+
+@mutator("verify.syntax")
+def number_of_another_base(rng, texts):
+    new = pick(rng, ["0x{}", "0b{}", "0o{}", "16#{}", "0D{}", "{}h"])
+    return numeral(rng, texts, lambda old: new.format(int(abs(float(old)))))
+
+
+@mutator("verify.syntax")
+def number_parted(rng, texts):
+    new = pick(rng, ["{} 5", "{}E", "{}.5", "{}mm", "{}+0.1", "1/({})", "{}e+", "({})*1.1", "[{}]", "{}!5"])
+    return numeral(rng, texts, new.format)
+
+
+@mutator("verify.decimals")
+def number_of_no_float(rng, texts):
+    new = pick(rng, ["1E39", "-4E+38", "9" * 60, "1E999", "3.5E38"])
+    return numeral(rng, texts, lambda old: new)
+
+
+@mutator("verify.wire_length")
+def exponent_turned(rng, texts):
+    """An exponent that has lost its sign, or got one."""
+    return numeral(rng, texts, lambda old: f"{float(old):.6E}".replace("E+", "E-"))
 
 
 @mutator("verify.decimals")
 def not_a_unit(rng, texts):
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
-    factor = 1.0 + 10.0 ** rng.uniform(-6, -2)
+    factor = 1.0 + 10.0 ** rng.uniform(-4.9, -2)
     orient = [float(v) * factor for v in field(texts, task, k, "orient").split(",")]
     return change(texts, task, k, orient=",".join(f"{v:.8f}" for v in orient))
-
-
-@mutator("verify.decimals")
-def negative_zero(rng, texts):
-    task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
-    x, y, _ = field(texts, task, k, "pos").split(",")
-    return change(texts, task, k, pos=f"{x},{y},-0.0000")
 
 
 @mutator("verify.files")

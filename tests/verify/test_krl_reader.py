@@ -193,6 +193,10 @@ def test_a_guarded_wait_needs_each_of_its_statements(row):
     assert "syntax" in kinds(main=MAIN.replace("wall_1()\n", "\n".join(rows) + "\nwall_1()\n"))
 
 
+STOP = """GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )
+INTERRUPT ON 3
+"""
+
 FAULTS = {
     "unknown statement": ("main", "WAIT SEC 2.5", "PULSE($OUT[17],TRUE,2.5)", "syntax"),
     "a wait for an expression": ("main", "WAIT SEC 2.5", "WAIT FOR $IN[5]", "syntax"),
@@ -212,9 +216,18 @@ FAULTS = {
     "a load for a tool": ("main", "$TOOL=t_mill", "$TOOL=l_mill", "type"),
     "an undeclared target": ("main", "PTP p_1_start", "PTP p_2_start", "undeclared"),
     "a missing program": ("main", "wall_1()", "wall_2()", "undeclared"),
-    "few decimals": ("moves", "X -2.0000,Y 30", "X -2.000,Y 30", "number"),
-    "coarse angles": ("moves", "A 12.50000", "A 12.5000", "number"),
-    "a negative zero": ("moves", "Y 30.0000", "Y -0.0000", "number"),
+    "a huge number": ("moves", "Y 30.0000", "Y 3E39", "number"),
+    "a hexadecimal number": ("moves", "Y 30.0000", "Y 'H1E'", "syntax"),
+    "bits for a length": ("moves", "Y 30.0000", "Y 'B11110'", "type"),
+    "a number and a word": ("moves", "Y 30.0000", "Y 30.0mm", "syntax"),
+    "a sign apart": ("moves", "Y 30.0000", "Y - 30.0000", "syntax"),
+    "a part twice": ("moves", "X -2.0000,Y 30.0000", "X -2.0000,X -3.0,Y 30.0000", "type"),
+    "no such header": ("main", "DEF wall()", "&USER x\nDEF wall()", "syntax"),
+    "a header twice": ("main", "DEF wall()", "&REL 7\nDEF wall()", "syntax"),
+    "a header on the way": ("main", "$ADVANCE=3", "$ADVANCE=3\n&COMMENT x", "syntax"),
+    "another interrupt": ("main", "BAS(#", f"{STOP.replace('3', '4')}BAS(#", "syntax"),
+    "another condition": ("main", "BAS(#", f"{STOP.replace('TRUE', 'FALSE')}BAS(#", "syntax"),
+    "another reaction": ("main", "BAS(#", f"{STOP.replace('IR_STOPM', 'wall_1')}BAS(#", "syntax"),
     "swapped parts": ("moves", "X -2.0000,Y 30.0000", "Y 30.0000,X -2.0000", "type"),
     "a missing part": ("dat", ",C -4.00000", "", "type"),
     "a long name": ("dat", "b_stock=", "b_stock_that_has_a_long_name=", "name_length"),
@@ -238,6 +251,10 @@ def test_what_is_not_of_the_subset_is_a_fault(name):
 
 
 NO_WAY = {
+    "an interrupt that is not on": ("main", "BAS(#", f"{STOP.splitlines()[0]}\nBAS(#", "does not begin"),
+    "an interrupt that is not there": ("main", "BAS(#", "INTERRUPT ON 3\nBAS(#", "does not begin"),
+    "an interrupt on the way": ("main", "WAIT SEC 2.5", STOP, "elsewhere"),
+    "an interrupt twice": ("main", "BAS(#", f"{STOP}{STOP}BAS(#", "does not begin"),
     "no INITMOV": ("main", "BAS(#INITMOV,0)\n", "", "does not begin"),
     "INITMOV again": ("main", "WAIT SEC 2.5", "BAS(#INITMOV,0)", "elsewhere"),
     "no speed": ("moves", "$VEL.CP=0.02000000\n", "", "$VEL.CP is not set"),
@@ -316,3 +333,70 @@ def test_values_of_the_data_list():
     frame = value("frame", "{X 1.0000,Y 2.0000,Z 3.0000,A 30.000000,B 20.000000,C 10.000000}")
     wanted = Rotation.from_euler("ZYX", [30, 20, 10], degrees=True).as_matrix()
     assert np.allclose(frame[:3, :3], wanted) and np.allclose(frame[:3, 3], [0.001, 0.002, 0.003])
+
+
+INI = """;FOLD INI;%{PE}
+  ;FOLD BASISTECH INI
+    GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )
+    INTERRUPT ON 3
+    BAS (#INITMOV,0 )
+  ;ENDFOLD (BASISTECH INI)
+  ;FOLD USER INI
+    ;Make your modifications here
+
+  ;ENDFOLD (USER INI)
+;ENDFOLD (INI)
+""".replace("ON 3\n", "ON 3\t \n")
+HARMLESS = {
+    "the controller's own head": ("main", "BAS(#INITMOV,0)\n", INI),
+    "its lines in the header": (
+        "main",
+        "DEF wall()",
+        "&COMMENT h\xf6lzern; DEF x()\n&PARAM EDITMASK = *\n"
+        "&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe\nDEF wall()",
+    ),
+    "trailing zeros": ("moves", "X -2.0000,Y 30.0000,Z 210.0000", "X -2.,Y 30,Z 210.0"),
+    "an exponent": ("moves", "Y 30.0000", "Y 3.0E+01"),
+    "a plus": ("moves", "Y 30.0000", "Y +30.0000"),
+    "no digit before the point": ("moves", "CDIS=0.3", "CDIS=.3"),
+    "a speed by exponent": ("moves", "CP=0.02000000", "CP=2.0E-02"),
+    "status and turn as bits": ("dat", "S 2,T 35", "S 'B010',T 'B100011'"),
+    "a negative zero": ("dat", "E1 0.0", "E1 -0.0"),
+    "letters in a comment": ("moves", "; Segment cut/front: 2", "; \xe4\u2116\n; Segment cut/front: 2"),
+}
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_a_controller_writes_otherwise_is_read_the_same(name):
+    file, old, new = HARMLESS[name]
+    whole = {"dat": DAT, "main": MAIN, "moves": MOVES}[file]
+    assert old in whole
+    mine, plain = (
+        [s for s in steps(**changed) if isinstance(s, MoveStep)]
+        for changed in ({file: whole.replace(old, new)}, {})
+    )
+    for one, two in zip(mine, plain, strict=True):
+        assert one.procedure == two.procedure and one.time == two.time and one.zone == two.zone
+        for part in ("position", "quaternion", "joints", "status", "turn"):
+            a, b = getattr(one.target, part, None), getattr(two.target, part, None)
+            assert a is b is None or np.array_equal(a, b), part
+
+
+def test_numbers_are_those_of_single_precision():
+    dat = DAT.replace("X -12.0000,Y 40.0000", "X 1234.5678,Y 40.0000")
+    start = next(s.target for s in steps(dat=dat) if isinstance(s, MoveStep) and s.target_name == "p_1_start")
+    assert start.position[0] == float(np.float32(1234.5678)) * 1e-3 != 1.2345678
+    moves = MOVES.replace("X -2.0000", "X 1234.5678")
+    move = next(s.target for s in steps(moves=moves) if isinstance(s, MoveStep) and s.kind == "SLIN")
+    assert move.position[0] == start.position[0]
+
+
+def test_programs_that_call_each_other_without_end_are_refused_soon():
+    files = texts()
+    for k in range(1, 9):
+        body = f"wall_{k + 1}()\n" * 20 if k < 8 else "$OUT[17]=FALSE\n"
+        files[f"left/wall_{k}.src"] = HEAD + f"DEF wall_{k}()\n{body}END\n"
+    text = krl_reader.read(files, 100_000, "krc4")
+    assert text.faults == ()
+    with pytest.raises(FlowError, match="too often"):
+        krl_reader.flow(text, text.base, Signals({}, {}))

@@ -1,0 +1,304 @@
+"""How much of somebody else's programs is proven: moves that are read, each stretch of them on its own.
+
+A stretch begins where the arm's place is known: behind the first move whose target says it. What is proven of
+its moves is the motion of one arm: reach, configuration, joint limits and speeds, singularity, speed of the
+tool, clearance to the cell and to other arms at home. Nothing is said of signals, of the process, and of what
+the other arms do meanwhile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.issues import Issue, TandemError
+from planner.problem import Problem
+from planner.verify import confdata, machines, partial_read
+from planner.verify.arm_ik import singularity_distance
+from planner.verify.context import Context
+from planner.verify.job import JobText, Stage, TaskText
+from planner.verify.looks import measured
+from planner.verify.motion import Motion
+from planner.verify.moves import chosen, flange_at
+from planner.verify.partial_read import KINDS, Gap, Read
+from planner.verify.prove import Prover
+from planner.verify.rules_cell import REACH, accepted
+from planner.verify.rules_motion import JUMP, TCP_SLACK
+from planner.verify.steps import MoveStep
+from planner.verify.values import JointTarget, RobTarget, StatusTarget
+
+FloatArray = NDArray[np.float64]
+CODE = "verify.unread"
+_STRIDE = 0.005
+"""Looks at clearance are so far apart [m] that no point of an arm moves farther between them."""
+_MOST_LOOKS = 20_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Share:
+    """What was proven, of what was found: ``moves`` in the texts, ``way`` [m] and ``time`` [s] of those whose
+    start and target are read; of each the part that is proven."""
+
+    moves: int
+    moves_proven: int
+    way: float
+    way_proven: float
+    time: float
+    time_proven: float
+
+    def __str__(self) -> str:
+        way = f"{self.way_proven:.3f} of {self.way:.3f} m of way"
+        time = f"{self.time_proven:.1f} of {self.time:.1f} s"
+        part = 100.0 * self.moves_proven / self.moves if self.moves else 0.0
+        return f"{self.moves_proven} of {self.moves} moves ({part:.0f} %), {way} and {time}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Partial:
+    """``issues``: each line that was not read, and each move that was read and not proven; ``share``."""
+
+    issues: tuple[Issue, ...]
+    share: Share
+
+
+@dataclasses.dataclass
+class _Count:
+    """Moves by (file, line), whether each of their runs was proven, and sums of way and time."""
+
+    proven: dict[tuple[str, int], bool] = dataclasses.field(default_factory=dict)
+    why: dict[tuple[str, int], str] = dataclasses.field(default_factory=dict)
+    sums: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
+
+    def no(self, key: tuple[str, int], why: str) -> None:
+        """A move that is not proven."""
+        self.proven[key] = False
+        self.why.setdefault(key, why)
+
+
+def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
+    """What can be read and proven of programs of any origin, for the cell of ``problem``.
+
+    ``programs`` {file name: text}. Raises ``TandemError`` (verify.robot_model) for robots that cannot be
+    followed.
+    """
+    found, strays = partial_read.read(problem, programs)
+    issues = [_unread(path, None, "it belongs to no arm of the cell") for path in strays]
+    total, count = 0, _Count()
+    prover = Prover(problem, {})
+    for one in found:
+        own = _Count()
+        for run, start in _runs(problem, one, own):
+            _prove(problem, programs, prover, one, run, start, own)
+        unread = {(fault.file, fault.line) for fault in one.unread}
+        issues += [_unread(f.file, f.line, f.message, one.arm.name) for f in one.unread]
+        for key, good in sorted(own.proven.items()):
+            if not good and key not in unread:
+                why = f"{own.why[key]}: read, not proven"
+                issues.append(Issue(CODE, why, file=key[0], line=key[1], arm=one.arm.name))
+        for key in dict.fromkeys(one.moves):
+            if key not in own.proven and key not in unread:
+                what = "the move is on no way that is read: not proven"
+                issues.append(Issue(CODE, what, file=key[0], line=key[1], arm=one.arm.name))
+        total += len(one.moves)
+        count.proven |= {key: good for key, good in own.proven.items() if key in set(one.moves)}
+        count.sums += own.sums
+    way, way_proven, time, time_proven = count.sums.tolist()
+    share = Share(total, sum(count.proven.values()), way, way_proven, time, time_proven)
+    return Partial(tuple(issues), share)
+
+
+def _unread(file: str, line: int | None, what: str, arm: str | None = None) -> Issue:
+    return Issue(CODE, f"{what}: not read, not proven", file=file, line=line, arm=arm)
+
+
+def _runs(problem: Problem, one: Read, count: _Count) -> list[tuple[list[MoveStep], FloatArray]]:
+    """Stretches of moves that follow each other, with the joints (6,) where each begins."""
+    runs: list[tuple[list[MoveStep], FloatArray]] = []
+    open_, shifted = False, False
+
+    def close() -> None:
+        if open_ and runs[-1][0] and not runs[-1][0][-1].zone.fine:
+            count.no(_key(one, runs[-1][0][-1]), "its corner leads to something that is not known")
+
+    for part in one.way:
+        if isinstance(part, Gap):
+            close()
+            open_, shifted = False, shifted or part.shifts
+            continue
+        key = _key(one, part)
+        part = _by_joints(one, part)
+        why = "something that is not read may shift all targets from there on" if shifted else _strange(part)
+        if why:
+            close()
+            count.no(key, why)
+            open_ = False
+            continue
+        if open_:
+            runs[-1][0].append(part)
+            continue
+        count.no(key, "where the move begins is not known")
+        start = _joints(problem, one, part)
+        if start is not None:
+            runs.append(([], start))
+            open_ = True
+    close()
+    return [run for run in runs if run[0]]
+
+
+def _key(one: Read, move: MoveStep) -> tuple[str, int]:
+    return one.places.get(move.module, move.module), move.line
+
+
+def _by_joints(one: Read, move: MoveStep) -> MoveStep:
+    """A MoveJ as the move by joints that it is, where its confdata say to which."""
+    if move.kind != "MoveJ" or not isinstance(move.target, RobTarget) or not move.wobj.fixed:
+        return move
+    machine = machines.of(one.arm.robot)
+    q = confdata.select(machine, flange_at(move, one.arm.base)[None], np.array([move.target.conf]))[0]
+    if not np.isfinite(q).all():
+        return move
+    target = JointTarget(machine.data.to_controller(q), move.target.external)
+    return dataclasses.replace(move, kind="MoveAbsJ", target=target)
+
+
+def _strange(move: MoveStep) -> str:
+    """Why the way of a move is not known, "" where it is."""
+    if move.kind not in KINDS:
+        return f"the way of {move.kind} between its targets is not known"
+    if move.wobj.held or not move.wobj.fixed or not move.tool.held:
+        return "its tool or its work object is not the arm's own, or moves"
+    outer = move.target.external
+    if (np.abs(outer) > 0.0).any() and (outer < 8.9e9).any():
+        return "it moves an external axis"
+    if {"conc", "corr", "z"} & set(move.switches):
+        return "an option changes its way"
+    return ""
+
+
+def _joints(problem: Problem, one: Read, move: MoveStep) -> FloatArray | None:
+    """Joints (6,) at a move's target, None where the text does not say which."""
+    machine, base = machines.of(one.arm.robot), one.arm.base
+    target = move.target
+    if isinstance(target, JointTarget):
+        q = machine.data.from_controller(target.joints)
+    elif isinstance(target, StatusTarget):
+        q = chosen(move, machine, base)
+    elif isinstance(target, RobTarget) and target.conf is not None:
+        q = confdata.select(machine, flange_at(move, base)[None], np.array([target.conf]))[0]
+    else:
+        return None
+    return np.asarray(q) if np.isfinite(q).all() else None
+
+
+def _prove(
+    problem: Problem,
+    programs: Mapping[str, str],
+    prover: Prover,
+    one: Read,
+    run: Sequence[MoveStep],
+    start: FloatArray,
+    count: _Count,
+) -> None:
+    """Replays a stretch and counts its moves."""
+    keys = [_key(one, move) for move in run]
+    arms = [arm for arm in problem.cell.arms if arm.name != one.arm.name]
+    own = dataclasses.replace(one.arm, home=start)
+    tasks = [
+        TaskText(one.name, one.unit, own, (), tuple(run), {}, {}, frozenset(), one.files),
+        *(TaskText(arm.name, "", arm, (), (), {}, {}, frozenset(), {}) for arm in arms),
+    ]
+    stage = Stage(False, None, {task.name: task.steps for task in tasks})
+    context = Context(problem, {}, programs)
+    context.__dict__["job"] = JobText(tuple(tasks), (stage,), (), (), (), {})
+    context.__dict__["bases"] = {arm.name: arm.base for arm in problem.cell.arms}
+    try:
+        motion = context.motion
+    except TandemError as error:
+        for key in keys:
+            count.no(key, error.issues[0].message)
+        return
+    bad = _bad(problem, context, prover, one.arm.name, one.arm.robot, motion, run)
+    way = np.zeros(len(run))
+    places = motion.tcp[one.arm.name][np.arange(len(motion.time))][:, :3, 3]
+    np.add.at(way, motion.node[1:], np.nan_to_num(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    for i, key in enumerate(keys):
+        if i in bad:
+            count.no(key, bad[i])
+        else:
+            count.proven.setdefault(key, True)
+        good = i not in bad and key not in count.why
+        seconds = float(motion.node_duration[i])
+        count.sums += [way[i], way[i] * good, seconds, seconds * good]
+
+
+def _bad(
+    problem: Problem,
+    context: Context,
+    prover: Prover,
+    arm: str,
+    model: str,
+    motion: Motion,
+    run: Sequence[MoveStep],
+) -> dict[int, str]:
+    """Moves of a stretch, by number, that are not as they have to be, and why."""
+    machine, q, settings = machines.of(model), motion.q[arm], problem.settings
+    out: dict[int, str] = {}
+
+    def mark(wrong: NDArray[np.bool_], what: str) -> None:
+        for node in np.unique(motion.node[wrong]):
+            out.setdefault(int(node), what)
+
+    for fault in motion.faults:
+        behind = len(run) if fault.kind == "reach" else fault.index + 1  # from there on the arm is nowhere
+        for node in range(fault.index, behind):
+            out.setdefault(node, fault.message)
+    for node in np.flatnonzero(~motion.node_conf_ok[arm]).tolist():
+        out.setdefault(node, "its confdata are not those of the motion")
+    outside = np.any((q < machine.data.lower) | (q > machine.data.upper), axis=1)
+    mark(np.asarray(outside), "an axis leaves its limits")
+    if machine.data.coupling is not None:
+        rod = q[:, 1] + q[:, 2]
+        low, high = machine.data.coupling.axis3_lower, machine.data.coupling.axis3_upper
+        mark((rod < low) | (rod > high), "axis 3, as the controller counts it, leaves its limits")
+    jump = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > JUMP
+    mark(jump, "an axis jumps to another solution")
+    fast = np.any(np.abs(motion.speed(arm)) > machine.data.velocity, axis=1)
+    mark(np.asarray(fast), "an axis is too slow for its time")
+    straight = np.asarray(np.all(np.isfinite(motion.node_conf_q[arm]), axis=1))[motion.node]
+    near = singularity_distance(machine, q) < settings.singularity_margin - np.deg2rad(0.05)
+    mark(near & straight, "the arm comes too near to a singular posture")
+    places = motion.tcp[arm][np.arange(len(motion.time))][:, :3, 3]
+    step = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=1)
+    spent = np.maximum(np.diff(motion.time, prepend=motion.time[0] - 1.0), 1e-6)
+    too_fast = "the tool moves faster than the problem allows"
+    joint = np.array([move.by_joints for move in run])
+    mark((step / spent > TCP_SLACK * settings.tcp_speed) & ~joint[motion.node], too_fast)
+    for i in np.flatnonzero(joint).tolist():  # what such a move states counts
+        if run[i].speed.axes is None and not run[i].speed.tcp <= 1.001 * settings.tcp_speed:
+            out.setdefault(i, too_fast)
+    rows, apart = _clearance(problem, context, prover, arm, machine.data.reach, q)
+    wrong = np.zeros(len(q), dtype=bool)
+    wrong[rows[~(apart >= accepted(settings.clearance))]] = True
+    mark(wrong, "bodies of the cell come too near to each other")
+    return out
+
+
+def _clearance(
+    problem: Problem, context: Context, prover: Prover, arm: str, reach: float, q: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Samples at which clearance is looked at, and the least distance [m] there."""
+    way = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1)) * 1.5 * reach
+    count = min(max(int(way[-1] / _STRIDE) + 1, 1), _MOST_LOOKS)
+    rows = np.unique(np.clip(np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)), 0, len(q) - 1))
+    joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}
+    joints[arm] = q[rows]
+    limit = accepted(problem.settings.clearance)
+    reach_ = max(REACH, 1.5 * problem.settings.clearance)
+    model = prover.model(context)
+    cut = {f"{arm}/edge", "stock"}  # what the tool's edge does to the block is the process's own
+    ignore = frozenset({frozenset(cut)}) if cut <= {solid.body for solid in model.solids} else frozenset()
+    found = measured(model, joints, limit, reach_, ignore)
+    return rows[found.look], np.asarray(found.least.distance)
