@@ -6,6 +6,7 @@ not stated itself behind BAS(#INITMOV,0) is not known, and no move may depend on
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, NoReturn
@@ -16,7 +17,7 @@ from planner.verify.faults import Fault, FlowError
 from planner.verify.krl_ast import (
     Call,
     DataList,
-    Halt,
+    Foot,
     Joint,
     Listen,
     Output,
@@ -26,9 +27,11 @@ from planner.verify.krl_ast import (
     Set,
     Start,
     Statement,
+    StopInterrupt,
     Straight,
 )
 from planner.verify.krl_load import NOTHING, held
+from planner.verify.krl_panel import Panel, PanelError
 from planner.verify.krl_values import quaternion
 from planner.verify.krl_words import AXES, CHOICES, FRAMES, MOVING
 from planner.verify.steps import CarryStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
@@ -51,6 +54,12 @@ _BLOCK = "l_block_"
 """How the loads of a tool together with a block are called."""
 _FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _STILL = np.zeros(6)
+_HEAD = (
+    (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
+    (True, "INTERRUPT ON 3 behind it"),
+    (Start, "BAS(#INITMOV,0) behind it"),
+)
+_BEGINS = "stop reactions and settings need"
 _ANY = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
 
@@ -73,9 +82,10 @@ class Runner:
     """Runs the main program. `entered`: names of the programs that ran, in lower case."""
 
     def __init__(
-        self, programs: Mapping[str, Program], data: DataList, base: Array, signals: Signals
+        self, programs: Mapping[str, Program], data: DataList, base: Array, signals: Signals, panel: Panel
     ) -> None:
         self.programs, self.data, self.base, self.signals = programs, data, base, signals
+        self.panel = panel
         self.steps: list[Step] = []
         self.entered: set[str] = set()
         self.settings: dict[str, float | str] = {}
@@ -84,7 +94,6 @@ class Runner:
         self.here: _Pose | None = None
         self.carried = ""
         self.load_line = 0
-        self.question: list[str] = []
         self.program: Program
         self.procedure = MAIN
         self.depth = 0
@@ -95,9 +104,12 @@ class Runner:
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        first = next((s for s in main.body if not isinstance(s, Said)), None)
-        if not isinstance(first, Start):
-            self._fail(first.line if first else 1, "the main program does not begin with BAS(#INITMOV,0)")
+        head = [s for s in main.body if not isinstance(s, Said)][:3]
+        for wanted, s in itertools.zip_longest(_HEAD, head):
+            part = s.on if isinstance(s, StopInterrupt) else type(s)
+            if part != wanted[0]:
+                what = f"the main program does not begin with {wanted[1]}, as {_BEGINS}"
+                self._fail(s.line if s else 1, what)
         self._block(main.body)
         return tuple(self.steps)
 
@@ -109,13 +121,29 @@ class Runner:
             if isinstance(statement, Straight):
                 self._straight(statement)
                 continue
-            if self.question and not (isinstance(statement, Halt) or _asks(statement)):
-                self._fail(statement.line, "a question (;?) that no HALT follows")
             if not isinstance(statement, Set | Said):
                 self._carry(statement.line)
+            try:
+                self.panel.check(statement, self.depth)
+                self._say(statement)
+            except PanelError as wrong:
+                self._fail(statement.line, str(wrong))
             self._statement(statement)
-        if self.question:
-            self._fail(body[-1].line, "a question (;?) that no HALT follows")
+        try:
+            if not self.depth:
+                self.panel.check(None, 0)
+        except PanelError as wrong:
+            self._fail(body[-1].line, str(wrong))
+
+    def _say(self, statement: Statement) -> None:
+        """A step for what a statement shows."""
+        said = self.panel.take(statement, self.depth)
+        if said is not None:
+            where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
+            lines = (said.text,)
+            self.steps.append(
+                MessageStep(*where, said.kind, lines, said.confirm, said.text, said.confirm, said.panel)
+            )
 
     def _statement(self, statement: Statement) -> None:
         line = statement.line
@@ -127,18 +155,12 @@ class Runner:
                 self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
             case Set(name=name, value=value):
                 self._set(line, name, value)
-            case Said(kind="question", text=text):
-                self.question.append(text)
             case Said(kind="segment", text=text):
                 self.procedure = text
-            case Said(text=text):
-                self.steps.append(MessageStep(*where, ";*", (text,), False, text, panel="line"))
-            case Halt():
-                if not self.question:
-                    self._fail(line, "HALT without a question (;?) above it")
-                text = " ".join(self.question)
-                self.steps.append(MessageStep(*where, "HALT", (text,), True, text, True))
-                self.question = []
+            case StopInterrupt() if len(self.steps) or self.depth:
+                self._fail(line, "the interrupt of stop messages stands elsewhere than at the start")
+            case Foot():
+                self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
             case Output(number=number, value=on):
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
                 self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
@@ -181,7 +203,7 @@ class Runner:
         if (name in MOVING) != (self.depth > 0):
             where = "a file with moves" if name in MOVING else "the main program"
             self._fail(line, f"{name.upper()} is set elsewhere than in {where}")
-        if name in CHOICES or name == "$advance":
+        if name in CHOICES:
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(SettingStep(*where_, name.upper(), (), ()))
         if name in FRAMES:
@@ -201,7 +223,7 @@ class Runner:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
     def _tool(self, line: int) -> tuple[Tool, str]:
-        self._needed(line, ("$tool", "$load", *CHOICES, "$advance"))
+        self._needed(line, ("$tool", "$load", *CHOICES))
         name = str(self.settings["$tool"])
         if name not in self.tools:
             own = self.data.items.get(_own_load(name))
@@ -240,6 +262,8 @@ class Runner:
     def _joint(self, line: int, name: str) -> None:
         if self.depth:
             self._fail(line, "PTP stands elsewhere than in the main program")
+        if not self.panel.looked:
+            self._fail(line, "an arm moves before the program has looked at $ROBROOT")
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
@@ -259,8 +283,6 @@ class Runner:
         self._carry(line)
         if not self.depth:
             self._fail(line, f"{move.word} stands in the main program; moves have files of their own")
-        if self.question:
-            self._fail(line, "a question (;?) that no HALT follows")
         if self.here is None:
             self._fail(line, f"{move.word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
         self._needed(line, tuple(MOVING))
@@ -317,10 +339,6 @@ class Runner:
         if corner == "C_ORI":
             way = _ANY
         return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
-
-
-def _asks(statement: Statement) -> bool:
-    return isinstance(statement, Said) and statement.kind == "question"
 
 
 def _own_load(tool: str) -> str:
