@@ -4,6 +4,7 @@ for it, and seeded mutants are all caught."""
 from __future__ import annotations
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -51,6 +52,51 @@ def test_the_named_rule_catches_the_fault(kind):
     assert not proof.ok
     broken = {rule.code for rule in proof.rules if rule.ran and not rule.passed}
     assert code in broken, [str(issue) for issue in proof.issues]
+
+
+REWRITES = {
+    "case": lambda text: re.sub(
+        r"Set_KrlDlg|Exists_KrlDlg|WHILE|HALT|INTERRUPT", lambda m: m[0].lower(), text
+    ),
+    "blanks": lambda text: re.sub(r"^(tm_\w+)=", r"  \1 = ", text, flags=re.MULTILINE),
+    "comments": lambda text: text.replace("\r\nENDWHILE", "\r\n; until then\r\nENDWHILE ; here"),
+    "blank rows": lambda text: text.replace("\r\nWHILE", "\r\n\r\nWHILE"),
+    "numbers of messages": lambda text: re.sub(r"Nr \d,", "Nr 99,", text),
+    "the template's blanks": lambda text: text.replace("BAS(#INITMOV,0)", "BAS (#INITMOV,0 )"),
+    "the template's call": lambda text: text.replace("IR_STOPM ( )", "IR_STOPM()"),
+    "a stricter look at the foot": lambda text: text.replace("tm_turn>0.02", "tm_turn>0.01"),
+    "declarations one by one": lambda text: text.replace("tm_shift,tm_turn", "tm_turn\r\nDECL REAL tm_shift"),
+}
+
+
+def rewritten(dialect, names):
+    """The proof of programs with harmless rewrites, one after the other; None where they change nothing."""
+    older = dialect == "krc2"
+    programs = krl_job.older_programs() if older else krl_job.programs()
+    changed = programs
+    for name in names:
+        changed = {file: REWRITES[name](text) for file, text in changed.items()}
+    return None if changed == programs else (older_prover() if older else prover()).prove(changed)
+
+
+@pytest.mark.parametrize("dialect", ["krc4", "krc2"])
+def test_harmless_rewrites_together_are_proven(dialect):
+    names = [name for name in REWRITES if name != "case"]
+    proof = rewritten(dialect, [*names, "case"])
+    assert [str(issue) for issue in proof.issues] == []
+    assert proof.ok
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dialect", ["krc4", "krc2"])
+@pytest.mark.parametrize("name", REWRITES)
+def test_harmless_rewrites_are_proven(name, dialect):
+    proof = rewritten(dialect, [name])
+    if proof is None:
+        assert (dialect, name) == ("krc2", "numbers of messages")
+    else:
+        assert [str(issue) for issue in proof.issues] == []
+        assert proof.ok
 
 
 def missed(each, seed):
