@@ -92,6 +92,7 @@ class Runner:
         self.tools: dict[str, Tool] = {}
         self.works: dict[str, WorkObject] = {}
         self.here: _Pose | None = None
+        self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
         self.program: Program
@@ -137,6 +138,8 @@ class Runner:
 
     def _say(self, statement: Statement) -> None:
         """A step for what a statement shows."""
+        if self.on and self.panel.halts(statement):
+            self._fail(statement.line, f"the program may halt while $OUT[{min(self.on)}] is on")
         said = self.panel.take(statement, self.depth)
         if said is not None:
             where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
@@ -162,6 +165,7 @@ class Runner:
             case Foot():
                 self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
             case Output(number=number, value=on):
+                self.on = self.on | {number} if on else self.on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
                 self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
             case Listen(number=number, value=on, seconds=seconds):

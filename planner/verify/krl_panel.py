@@ -73,6 +73,10 @@ class Panel:
         if self._shown and depth == 0 and not isinstance(statement, Listen | Call | Cleared):
             raise PanelError(f"the panel says {self._shown!r} here, which is not so")
 
+    def halts(self, statement: Statement) -> bool:
+        """Whether the program may halt at the statement without having asked anything."""
+        return isinstance(statement, Foot) or (isinstance(statement, NotExternal) and not self._open)
+
     def take(self, statement: Statement, depth: int) -> Message | None:
         """What a statement shows. Raises `PanelError`."""
         match statement:
@@ -84,6 +88,9 @@ class Panel:
             case Halt():
                 return self._halt(depth)
             case NotExternal():
+                self._main(depth, "the refusal of automatic external")
+                if self.dialect == "krc4" or (self._external and not self._open):
+                    raise PanelError("automatic external is refused where nothing is asked; HALT stops there")
                 self._external, self._open = True, False
             case Prepared():
                 self._new("messages")

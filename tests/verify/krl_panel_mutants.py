@@ -348,6 +348,16 @@ def foot_behind_the_first_move(rng, texts):
 
 
 @mutator("verify.syntax")
+def halts_with_power(rng, texts):
+    """The look at the foot once more, or the refusal of a mode, where the power is on."""
+    rows = rows_of(texts, MAIN)
+    first, last = where(rows, "^tm_shift=")[0], where(rows, "^tm_par.*Type=#EMPTY")[-1]
+    form = pick(rng, [rows[first : last + 1], ["WHILE $MODE_OP==#EX", "HALT", "ENDWHILE"]])
+    at = pick(rng, where(rows, r"^(.OUT.*TRUE|WAIT SEC 5)"))
+    return put(texts, MAIN, [*rows[: at + 1], *form, *rows[at + 1 :]])
+
+
+@mutator("verify.syntax")
 def state_of_nothing(rng, texts):
     text = pick(rng, ["Waiting for arm right.", "Cutting.", "Wire is cold."])
     new = f"{said(text)}\ntm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)"
@@ -362,6 +372,13 @@ def mode_not_refused(rng, texts):
     rows = rows_of(texts, MAIN)
     i = pick(rng, where(rows, r"^WHILE .MODE_OP"))
     return put(texts, MAIN, [*rows[:i], *rows[i + 4 :]])
+
+
+@older("verify.syntax")
+def mode_refused_with_power(rng, texts):
+    form = "WHILE $MODE_OP==#EX\nHALT\nENDWHILE"
+    file, pattern = pick(rng, [(MAIN, "^(.OUT.*TRUE|WAIT SEC 5)"), (pick(rng, MOVES), "^LIN")])
+    return edit(rng, texts, file, pattern, lambda row: f"{row}\n{form}")
 
 
 @older("verify.syntax")

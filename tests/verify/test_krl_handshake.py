@@ -132,9 +132,7 @@ def test_every_fault_in_every_statement_is_caught(kind, every):
     assert passed == []
 
 
-@pytest.mark.parametrize(
-    ("kind", "every"), [pytest.param(*FORMS[0], marks=pytest.mark.long), *FORMS[1:]]
-)
+@pytest.mark.parametrize(("kind", "every"), [pytest.param(*FORMS[0], marks=pytest.mark.long), *FORMS[1:]])
 def test_every_fault_in_what_the_panel_says_while_a_program_waits_is_caught(kind, every):
     _, texts = job(KUKAS, kind, every)
     passed, tried = [], 0

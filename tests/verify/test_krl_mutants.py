@@ -119,12 +119,12 @@ def missed(each, seed):
 
 def test_a_sample_of_mutants_is_caught():
     found, tried = missed(SAMPLE, seed=17)
-    assert tried >= 110
+    assert tried >= 120
     assert found == []
 
 
 @pytest.mark.long
 def test_hundreds_of_mutants_are_caught():
     found, tried = missed(FULL, seed=2028)
-    assert tried >= 1300
+    assert tried >= 1400
     assert found == []
