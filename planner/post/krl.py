@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, krl_moves, krl_tracks
+from planner.post import handshake_drift, krl_moves, krl_panel, krl_tracks
 from planner.post.krl_data import Data
 from planner.post.krl_format import comment, name
 from planner.post.krl_main import Main
@@ -77,6 +77,7 @@ def _files(
     dialect = problem.cell.controller.dialect
     note = "; what this program was planned for; the proof starts from these"
     listed = data.list(stem, [*head, note], {"problem_digest": plan.digest})
+    head = [*krl_panel.declarations(dialect), *head]
     files = {f"{stem}.src": _program(stem, head, body, main.bodies, dialect), f"{stem}.dat": listed}
     for word, lines in main.bodies.items():
         files[f"{word}.src"] = _program(word, brief, lines, main.bodies, dialect)
@@ -92,6 +93,8 @@ def _program(
     """A DEF; what it calls is declared where the dialect wants that."""
     called = dict.fromkeys(line[:-2] for line in body if line.endswith("()") and line[:-2] in known)
     declared = [f"EXT {other}()" for other in called] if dialect == "krc2" else []
+    if dialect == "krc2" and any(line.startswith("BAS(") for line in body):
+        declared.insert(0, krl_panel.EXT_BAS)
     return [f"DEF {word}()", *declared, *head, *body, "END"]
 
 

@@ -32,10 +32,12 @@ flag for frame global goto halt if imp import in inout input int interrupt is ld
 maximum minimum not off on or out output pdat pos axis e6pos e6axis fdat prio ptp ptp_rel public pulse
 real repeat resume return scirc sec seq signal slin spl spline sptp step struc switch sync then timer to
 trigger true until var vel wait when while with x y z a b c s t bas home sps cell p00 ir_stopm msglib
-user_grp user_saf config
+user_grp user_saf config krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlgsk_t set_krlmsg set_krldlg exists_krlmsg
+exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone tm_shift tm_turn
 """
 RESERVED: Final = frozenset(_WORDS.split())
-"""Words of the language, components of its structures, and names that every controller has."""
+"""Words of the language, components of its structures, names that every controller has, and those of our own
+variables."""
 
 
 def name(text: str, length: int = NAME_LENGTH) -> str:
@@ -61,16 +63,6 @@ def mark(segment: Segment) -> str:
     underscores as programs can tell them."""
     label = str(segment)
     return label if re.fullmatch(r"[\w/]+", label, re.ASCII) else segment.key
-
-
-def told(text: str) -> list[str]:
-    """Comment lines that the operator is to read, with the mark of what is told."""
-    return [f";* {line}" for line in textwrap.wrap(plain(text), 100)]
-
-
-def asked(text: str) -> list[str]:
-    """A question to the operator in comment lines with its mark; the program halts until Start says yes."""
-    return [*(f";? {line}" for line in textwrap.wrap(plain(text), 100)), "HALT"]
 
 
 def abc(rotation: FloatArray) -> FloatArray:

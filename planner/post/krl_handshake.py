@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from planner.post.krl_format import asked, comment, told
+from planner.post import krl_panel
+from planner.post.krl_format import comment
 from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
 from planner.problem import Controller
 
 
-def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]) -> list[str]:
-    """The statements of the steps."""
+def lines(
+    partner: Partner, controller: Controller, steps: Sequence[PartnerStep], shown: bool = True
+) -> list[str]:
+    """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
+    a meeting it does already."""
+    waiting = krl_panel.WAITING.format(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     out: list[str] = []
@@ -20,11 +25,12 @@ def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]
             case SetLine(value):
                 out.append(f"$OUT[{output}]={_level(value)}")
             case AwaitLine(value, seconds):
-                out += _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
+                wait = _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
+                out += krl_panel.during(waiting, wait, controller.dialect) if shown else wait
             case Ask(text):
-                out += asked(text)
+                out += krl_panel.asked(text, controller.dialect)
             case Tell(text):
-                out += told(text)
+                out += krl_panel.told(text, controller.dialect)
             case Note(text):
                 out += comment(text)
     return out

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from planner.post import krl_handshake
+from planner.post import krl_handshake, krl_panel
 from planner.post.krl_data import Data
-from planner.post.krl_format import asked, comment, mark, told
+from planner.post.krl_format import comment, mark
 from planner.post.krl_moves import Lines
 from planner.post.krl_ptp import UNKNOWN, percent
 from planner.post.layout import Part
@@ -54,6 +54,7 @@ class Main:
         self.task, self.job, self.problem, self.data = task, job, problem, data
         self.layout, self.moves, self.stem = layout, moves, stem
         self.controller = problem.cell.controller
+        self.dialect = problem.cell.controller.dialect
         self.partner = Partner.of(task, job)
         self.bodies: dict[str, list[str]] = {}
         self._held: Load | None = None
@@ -62,11 +63,12 @@ class Main:
 
     def lines(self) -> list[str]:
         """The statements of the main program."""
-        out = ["BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
+        out = [*krl_panel.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        out += [*krl_panel.prepared(self.dialect), *krl_panel.foot(self.task.arm.name, self.dialect)]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is None:
-            out += asked(clear)
+            out += krl_panel.asked(clear, self.dialect)
         else:
             steps = self.partner.start(clear)
             out += krl_handshake.lines(self.partner, self.controller, steps)
@@ -76,7 +78,7 @@ class Main:
             out += krl_handshake.lines(self.partner, self.controller, self.partner.end())
             for phases, number in self.partner.kinds(self.task).items():
                 steps = self.partner.step(number)
-                body = krl_handshake.lines(self.partner, self.controller, steps)
+                body = krl_handshake.lines(self.partner, self.controller, steps, shown=False)
                 self.bodies[f"{self.stem}_{krl_handshake.suffix(phases)}"] = body
         return out
 
@@ -93,10 +95,13 @@ class Main:
             if moving:
                 out += self._runs(index, operation, [step for step in steps if isinstance(step, Run)])
             else:
-                out += [line for step in steps for line in self._step(step, index, operation)]
+                done = list(steps)
+                for i, step in enumerate(done):
+                    out += self._step(step, index, operation, _question_follows(done[i + 1 :]))
         return out
 
-    def _step(self, step: Step, index: int, operation: OperationProgram) -> list[str]:
+    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+        """The lines of a step; ``asks``: behind it and what else is told stands a question."""
         match step:
             case Joints():
                 return self._ptp(step, index, operation)
@@ -105,7 +110,7 @@ class Main:
                 lines = krl_handshake.lines(self.partner, self.controller, steps)
                 return [*comment(f"Meeting: {reached}"), *lines]
             case Do(action):
-                return self._action(action)
+                return self._action(action, asks)
             case Carry(load):
                 self._held = load
                 return [f"$LOAD={self.data.load(operation.arm.tool, load)}"]
@@ -123,12 +128,12 @@ class Main:
             return [*out, f"PTP {self.data.start(operation, step.q, index + 1)}"]
         return [*out, f"PTP {self.data.joint(step, index + 1)}"]
 
-    def _action(self, action: Action) -> list[str]:
+    def _action(self, action: Action, asks: bool) -> list[str]:
         match action.kind:
             case "message":
-                return told(action.text)
+                return krl_panel.told(action.text, self.dialect, before_question=asks)
             case "confirm":
-                return asked(action.text)
+                return krl_panel.asked(action.text, self.dialect)
             case "on" | "off":
                 return [self._switch(action.signal, action.kind == "on")]
             case "wait":
@@ -152,6 +157,9 @@ class Main:
             self.bodies[word] = self._moves(index, operation, grouped)
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
+        if self.partner is not None and operation.meets[first:last].any():
+            together = krl_panel.TOGETHER.format(arm=self.partner.other)
+            return krl_panel.during(together, calls, self.dialect)
         return calls
 
     def _moves(self, index: int, operation: OperationProgram, parts: Iterable[Part]) -> list[str]:
@@ -173,3 +181,10 @@ class Main:
                 out += lines.of(row, fresh=number == 0 and row == part.first)
                 out += [calls[row]] if row in calls else []
         return out
+
+
+def _question_follows(steps: Sequence[Step]) -> bool:
+    """Whether the next step that is more than a message is a question."""
+    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
+    first = next(rest, None)
+    return isinstance(first, Do) and first.action.kind == "confirm"

@@ -188,7 +188,8 @@ def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]
     if not text.faults:
         base = arm.base if text.base is None else text.base
         try:
-            steps, entered = krl_reader.flow(text, base, krl_signals(problem, arm))
+            others = [other.name for other in problem.cell.arms if other.name != arm.name]
+            steps, entered = krl_reader.flow(text, base, krl_signals(problem, arm), arm.name, others)
         except FlowError as wrong:
             lost = wrong.faults
     called = frozenset(("", program) for program in entered)

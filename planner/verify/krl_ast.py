@@ -20,13 +20,6 @@ class Start(Statement):
 
 
 @dataclass(frozen=True, slots=True)
-class Interrupt(Statement):
-    """The stop interrupt of KUKA's own template, which calls IR_STOPM(): declared, or switched ``on``."""
-
-    on: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Set(Statement):
     """A setting, its name in lower case; `value` is a number, or a name or #word in lower case."""
 
@@ -82,6 +75,55 @@ class Halt(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class StopInterrupt(Statement):
+    """The interrupt of stop messages is declared, or switched `on`."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Foot(Statement):
+    """The loop that halts as long as $ROBROOT is off zero: by `shift` [mm] or the sum of its angles by `turn`
+    [deg]. `text` is shown, "" where nothing is."""
+
+    shift: float
+    turn: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class NotExternal(Statement):
+    """The loop that halts as long as the mode of operation is automatic external."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared(Statement):
+    """Options of messages, without parameters and with no keys but the first two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dialog(Statement):
+    """The loop that shows the dialog `text` until its first key is pressed: "yes" beside No, "next" or
+    "read"."""
+
+    text: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Notice(Statement):
+    """A message on the panel: a note, or what is so (`state`) until it is cleared."""
+
+    text: str
+    state: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Cleared(Statement):
+    """The message of a state is taken back."""
+
+
+@dataclass(frozen=True, slots=True)
 class Call(Statement):
     """A call of the subprogram `name`, in lower case."""
 
@@ -99,12 +141,14 @@ class Said(Statement):
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A .src file: its `name` as in DEF, the subprograms that it declares by EXT, and its statements."""
+    """A .src file: its `name` as in DEF, the subprograms that it declares by EXT, its statements, and its
+    variables as (type, name), all in lower case."""
 
     file: str
     name: str
     external: tuple[str, ...]
     body: tuple[Statement, ...]
+    variables: tuple[tuple[str, str], ...] = ()
 
     @property
     def moves(self) -> int:

@@ -6,6 +6,7 @@ not stated itself behind BAS(#INITMOV,0) is not known, and no move may depend on
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, NoReturn
@@ -16,8 +17,7 @@ from planner.verify.faults import Fault, FlowError
 from planner.verify.krl_ast import (
     Call,
     DataList,
-    Halt,
-    Interrupt,
+    Foot,
     Joint,
     Listen,
     Output,
@@ -27,9 +27,11 @@ from planner.verify.krl_ast import (
     Set,
     Start,
     Statement,
+    StopInterrupt,
     Straight,
 )
 from planner.verify.krl_load import NOTHING, held
+from planner.verify.krl_panel import Panel, PanelError
 from planner.verify.krl_values import quaternion
 from planner.verify.krl_words import AXES, CHOICES, FRAMES, MOVING
 from planner.verify.steps import CarryStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
@@ -54,6 +56,12 @@ _BLOCK = "l_block_"
 """How the loads of a tool together with a block are called."""
 _FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _STILL = np.zeros(6)
+_HEAD = (
+    (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
+    (True, "INTERRUPT ON 3 behind it"),
+    (Start, "BAS(#INITMOV,0) behind it"),
+)
+_BEGINS = "stop reactions and settings need"
 _ANY = 1.0
 """A length [m] that is no bound: for a corner that the angle alone decides."""
 
@@ -76,18 +84,19 @@ class Runner:
     """Runs the main program. `entered`: names of the programs that ran, in lower case."""
 
     def __init__(
-        self, programs: Mapping[str, Program], data: DataList, base: Array, signals: Signals
+        self, programs: Mapping[str, Program], data: DataList, base: Array, signals: Signals, panel: Panel
     ) -> None:
         self.programs, self.data, self.base, self.signals = programs, data, base, signals
+        self.panel = panel
         self.steps: list[Step] = []
         self.entered: set[str] = set()
         self.settings: dict[str, float | str] = {}
         self.tools: dict[str, Tool] = {}
         self.works: dict[str, WorkObject] = {}
         self.here: _Pose | None = None
+        self.on: set[int] = set()
         self.carried = ""
         self.load_line = 0
-        self.question: list[str] = []
         self.program: Program
         self.procedure = MAIN
         self.depth = 0
@@ -100,14 +109,12 @@ class Runner:
         self.program = main
         self.entered.add(main.name.lower())
         self._open.append(main.name.lower())
-        head = [s for s in main.body if not isinstance(s, Said)]
-        if [s.on for s in head[:2] if isinstance(s, Interrupt)] == [False, True]:
-            head = head[2:]
-        if not head or not isinstance(head[0], Start):
-            line = head[0].line if head else 1
-            self._fail(line, "the main program does not begin with BAS(#INITMOV,0)")
-        if again := next((s for s in head if isinstance(s, Interrupt)), None):
-            self._fail(again.line, "the stop interrupt stands elsewhere than once, before BAS(#INITMOV,0)")
+        head = [s for s in main.body if not isinstance(s, Said)][:3]
+        for wanted, s in itertools.zip_longest(_HEAD, head):
+            part = s.on if isinstance(s, StopInterrupt) else type(s)
+            if part != wanted[0]:
+                what = f"the main program does not begin with {wanted[1]}, as {_BEGINS}"
+                self._fail(s.line if s else 1, what)
         self._block(main.body)
         return tuple(self.steps)
 
@@ -127,22 +134,44 @@ class Runner:
             if isinstance(statement, Straight):
                 self._straight(statement)
                 continue
-            if self.question and not (isinstance(statement, Halt) or _asks(statement)):
-                self._fail(statement.line, "a question (;?) that no HALT follows")
             if not isinstance(statement, Set | Said):
                 self._carry(statement.line)
+            self._hear(statement)
             self._statement(statement)
-        if self.question:
-            self._fail(body[-1].line, "a question (;?) that no HALT follows")
+        if not self.depth:
+            self._close(body[-1].line if body else 1)
+
+    def _hear(self, statement: Statement) -> None:
+        """What the panel shows and asks by a statement."""
+        try:
+            self.panel.check(statement, self.depth)
+            self._say(statement)
+        except PanelError as wrong:
+            self._fail(statement.line, str(wrong))
+
+    def _close(self, line: int) -> None:
+        """Refuse what the panel still waits for at the end of the main program."""
+        try:
+            self.panel.check(None, 0)
+        except PanelError as wrong:
+            self._fail(line, str(wrong))
+
+    def _say(self, statement: Statement) -> None:
+        """A step for what a statement shows."""
+        if self.on and self.panel.halts(statement):
+            self._fail(statement.line, f"the program may halt while $OUT[{min(self.on)}] is on")
+        said = self.panel.take(statement, self.depth)
+        if said is not None:
+            where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
+            lines = (said.text,)
+            self.steps.append(
+                MessageStep(*where, said.kind, lines, said.confirm, said.text, said.confirm, said.panel)
+            )
 
     def _statement(self, statement: Statement) -> None:
         line = statement.line
         where = (self.program.file.rpartition("/")[2], self.procedure, line, "")
         match statement:
-            case Interrupt(on=on):
-                if self.depth:
-                    self._fail(line, "the stop interrupt stands elsewhere than in the main program")
-                self.steps.append(SettingStep(*where, f"INTERRUPT {'ON' if on else 'DECL'} 3", (), ()))
             case Start():
                 if self.started or self.depth:
                     self._fail(line, "BAS(#INITMOV,0) stands elsewhere than at the start of the main program")
@@ -150,19 +179,15 @@ class Runner:
                 self.steps.append(SettingStep(*where, "BAS(#INITMOV,0)", (), ()))
             case Set(name=name, value=value):
                 self._set(line, name, value)
-            case Said(kind="question", text=text):
-                self.question.append(text)
             case Said(kind="segment", text=text):
                 self.procedure = text
-            case Said(text=text):
-                self.steps.append(MessageStep(*where, ";*", (text,), False, text, panel="line"))
-            case Halt():
-                if not self.question:
-                    self._fail(line, "HALT without a question (;?) above it")
-                text = " ".join(self.question)
-                self.steps.append(MessageStep(*where, "HALT", (text,), True, text, True))
-                self.question = []
+            case StopInterrupt():
+                what = "the interrupt of stop messages stands elsewhere than at the start"
+                self._misplaced(line, bool(self.steps) or self.depth > 0, what)
+            case Foot():
+                self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
             case Output(number=number, value=on):
+                self.on = self.on | {number} if on else self.on - {number}
                 name = self.signals.outputs.get(number, f"$OUT[{number}]")
                 self.steps.append(SignalStep(*where, "$OUT", name, float(on), 0.0, True))
             case Listen(number=number, value=on, seconds=seconds):
@@ -204,7 +229,7 @@ class Runner:
         where = "a file with moves" if name in MOVING else "the main program"
         wrong = (name in MOVING) != (self.depth > 0)
         self._misplaced(line, wrong, f"{name.upper()} is set elsewhere than in {where}")
-        if name in CHOICES or name == "$advance":
+        if name in CHOICES:
             where_ = (self.program.file.rpartition("/")[2], self.procedure, line, "")
             self.steps.append(SettingStep(*where_, name.upper(), (), ()))
         if name in FRAMES:
@@ -224,7 +249,7 @@ class Runner:
             self._fail(line, f"{missing[0].upper()} is not set before this move; set it")
 
     def _tool(self, line: int) -> tuple[Tool, str]:
-        self._needed(line, ("$tool", "$load", *CHOICES, "$advance"))
+        self._needed(line, ("$tool", "$load", *CHOICES))
         name = str(self.settings["$tool"])
         if name not in self.tools:
             own = self.data.items.get(_own_load(name))
@@ -262,6 +287,8 @@ class Runner:
 
     def _joint(self, line: int, name: str) -> None:
         self._misplaced(line, self.depth > 0, "PTP stands elsewhere than in the main program")
+        what = "an arm moves before the program has looked at $ROBROOT"
+        self._misplaced(line, not self.panel.looked, what)
         item = self.data.items.get(name)
         if item is None or item.kind not in ("e6axis", "e6pos"):
             self._fail(line, f"{name} is no E6AXIS or E6POS of the data list")
@@ -281,8 +308,6 @@ class Runner:
         self._carry(line)
         what = f"{move.word} stands in the main program; moves have files of their own"
         self._misplaced(line, not self.depth, what)
-        if self.question:
-            self._fail(line, "a question (;?) that no HALT follows")
         if self.here is None:
             self._fail(line, f"{move.word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
         self._needed(line, tuple(MOVING))
@@ -339,10 +364,6 @@ class Runner:
         if corner == "C_ORI":
             way = _ANY
         return Zone(False, way, 0.0, 0.0, angle, 0.0, 0.0), corner
-
-
-def _asks(statement: Statement) -> bool:
-    return isinstance(statement, Said) and statement.kind == "question"
 
 
 def _own_load(tool: str) -> str:

@@ -15,7 +15,6 @@ from planner.verify.krl_ast import (
     Data,
     DataList,
     Halt,
-    Interrupt,
     Joint,
     Listen,
     Output,
@@ -27,6 +26,7 @@ from planner.verify.krl_ast import (
     Statement,
     Straight,
 )
+from planner.verify.krl_forms import FORMS, Form, variables
 from planner.verify.krl_values import UNSIGNED, KrlValueError
 from planner.verify.krl_words import CHOICES, FRAMES, LINE_LENGTH, NAME_LENGTH, NUMBERS, RESERVED
 from planner.verify.values import singles
@@ -43,6 +43,9 @@ _PTP = re.compile(rf"PTP\s+({_NAME})", re.IGNORECASE | re.ASCII)
 _WAIT = re.compile(rf"WAIT\s+SEC\s+(\+?{UNSIGNED})", re.IGNORECASE | re.ASCII)
 _CALL = re.compile(rf"({_NAME})\s*\(\s*\)", re.ASCII)
 _EXT = re.compile(rf"EXT\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
+_EXT_BAS = re.compile(
+    r"EXT\s+BAS\s*\(\s*BAS_COMMAND\s*:\s*IN\s*,\s*REAL\s*:\s*IN\s*\)", re.IGNORECASE | re.ASCII
+)
 _DEF = re.compile(rf"DEF\s+({_NAME})\s*\(\s*\)", re.IGNORECASE | re.ASCII)
 _DEFDAT = re.compile(rf"DEFDAT\s+({_NAME})\s+PUBLIC", re.IGNORECASE | re.ASCII)
 _DECL = re.compile(
@@ -59,14 +62,6 @@ _HEAD = {
 """Lines that files begin with, behind an ampersand; the controller's own, of which programs see nothing."""
 _LONGEST_LINE = 10 * LINE_LENGTH
 """Longer lines are not read: they are refused anyway."""
-_INTERRUPT = (
-    re.compile(
-        r"GLOBAL\s+INTERRUPT\s+DECL\s+3\s+WHEN\s+\$STOPMESS\s*==\s*TRUE\s+DO\s+IR_STOPM\s*\(\s*\)",
-        re.IGNORECASE,
-    ),
-    re.compile(r"INTERRUPT\s+ON\s+3", re.IGNORECASE),
-)
-"""The stop interrupt that every program of the controller's own template begins with, and no other one."""
 _SEGMENT = re.compile(r"Segment (\S[^:]*):", re.ASCII)
 
 # the guarded wait, statement by statement
@@ -124,6 +119,7 @@ class Reader:
         self._head()
         name = self._frame(_DEF, "DEF name()")
         external: list[str] = []
+        declared: list[tuple[str, str]] = []
         body: list[Statement] = []
         ended = False
         while self.at < len(self.rows):
@@ -148,14 +144,21 @@ class Reader:
             elif found := _EXT.fullmatch(code):
                 if body and any(not isinstance(statement, Said) for statement in body):
                     self.fault(line, "syntax", "EXT stands behind statements; it belongs right behind DEF")
+                if found[1].lower() == "bas":
+                    self.fault(line, "syntax", "BAS has parameters: EXT BAS (BAS_COMMAND :IN,REAL :IN )")
                 external.append(found[1].lower())
+            elif _EXT_BAS.fullmatch(code) and not any(not isinstance(one, Said) for one in body):
+                external.append("bas")
+            elif (found_ := variables(code)) and not any(not isinstance(one, Said) for one in body):
+                declared += found_
             else:
                 statement = self._statement(line, code)
                 body += [] if statement is None else [statement]
                 body += said(line, text)
         if not ended:
             self.fault(len(self.rows), "syntax", "there is no END")
-        return None if name is None else Program(self.file, name, tuple(external), tuple(body))
+        parts = (tuple(external), tuple(body), tuple(declared))
+        return None if name is None else Program(self.file, name, *parts)
 
     def _statement(self, line: int, code: str) -> Statement | None:
         if _GUARD[0].fullmatch(code):
@@ -169,14 +172,47 @@ class Reader:
             except KrlValueError as wrong:
                 self.fault(line, wrong.kind, wrong.message)
                 return None
+        if forms := [form for form in FORMS if form.rows[0].fullmatch(code)]:
+            return self._form(line, forms)
         self.fault(line, "syntax", f"{_shown(code)}: no statement of the programs that are understood")
         return None
+
+    def _form(self, line: int, forms: list[Form]) -> Statement | None:
+        """The one of the forms that goes on as the rows do from ``line`` on."""
+        form, found, end = max(
+            ((form, *self._found(line, form)) for form in forms), key=lambda one: len(one[1])
+        )
+        self.at = end
+        if len(found) < len(form.rows):
+            row = self.rows[end].strip() if end < len(self.rows) else ""
+            self.fault(end + 1, "syntax", f"{_shown(row)}: not what comes next in {form.what}")
+            return None
+        try:
+            return form.make(line, found)
+        except KrlValueError as wrong:
+            self.fault(line, wrong.kind, wrong.message)
+            return None
+
+    def _found(self, line: int, form: Form) -> tuple[list[re.Match[str]], int]:
+        """The rows of a form from ``line`` on, as far as they match, and the index of the row behind them."""
+        found: list[re.Match[str]] = []
+        at = line - 1
+        for pattern in form.rows:
+            while at < len(self.rows) and (self.rows[at].strip() or ";").startswith(";"):
+                at += 1
+            code = parted(self.rows[at].strip())[0] if at < len(self.rows) else ""
+            match = pattern.fullmatch(code)
+            if match is None:
+                break
+            found.append(match)
+            at += 1
+        return found, at
 
     def _listen(self, line: int) -> Statement | None:
         """The guarded wait, whose first statement has been read."""
         found: list[re.Match[str]] = []
         for pattern in _GUARD[1:]:
-            while self.at < len(self.rows) and self.rows[self.at].strip().startswith(";"):
+            while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
                 self.at += 1
             code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
             match = pattern.fullmatch(code)
@@ -350,8 +386,6 @@ _FORMS: tuple[tuple[re.Pattern[str], Callable[[int, re.Match[str]], Statement]],
     (_STRAIGHT, _straight),
     (_PTP, lambda line, found: Joint(line, found[1].lower())),
     (_WAIT, _pause),
-    (_INTERRUPT[0], lambda line, _: Interrupt(line, False)),
-    (_INTERRUPT[1], lambda line, _: Interrupt(line, True)),
     (re.compile(r"BAS\s*\(\s*#INITMOV\s*,\s*0\s*\)", re.IGNORECASE), lambda line, _: Start(line)),
     (re.compile(r"HALT", re.IGNORECASE), lambda line, _: Halt(line)),
     (_CALL, lambda line, found: Call(line, found[1].lower())),

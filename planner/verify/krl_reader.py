@@ -6,13 +6,15 @@ with the writer: it knows the language from docs/krl.md and the sources named th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from planner.verify.faults import Fault
 from planner.verify.krl_ast import Call, DataList, Joint, Program, Set, Statement, Straight
 from planner.verify.krl_flow import Runner, Signals
+from planner.verify.krl_forms import VARIABLES
+from planner.verify.krl_panel import Panel
 from planner.verify.krl_parser import Reader
 from planner.verify.krl_words import FRAMES
 from planner.verify.steps import Step
@@ -30,11 +32,12 @@ _WORDS: dict[str, dict[str, tuple[str, ...]]] = {
 @dataclass(frozen=True, slots=True)
 class KrlText:
     """The programs of one arm. `programs` by name in lower case; `data` None where there is no data list; all
-    `faults`; `name` that of the main program."""
+    `faults`; the `dialect` of the controller."""
 
     programs: Mapping[str, Program]
     data: DataList | None
     faults: tuple[Fault, ...]
+    dialect: str
 
     @property
     def main(self) -> Program | None:
@@ -83,16 +86,20 @@ def read(files: Mapping[str, str], most_bytes: int, dialect: str) -> KrlText:
     if len(lists) != 1:
         what = f"the programs have {len(lists)} data lists; they need one"
         faults.append(Fault(1, 1, "krl.undeclared", what, lists[1].file if lists else next(iter(files), "")))
-    text_ = KrlText(programs, lists[0] if lists else None, ())
-    return KrlText(programs, text_.data, (*faults, *_checked(text_, dialect)))
+    text_ = KrlText(programs, lists[0] if lists else None, (), dialect)
+    return KrlText(programs, text_.data, (*faults, *_checked(text_, dialect)), dialect)
 
 
-def flow(text: KrlText, base: Array, signals: Signals) -> tuple[tuple[Step, ...], frozenset[str]]:
+def flow(
+    text: KrlText, base: Array, signals: Signals, arm: str, others: Sequence[str] = ()
+) -> tuple[tuple[Step, ...], frozenset[str]]:
     """Steps of the main program, and names of the programs that ran. ``base`` (4, 4): the robot's foot in the
-    world. For texts without faults. Raises `FlowError`."""
+    world; ``arm``, ``others``: the names of its arm and of those that it may wait for. For texts without
+    faults. Raises `FlowError`."""
     if text.main is None or text.data is None:
         return (), frozenset()
-    runner = Runner(text.programs, text.data, base, signals)
+    panel = Panel(text.dialect, arm, others)
+    runner = Runner(text.programs, text.data, base, signals, panel)
     return runner.run(text.main), frozenset(runner.entered)
 
 
@@ -108,17 +115,25 @@ def _checked(text: KrlText, dialect: str) -> Iterator[Fault]:
             what = f"{item.name} is a program too; names must differ"
             yield Fault(item.line, 1, "krl.name_duplicate", what, data.file)
     for program in text.programs.values():
-        yield from _externals(program, text.programs, dialect)
+        yield from _externals(program, text, dialect)
         for statement in program.body:
             for kind, what in _used(statement, text, dialect):
                 yield Fault(statement.line, 1, f"krl.{kind}", what, program.file)
 
 
-def _externals(program: Program, programs: Mapping[str, Program], dialect: str) -> Iterator[Fault]:
-    """Faults of EXT declarations: the older dialect needs one for each subprogram, the newer one none."""
+def _externals(program: Program, text: KrlText, dialect: str) -> Iterator[Fault]:
+    """Faults of EXT declarations: the older dialect needs one for each subprogram, the newer one none; and of
+    variables, which the main program alone has."""
     called = {statement.name for statement in program.body if isinstance(statement, Call)}
+    main = program is text.main
+    wanted = VARIABLES[dialect] if main else {}
+    if {name: kind for kind, name in program.variables} != wanted or len(program.variables) != len(wanted):
+        known = ", ".join(f"{kind} {name}" for name, kind in wanted.items()) or "none"
+        what = f"{program.name} declares other variables than it may and must have: {known}"
+        yield Fault(1, 1, "krl.undeclared", what, program.file)
+    called |= {"bas"} if main else set()
     for word in program.external:
-        if word not in programs:
+        if word not in text.programs and not (main and word == "bas"):
             yield Fault(1, 1, "krl.undeclared", f"EXT {word}() is none of the files", program.file)
     if dialect == "krc2" and (lost := sorted(called - set(program.external))):
         yield Fault(1, 1, "krl.undeclared", f"{lost[0]}() is called without EXT", program.file)

@@ -18,10 +18,12 @@ endif endloop endspline endswitch endwhile enum exit exor ext extfct fals false 
 import int interrupt is joint lin lin_rel loop maximum minimum not or p path pos priority private ptp ptp_rel
 public pulse real repeat resume return scirc sec signal slin spl spline sptp sref stop struc switch then
 time_block to trigger true until wait when while with e6pos e6axis axis load load_data
-tool_data base_data main bas ir_stopm
+tool_data base_data main bas ir_stopm krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlgsk_t set_krlmsg set_krldlg
+exists_krlmsg exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone
+tm_shift tm_turn
 """
 RESERVED: Final = frozenset(_WORDS.split())
-"""Words of the language and names of its own routines and types."""
+"""Words of the language, names of its own routines and types, and those of our variables."""
 
 
 class Range(NamedTuple):
@@ -41,11 +43,20 @@ MOVING: Final = {
 }
 """Settings of files with moves; each of these files makes all of them before its first move."""
 AXES: Final = tuple(f"$vel_axis[{axis}]" for axis in range(1, 7))
-NUMBERS: Final = {**MOVING, "$advance": Range(0.0, 5.0, True), **dict.fromkeys(AXES, Range(1.0, 100.0, True))}
+NUMBERS: Final = {**MOVING, **dict.fromkeys(AXES, Range(1.0, 100.0, True))}
 """All settings that are numbers."""
-CHOICES: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",)}
-"""Settings that are words, with those that are understood: tools in hand, and turns at a constant rate."""
+CHOICES: Final = {"$ipo_mode": ("#base",), "$ori_type": ("#var",), "$advance": ("3",)}
+"""Settings with the values that are understood: tools in hand, turns at a constant rate, and an advance run,
+without which each corner is a stop."""
 FRAMES: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
 """Settings that name data, with their type."""
 WORLD: Final = "b_world"
 """What the frame is called that is the cell's world, as the robot's foot sees it."""
+WAITING: Final = "Waiting for arm {}."
+TOGETHER: Final = "Moves with arm {} and waits for it where they meet."
+"""What the panel says while a program waits for the other arm."""
+FOOT: Final = "Arm {}: $ROBROOT is off zero by %1 mm, %2 deg"
+"""What it says of a robot's foot that is not where the program has it."""
+FOOT_SHIFT: Final = 0.1
+FOOT_TURN: Final = 0.02
+"""How far $ROBROOT may be off zero: its way [mm], and the sum of its angles [deg]."""

@@ -18,8 +18,9 @@ import numpy as np
 from planner.problem import Arm, Problem
 from planner.verify import job, krl_flow, krl_reader
 from planner.verify.faults import Fault, FlowError
-from planner.verify.krl_ast import Halt, Listen, Output, Program, Said, Start
+from planner.verify.krl_ast import Listen, Output, Program, Said, Start
 from planner.verify.krl_ast import Statement as KrlStatement
+from planner.verify.krl_panel import Panel
 from planner.verify.program_text import settled, strange
 from planner.verify.rapid_ast import Data, For, If, Module, Procedure, Statement, While
 from planner.verify.rapid_evaluate import UNKNOWN
@@ -262,7 +263,8 @@ def _krl(problem: Problem, arm: Arm, name: str, unit: str, files: Mapping[str, s
     way: list[MoveStep | Gap] = []
     if text.main is not None and text.data is not None:
         base = arm.base if text.base is None else text.base
-        runner = _Krl(text.programs, text.data, base, job.krl_signals(problem, arm))
+        panel = Panel(text.dialect, arm.name, ())
+        runner = _Krl(text.programs, text.data, base, job.krl_signals(problem, arm), panel)
         runner.begin(faults)
         runner.go(text.main)
         faults += runner.lost
@@ -298,7 +300,7 @@ class _Krl(krl_flow.Runner):
     def _block(self, body: Sequence[KrlStatement]) -> None:
         last = 0
         for statement in body:
-            if isinstance(statement, Said | Halt | Output | Listen | Start):
+            if isinstance(statement, Said | Output | Listen | Start):
                 if isinstance(statement, Said) and statement.kind == "segment":
                     self.procedure = statement.text
                 continue
@@ -331,6 +333,12 @@ class _Krl(krl_flow.Runner):
         if item is None or item.kind != "frame":
             self._fail(line, "the tool of this move is not read")
         return Tool(True, item.value, _NO_LOAD), item.name
+
+    def _hear(self, statement: KrlStatement) -> None:
+        """What is shown and asked is left to its owner, too."""
+
+    def _close(self, line: int) -> None:
+        """So is how the program ends."""
 
     def _carry(self, line: int) -> None:
         """Loads are left to their owner."""

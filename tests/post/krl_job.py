@@ -79,7 +79,7 @@ def flat(files, arm="left", stem="test"):
 
     def walk(name):
         for line in body(files[f"{arm}/{name}.src"]):
-            if line.startswith(("&", "DEF ", "EXT ")) or line == "END":
+            if line.startswith(("&", "DEF ", "EXT ", "DECL ")) or line == "END":
                 continue
             if line.endswith("()") and f"{arm}/{line[:-2]}.src" in files:
                 yield from walk(line[:-2])
@@ -87,6 +87,36 @@ def flat(files, arm="left", stem="test"):
                 yield line
 
     return list(walk(stem))
+
+
+def folded(statements):
+    """Statements with dialogs, messages and looks at the robot's foot as one word each: ASK and READ with
+    the text that was put together, TELL, SHOW, CLEAR, FOOT."""
+    out, asked, at = [], "", 0
+    while at < len(statements):
+        line = statements[at]
+        text = re.search(r'Msg_txt\[\] "(.*)"\}$', statements[at + 2 if line == "tm_answer=0" else at])
+        if line == "tm_answer=0":
+            asked = f"{asked} {text.group(1)}".strip()
+            key = re.search(r'"(\w+)"', statements[at + 3]).group(1)
+            if key != "Next":
+                out.append(f"{'ASK' if key == 'Yes' else key.upper()} {asked}")
+                asked = ""
+            at += 11
+        elif line.startswith("tm_msg="):
+            out.append(f"{'TELL' if '#NOTIFY' in statements[at + 1] else 'SHOW'} {text.group(1)}")
+            at += 2
+        elif line.startswith("tm_shift="):
+            out.append("FOOT")
+            at = statements.index("ENDWHILE", at) + 1
+            at += 2 * statements[at].startswith("tm_par")
+        elif line.startswith("tm_gone="):
+            out.append("CLEAR")
+            at += 1
+        else:
+            out += [] if line.startswith(("tm_", "DECL ")) else [line]
+            at += 1
+    return out
 
 
 def data(files, arm="left", stem="test"):

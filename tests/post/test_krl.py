@@ -218,7 +218,7 @@ def test_an_arm_that_stands_while_the_other_one_moves_waits():
 def test_the_arm_stands_before_everything_that_stops_the_advance_run(small):
     last = "PTP"
     for line in flat(small[2]):
-        if line.startswith(("$OUT", "WAIT", "HALT", "PTP", "WHILE")):
+        if line.startswith(("$OUT", "WAIT", "HALT", "PTP", "WHILE", "tm_")):
             assert "C_" not in last
         if line.startswith(("PTP", "SLIN")):
             last = line
@@ -282,9 +282,12 @@ def test_setups_are_told_and_confirmed_at_home():
     text = files["left/test.src"]
     assert text.index("Turn the block and clamp it again.") < text.index("Setup 2 done as told")
     lines = body(text)
-    halts = [i for i, line in enumerate(lines) if line == "HALT"]
-    assert len(halts) == 3
-    assert [line for line in lines[: halts[2]] if line.startswith("PTP")][-1] == "PTP x_home"
+    panel = krl_job.folded(lines)
+    asked = [i for i, line in enumerate(panel) if line.startswith("ASK")]
+    assert len(asked) == 3
+    assert [line for line in panel[: asked[2]] if line.startswith("PTP")][-1] == "PTP x_home"
+    read = [line for line in panel[asked[1] : asked[2]] if line.startswith("READ")]
+    assert read == [f"READ {step}" for step in problem.setups[1].steps]
     assert {"$BASE=b_stock", "$BASE=b_stock_2", "$TOOL=t_holder"} <= set(lines)
     second_base = pose(list(data(files)["b_stock_2"].values()))
     assert np.allclose(second_base, inverse(plan.bases["left"]) @ synthetic.TURNED, atol=1e-6)

@@ -23,8 +23,7 @@ def run(files, arm, model):
     if model == ABB:
         return rapid_side.run(files, arm)
     out, inside = [], False
-    texts = {name: told(text) for name, text in files.items()}
-    for line in krl_job.flat(texts, arm):
+    for line in krl_job.folded(krl_job.flat(files, arm)):
         waiting = WAIT.match(line)
         if waiting:
             out.append(("wait", "diPartner", 1 if waiting.group(1) == "FALSE" else 0))
@@ -35,7 +34,7 @@ def run(files, arm, model):
             assert line in ("HALT", "$TIMER[1]=0", "ENDIF", "WAIT SEC 0.01") or line.startswith("IF $TIMER")
         elif line.startswith("$OUT[1]="):
             out.append(("set", "doPartner", int(line.endswith("TRUE"))))
-        elif line == "HALT":
+        elif line.startswith("ASK"):
             out.append(("UIMsgBox", line, 0))
         elif line.startswith("TELL"):
             out.append(("TPWrite", line, 0))
@@ -44,11 +43,6 @@ def run(files, arm, model):
         elif line.startswith(("SLIN", "LIN")):
             out.append(("MoveL", line, 0))
     return out
-
-
-def told(text):
-    """The text with the comment on the panel as a statement."""
-    return text.replace(";* Ready to meet", "TELL")
 
 
 @pytest.mark.parametrize("models", [(KUKA, KUKA), (KUKA, ABB), (ABB, KUKA)])
@@ -91,7 +85,7 @@ def test_every_meeting_behind_a_move_follows_an_exact_stop():
 def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_the_lines():
     text = programs(*krl_job.two())["left/test.src"]
     lines = krl_job.body(text)
-    begins = [i for i, line in enumerate(lines) if line.startswith("WHILE")]
+    begins = [i for i, line in enumerate(lines) if line.startswith("WHILE $IN")]
     assert len(begins) > 4
     for i in begins:
         assert lines[i - 2 : i] == ["$TIMER[1]=0", "$TIMER_STOP[1]=FALSE"]
@@ -102,6 +96,39 @@ def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_
     limits = [int(found) for found in re.findall(r"\$TIMER\[1\]>(\d+) ", text)]
     assert min(limits) == 30_000 and max(limits) == 3_600_000
     assert "Arm right did not answer in time." in text
+
+
+@pytest.mark.parametrize(("kind", "every"), [("four_phase", 1), ("toggle", 3)])
+def test_the_panel_says_what_a_program_waits_for_and_takes_it_back(kind, every):
+    files = programs(*krl_job.two(kind=kind, every=every))
+    for arm, other in (("left", "right"), ("right", "left")):
+        main = krl_job.folded(krl_job.body(files[f"{arm}/test.src"]))
+        shown = ""
+        for line in main:
+            if line.startswith("SHOW"):
+                assert not shown
+                shown = line
+            elif line == "CLEAR":
+                assert shown
+                shown = ""
+            elif line.startswith("WHILE $IN"):
+                assert shown == f"SHOW Waiting for arm {other}."
+            elif line == "test_1()":
+                assert shown == f"SHOW Moves with arm {other} and waits for it where they meet."
+            elif line.startswith(("PTP", "ASK")):
+                assert not shown
+        assert not shown
+
+
+def test_the_older_dialect_shows_nothing_while_it_waits_and_halts_in_no_mode_of_a_plc():
+    files = programs(*krl_job.two(dialect="krc2"))
+    lines = krl_job.body(files["left/test.src"])
+    assert not any("tm_msg" in line or "Krl" in line for line in lines)
+    halts = [i for i, line in enumerate(lines) if line == "HALT"]
+    for i in halts:  # a question, a wait that is over its time, or the refusal itself
+        behind = lines[i + 1]
+        assert behind in ("WHILE $MODE_OP==#EX", "$TIMER[1]=0", "ENDWHILE") or behind.startswith("tm_shift=")
+    assert lines.count("WHILE $MODE_OP==#EX") == 3
 
 
 def test_each_brand_gets_its_language_and_the_rapid_one_reads():

@@ -300,6 +300,11 @@ KRL: Final = (
         "gcode_krl",
         {"post.krl_main:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
     ),
+    Fault("krl_nobody_asked", "posed_krl", {"post.krl_panel:asked": always([])}),
+    Fault("krl_asked_by_halt", "gcode_krl", {"post.krl_panel:asked": given(1, lambda dialect: "krc2")}),
+    Fault("krl_told_in_comments", "gcode_krl", {"post.krl_panel:told": given(1, lambda dialect: "krc2")}),
+    Fault("krl_foot_not_looked_at", "posed_krl", {"post.krl_panel:foot": always([])}),
+    Fault("krl_foot_of_another_arm", "posed_krl", {"post.krl_panel:foot": given(0, lambda arm: "other")}),
 )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
 
 from planner.claims import FollowsPoses
+from planner.post import write
 from tests.verify import straight_job
 
 MODEL = "kr10_r1100"
@@ -33,3 +35,16 @@ def claims(count=12):
 def programs(count=12):
     """The texts of the job as the planner writes them."""
     return straight_job.programs(count, MODEL)
+
+
+def older():
+    """The problem with a controller of the older dialect."""
+    made = problem()
+    controller = dataclasses.replace(made.cell.controller, dialect="krc2")
+    return dataclasses.replace(made, cell=dataclasses.replace(made.cell, controller=controller))
+
+
+@functools.cache
+def older_programs(count=12):
+    """The texts of the job in the older dialect."""
+    return write.programs(straight_job.plan(count, model=MODEL), older())

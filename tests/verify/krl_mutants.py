@@ -149,11 +149,6 @@ def frame_later(rng, texts):
     return edit(rng, texts, MAIN, r"^straight_\d", lambda row: f"$BASE=b_stock\n{row}")
 
 
-@mutator("verify.syntax")
-def no_question(rng, texts):
-    return edit(rng, texts, MAIN, r"^;\?", lambda row: "; " + row[2:])
-
-
 @mutator("verify.declarations")
 def undeclared(rng, texts):
     return edit(rng, texts, MAIN, r"^(PTP |\$BASE=|\$TOOL=|\$LOAD=)", lambda row: row + "_x")
@@ -279,21 +274,8 @@ def _swapped(text, a, b):
 
 
 @mutator("verify.setup")
-def not_told(rng, texts):
-    return edit(rng, texts, MAIN, r"^;\*", lambda row: "; " + row[2:])
-
-
-@mutator("verify.setup")
 def other_question(rng, texts):
-    return edit(rng, texts, MAIN, r"^;\? Setup", lambda row: row.replace("done", "ready"))
-
-
-@mutator("verify.setup")
-def setup_not_asked(rng, texts):
-    rows = rows_of(texts, MAIN)
-    i = pick(rng, where(rows, r"^;\? Setup"))
-    del rows[i : i + 2]
-    return put(texts, MAIN, rows)
+    return edit(rng, texts, MAIN, r"\"Setup \d", lambda row: row.replace("done", "ready"))
 
 
 @mutator("verify.signals")

@@ -85,6 +85,32 @@ def faults(rows, i):
         yield "on the fly", [*rows[: i - 1], rows[i - 1] + " C_SPL", *rows[i:]]
 
 
+STATE = re.compile(r"tm_state=Set_KrlMsg\(#STATE")
+GONE = re.compile(r"tm_gone=Clear")
+
+
+def panel_faults(rows, i):
+    """What is done to a text that the panel shows during a wait, at the row that shows or clears it."""
+    row, text = rows[i], rows[i - 1]
+    if STATE.match(row):
+        yield "left out", [*rows[: i - 1], *rows[i + 1 :]]
+        yield "as a note", [*rows[:i], row.replace("tm_state", "tm_ticket").replace("STATE", "NOTIFY")]
+        yield "as a wait", [*rows[:i], row.replace("STATE", "WAITING"), *rows[i + 1 :]]
+        yield "of the other", [*rows[: i - 1], _swapped(text), *rows[i:]]
+        yield "a tale", [*rows[: i - 1], re.sub('txt\\[\\] ".*"', 'txt[] "Ready."', text), *rows[i:]]
+        yield "too early", [*rows[: i - 1], *rows[i - 1 : i + 1], "WAIT SEC 1", *rows[i + 1 :]]
+    elif GONE.match(row):
+        yield "left out", [*rows[:i], *rows[i + 1 :]]
+        yield "doubled", [*rows[:i], row, *rows[i:]]
+        yield "of a note", [*rows[:i], row.replace("tm_state", "tm_ticket"), *rows[i + 1 :]]
+        if not rows[i + 1].startswith(";"):
+            yield "later", [*rows[:i], rows[i + 1], row, *rows[i + 2 :]]
+
+
+def _swapped(text):
+    return text.replace("arm left", "\0").replace("arm right", "arm left").replace("\0", "arm right")
+
+
 def _other(row):
     return row.replace("TRUE", "\0").replace("FALSE", "TRUE").replace("\0", "FALSE")
 
@@ -104,3 +130,32 @@ def test_every_fault_in_every_statement_is_caught(kind, every):
                     passed.append((file, i + 1, what))
     assert tried >= 100
     assert passed == []
+
+
+@pytest.mark.parametrize(("kind", "every"), [pytest.param(*FORMS[0], marks=pytest.mark.long), *FORMS[1:]])
+def test_every_fault_in_what_the_panel_says_while_a_program_waits_is_caught(kind, every):
+    _, texts = job(KUKAS, kind, every)
+    passed, tried = [], 0
+    for file, text in texts.items():
+        rows = text.split("\r\n")
+        for i in range(len(rows)):
+            for what, changed in panel_faults(rows, i):
+                tried += 1
+                mutant = {**texts, file: "\r\n".join(changed)}
+                assert mutant != texts
+                if not broken(KUKAS, kind, every, mutant):
+                    passed.append((file, i + 1, what))
+    assert tried >= 60
+    assert passed == []
+
+
+def test_the_older_dialect_meets_too():
+    problem, texts = job_of("krc2")
+    proof = Prover(problem, {"panel": ()}).prove(texts)
+    assert proof.rule("verify.handshake").passed and proof.rule("verify.syntax").passed
+    assert [str(issue) for issue in proof.issues if issue.code in ("verify.syntax", "verify.setup")] == []
+
+
+def job_of(dialect):
+    plan, problem = krl_job.two(KUKAS, dialect=dialect)
+    return problem, write.programs(plan, problem)

@@ -13,28 +13,30 @@ from tests.milling.small_mill import WALL
 from tests.verify.test_rules_milling import Job
 
 MAIN, MOVES = "robot/wall.src", "robot/wall_1.src"
-READY = r"^;\? Block and cutter.*\r\nHALT\r\n"
+BLOCK = r"tm_answer=0\r\nWHILE tm_answer<>1\r\ntm_msg=.*{text}.*\r\n(?:.*\r\n){{8}}"
+"""A dialog with some text in it, eleven rows."""
+READY = BLOCK.format(text="Block and cutter")
+TOLD = rf"(?:tm_answer=0\r\n(?:.*\r\n){{10}})+?{READY}"
+"""The question with what is to be read before it."""
+DONE = BLOCK.format(text="Spindle st")
 
 FAULTS: dict[str, tuple[str, str, str, str]] = {
-    "nobody is asked before the arm moves": ("verify.setup", MAIN, r"^;\? Is the stock.*\r\nHALT\r\n", ""),
-    "nobody is asked before the spindle": ("verify.spindle", MAIN, READY, ""),
-    "something else is asked": ("verify.spindle", MAIN, r"^;\? Block and.*\r", ";? Coffee?\r"),
-    "asked when it runs already": (
-        "verify.spindle",
-        MAIN,
-        rf"({READY})(\$OUT\[17\]=TRUE.*\r\n)".replace("^", ""),
-        r"\2\1",
-    ),
+    "nobody is asked before the arm moves": ("verify.setup", MAIN, BLOCK.format(text="Is the stock"), ""),
+    "nobody is asked before the spindle": ("verify.spindle", MAIN, TOLD, ""),
+    "a text to be read that no question follows": ("verify.syntax", MAIN, READY, ""),
+    "something else is asked": ("verify.spindle", MAIN, r'"Block and cutter[^"]*"', '"Coffee?"'),
+    "asked when it runs already": ("verify.spindle", MAIN, rf"({TOLD})(\$OUT\[17\]=TRUE.*\r\n)", r"\2\1"),
     "another speed is told": ("verify.spindle", MAIN, "12000 1/min", "22000 1/min"),
     "another cutter is told": ("verify.spindle", MAIN, "mill of 12 mm", "mill of 10 mm"),
-    "nothing is told": ("verify.spindle", MAIN, r"^;\* Block.*\r\n", ""),
-    "hands come near while it runs down": (
-        "verify.spindle",
+    "nothing is told": ("verify.spindle", MAIN, BLOCK.format(text="1/min"), ""),
+    "hands come near while it runs down": ("verify.spindle", MAIN, rf"WAIT SEC 1\r\n({DONE})", r"\1"),
+    "nobody says that it stands": ("verify.spindle", MAIN, DONE, ""),
+    "a PLC says that the block is clamped": (
+        "verify.syntax",
         MAIN,
-        r"WAIT SEC 1\r\n(;\? Spindle)",
-        r"\1",
+        READY,
+        ";? Block and cutter?\r\nHALT\r\n",
     ),
-    "nobody says that it stands": ("verify.spindle", MAIN, r"^;\? Spindle.*\r\nHALT\r\n", ""),
     "a run before has left it on": ("verify.signals", MAIN, r"^\$OUT\[17\]=FALSE.*\r\n", ""),
     "another output": ("verify.signals", MAIN, r"\$OUT\[17\]=TRUE", "$OUT[18]=TRUE"),
     "deeper than stated": ("verify.mill_path", MOVES, r"Z (1\d\.\d{4})", "Z 8.0000"),

@@ -32,16 +32,79 @@ DECL E6AXIS x_home={{A1 0.000000,A2 -90.000000,A3 90.000000,A4 0.000000,A5 30.00
 DECL E6POS p_1_start={{X -12.0000,Y 40.0000,Z 210.0000,A 12.50000,B 80.00000,C -4.00000,S 2,T 35,{OUTER}}}
 ENDDAT
 """
-MAIN = """DEF wall()
-BAS(#INITMOV,0)
+OLD_VARIABLES = "DECL REAL tm_shift,tm_turn\n"
+VARIABLES = f"""DECL KrlMsg_T tm_msg
+DECL KrlMsgPar_T tm_par[3]
+DECL KrlMsgOpt_T tm_opt
+DECL KrlMsgDlgSK_T tm_key[7]
+DECL INT tm_ticket,tm_state,tm_answer
+DECL BOOL tm_gone
+{OLD_VARIABLES}"""
+INTERRUPT = """GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )
+INTERRUPT ON 3
+"""
+EMPTY = "".join(
+    f"tm_{kind}[{i}]={{{word} #EMPTY}}\n"
+    for kind, word, numbers in (("par", "Par_Type", range(1, 4)), ("key", "SK_type", range(3, 8)))
+    for i in numbers
+)
+OPTIONS = f"tm_opt={{VL_Stop TRUE,Clear_P_Reset TRUE,Clear_P_SAW TRUE,Log_To_DB FALSE}}\n{EMPTY}"
+LOOKED = """tm_shift=SQRT($ROBROOT.X*$ROBROOT.X+$ROBROOT.Y*$ROBROOT.Y+$ROBROOT.Z*$ROBROOT.Z)
+tm_turn=ABS($ROBROOT.A)+ABS($ROBROOT.B)+ABS($ROBROOT.C)
+"""
+OLD_FOOT = f"""{LOOKED}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
+HALT
+{LOOKED}ENDWHILE
+"""
+
+
+def message(text):
+    """The row that sets the text of a message."""
+    return f'tm_msg={{Modul[] "Tandem",Nr 1,Msg_txt[] "{text}"}}\n'
+
+
+def notify(text):
+    """A note on the panel."""
+    return f"{message(text)}tm_ticket=Set_KrlMsg(#NOTIFY,tm_msg,tm_par[],tm_opt)\n"
+
+
+FOOT = f"""{LOOKED}WHILE (tm_shift>0.1) OR (tm_turn>0.02)
+tm_par[1].Par_Type=#VALUE
+tm_par[1].Par_Real=tm_shift
+tm_par[2].Par_Type=#VALUE
+tm_par[2].Par_Real=tm_turn
+{notify("Arm left: $ROBROOT is off zero by %1 mm, %2 deg")}HALT
+{LOOKED}ENDWHILE
+tm_par[1].Par_Type=#EMPTY
+tm_par[2].Par_Type=#EMPTY
+"""
+
+
+def dialog(text, yes="Yes", no="No"):
+    """A dialog as docs/krl.md has it."""
+    other = f'{{SK_type #VALUE,SK_txt[] "{no}"}}' if no else "{SK_type #EMPTY}"
+    return f"""tm_answer=0
+WHILE tm_answer<>1
+{message(text)}tm_key[1]={{SK_type #VALUE,SK_txt[] "{yes}"}}
+tm_key[2]={other}
+tm_ticket=Set_KrlDlg(tm_msg,tm_par[],tm_key[],tm_opt)
+WHILE Exists_KrlDlg(tm_ticket,tm_answer)
+WAIT SEC 0.1
+ENDWHILE
+WAIT SEC 0.1
+ENDWHILE
+"""
+
+
+NOT_EXTERNAL = "WHILE $MODE_OP==#EX\nHALT\nENDWHILE\n"
+ASKED = dialog("Is the stock in place", "Next", "") + dialog("and the way of the arm clear?")
+MAIN = f"""DEF wall()
+{VARIABLES}{INTERRUPT}BAS(#INITMOV,0)
 $ADVANCE=3
 $IPO_MODE=#BASE
 $ORI_TYPE=#VAR
 $OUT[17]=FALSE ; doSpindle
-;? Is the stock in place
-;? and the way of the arm clear?
-HALT
-$TOOL=t_mill
+{OPTIONS}{FOOT}{ASKED}$TOOL=t_mill
 $LOAD=l_mill
 $BASE=b_stock
 $VEL_AXIS[1]=12
@@ -52,14 +115,20 @@ $VEL_AXIS[5]=12
 $VEL_AXIS[6]=12
 PTP x_home
 PTP p_1_start
-;* The spindle starts.
-$OUT[17]=TRUE
+{notify("The spindle starts.")}$OUT[17]=TRUE
 WAIT SEC 2.5
 wall_1()
 $OUT[17]=FALSE
 PTP x_home
 END
 """
+OLDER = (
+    MAIN.replace(VARIABLES, "EXT BAS (BAS_COMMAND :IN,REAL :IN )\nEXT wall_1()\n" + OLD_VARIABLES)
+    .replace(OPTIONS + FOOT, NOT_EXTERNAL + OLD_FOOT)
+    .replace(ASKED, ";? Is the stock in place\n;? and the way of the arm clear?\nHALT\n" + NOT_EXTERNAL)
+    .replace(notify("The spindle starts."), ";* The spindle starts.\n")
+)
+"""The same program for the older dialect."""
 MOVES = """DEF wall_1()
 ; Segment approach: 2 moves, 1.50 s.
 $VEL.CP=0.02000000
@@ -90,10 +159,11 @@ def read(dialect="krc4", **changed):
     return krl_reader.read(texts(**changed), 100_000, dialect)
 
 
-def steps(**changed):
-    text = read(**changed)
+def steps(dialect="krc4", **changed):
+    text = read(dialect, **changed)
     assert text.faults == ()
-    return krl_reader.flow(text, text.base, Signals({17: "doSpindle"}, {5: "diPartner"}))[0]
+    signals = Signals({17: "doSpindle"}, {5: "diPartner"})
+    return krl_reader.flow(text, text.base, signals, "left", ["right"])[0]
 
 
 def kinds(**changed):
@@ -109,10 +179,11 @@ def test_the_way_through_the_files():
             "$IPO_MODE",
             "$ORI_TYPE",
             "$OUT",
-            "HALT",
+            "$ROBROOT",
+            "Set_KrlDlg",
             "PTP",
             "PTP",
-            ";*",
+            "#NOTIFY",
             "$OUT",
         ),
         *("WAIT SEC", "SLIN", "SLIN", "WAIT SEC", "SLIN", "$OUT", "PTP"),
@@ -175,12 +246,17 @@ $TIMER_STOP[1]=TRUE
 """
 
 
+STATE = message("Waiting for arm right.") + "tm_state=Set_KrlMsg(#STATE,tm_msg,tm_par[],tm_opt)\n"
+CLEARED = "tm_gone=Clear_KrlMsg(tm_state)\n"
+WAITS = MAIN.replace("wall_1()\n", STATE + WAIT + CLEARED + "wall_1()\n")
+
+
 def test_a_guarded_wait_is_one_step():
-    found = [
-        s for s in steps(main=MAIN.replace("wall_1()\n", WAIT + "wall_1()\n")) if isinstance(s, WaitStep)
-    ]
-    wait = found[-1]
+    found = steps(main=WAITS)
+    wait = [s for s in found if isinstance(s, WaitStep)][-1]
     assert (wait.signal, wait.value, wait.seconds, wait.flag) == ("diPartner", 1.0, 30.0, "")
+    shown = found[found.index(wait) - 1]
+    assert (shown.kind, shown.text, shown.panel) == ("#STATE", "Waiting for arm right.", "")
 
 
 @pytest.mark.parametrize("row", range(1, 11))
@@ -208,6 +284,54 @@ FAULTS = {
     "other corner": ("moves", "} C_SPL", "} C_PTP", "syntax"),
     "two corners": ("moves", "} C_SPL", "} C_SPL C_DIS", "syntax"),
     "a strange setting": ("main", "$ADVANCE=3", "$OV_PRO=50", "syntax"),
+    "no advance run": ("main", "$ADVANCE=3", "$ADVANCE=0", "type"),
+    "a lost variable": ("main", "DECL BOOL tm_gone\n", "", "undeclared"),
+    "a variable of another type": ("main", "DECL BOOL tm_gone", "DECL INT tm_gone", "undeclared"),
+    "a variable twice": ("main", "DECL BOOL tm_gone", "DECL BOOL tm_gone,tm_gone", "undeclared"),
+    "a variable among moves": ("moves", "$VEL.CP", "DECL INT n\n$VEL.CP", "undeclared"),
+    "another interrupt": ("main", "INTERRUPT ON 3", "INTERRUPT ON 4", "syntax"),
+    "an interrupt that does nothing": ("main", "DO IR_STOPM ( )", "DO wall_1()", "syntax"),
+    "a second interrupt": (
+        "main",
+        "INTERRUPT ON 3",
+        "INTERRUPT DECL 21 WHEN $IN[1] DO wall_1()\nINTERRUPT ON 3",
+        "syntax",
+    ),
+    "EXT BAS where it is not needed": (
+        "main",
+        "DECL BOOL",
+        "EXT BAS (BAS_COMMAND :IN,REAL :IN )\nDECL BOOL",
+        "syntax",
+    ),
+    "a dialog that goes on by any key": ("main", "WHILE tm_answer<>1", "WHILE tm_answer==0", "syntax"),
+    "a dialog whose second key is yes": ("main", "WHILE tm_answer<>1", "WHILE tm_answer<>2", "syntax"),
+    "keys that are swapped": ("main", 'SK_txt[] "Yes"', 'SK_txt[] "No"', "syntax"),
+    "a question by one key": ("main", '{SK_type #VALUE,SK_txt[] "No"}', "{SK_type #EMPTY}", "syntax"),
+    "another key": ("main", 'SK_txt[] "Yes"', 'SK_txt[] "OK"', "syntax"),
+    "a dialog once": ("main", "ENDWHILE\nWAIT SEC 0.1\nENDWHILE", "ENDWHILE\nENDWHILE", "syntax"),
+    "a dialog that is not waited for": ("main", "WHILE Exists_KrlDlg", "IF Exists_KrlDlg", "syntax"),
+    "a dialog with a time-out": (
+        "main",
+        "WAIT SEC 0.1\nENDWHILE\nWAIT",
+        "WAIT SEC 0.1\nIF $TIMER[2]>5000 THEN\ntm_answer=1\nENDIF\nENDWHILE\nWAIT",
+        "syntax",
+    ),
+    "an answer given": ("main", "tm_answer=0", "tm_answer=1", "syntax"),
+    "a text too long": (
+        "main",
+        "Is the stock in place",
+        "Is it" + " or" * 30,
+        "string_length",
+    ),
+    "a text with a place for a number": ("main", "Is the stock", "Is %1 the stock", "syntax"),
+    "another originator": ("main", 'Modul[] "Tandem"', 'Modul[] "KSS"', "syntax"),
+    "a message to be quit": ("main", "Set_KrlMsg(#NOTIFY", "Set_KrlMsg(#QUIT", "syntax"),
+    "the foot looked at once": ("main", "WHILE (tm_shift", "IF (tm_shift", "syntax"),
+    "either of the foot's figures": ("main", ") OR (tm_turn", ") AND (tm_turn", "syntax"),
+    "another frame than the foot's": ("main", "SQRT($ROBROOT.X*$ROBROOT.X", "SQRT($BASE.X*$BASE.X", "syntax"),
+    "an angle left out": ("main", "+ABS($ROBROOT.C)", "", "syntax"),
+    "angles that cancel": ("main", "ABS($ROBROOT.A)+ABS", "ABS($ROBROOT.A)-ABS", "syntax"),
+    "a foot that stops nothing": ("main", "HALT\n", "", "syntax"),
     "a tool that is not carried": ("main", "$IPO_MODE=#BASE", "$IPO_MODE=#TCP", "type"),
     "other turns": ("main", "$ORI_TYPE=#VAR", "$ORI_TYPE=#CONSTANT", "type"),
     "half a percent": ("main", "$VEL_AXIS[3]=12", "$VEL_AXIS[3]=12.5", "type"),
@@ -225,7 +349,6 @@ FAULTS = {
     "no such header": ("main", "DEF wall()", "&USER x\nDEF wall()", "syntax"),
     "a header twice": ("main", "DEF wall()", "&REL 7\nDEF wall()", "syntax"),
     "a header on the way": ("main", "$ADVANCE=3", "$ADVANCE=3\n&COMMENT x", "syntax"),
-    "another interrupt": ("main", "BAS(#", f"{STOP.replace('3', '4')}BAS(#", "syntax"),
     "another condition": ("main", "BAS(#", f"{STOP.replace('TRUE', 'FALSE')}BAS(#", "syntax"),
     "another reaction": ("main", "BAS(#", f"{STOP.replace('IR_STOPM', 'wall_1')}BAS(#", "syntax"),
     "swapped parts": ("moves", "X -2.0000,Y 30.0000", "Y 30.0000,X -2.0000", "type"),
@@ -236,7 +359,7 @@ FAULTS = {
     "a digest without end": ("dat", "problem_digest[64]", "problem_digest[2]", "type"),
     "S without T": ("dat", "S 2,T 35", "S 2", "type"),
     "a status of 9": ("dat", "S 2,T 35", "S 9,T 35", "type"),
-    "a long line": ("main", "HALT", "HALT ; " + "x" * 200, "line_length"),
+    "a long line": ("main", "WAIT SEC 2.5", "WAIT SEC 2.5 ; " + "x" * 200, "line_length"),
     "another name than the file's": ("moves", "DEF wall_1()", "DEF wall_9()", "name_file"),
     "EXT": ("main", "BAS(#", "EXT wall_1()\nBAS(#", "syntax"),
 }
@@ -266,8 +389,43 @@ NO_WAY = {
     "no start pose": ("main", "PTP p_1_start\n", "", "begins at no pose"),
     "another base on the way": ("main", "WAIT SEC 2.5", "$BASE=base_frame", "begins at no pose"),
     "a base in a file with moves": ("moves", "WAIT SEC 0.25", "$BASE=base_frame", "elsewhere"),
-    "a halt without a question": ("main", "WAIT SEC 2.5", "HALT", "without a question"),
-    "a question without a halt": ("main", "WAIT SEC 2.5", ";? Sure?", "no HALT"),
+    "a halt as a question": ("main", "WAIT SEC 2.5", ";? Sure?\nHALT", "HALT is no question"),
+    "half a question": ("main", dialog("and the way of the arm clear?"), "", "no dialog"),
+    "a text to be read and no question": ("main", "WAIT SEC 2.5", dialog("Sure.", "Read", ""), "no question"),
+    "a text to be read in a question": (
+        "main",
+        dialog("and the way of the arm clear?"),
+        dialog("Sure.", "Read", "") + dialog("and the way of the arm clear?"),
+        "within a question",
+    ),
+    "no options of messages": ("main", OPTIONS, "", "tm_opt is not set"),
+    "no look at the foot": ("main", FOOT, "", "has looked at"),
+    "a foot far off": ("main", "tm_shift>0.1", "tm_shift>0.2", "allowed: 0.1 mm"),
+    "a foot turned": ("main", "tm_turn>0.02", "tm_turn>0.05", "0.02 deg"),
+    "the foot of another arm": ("main", "Arm left: $ROBROOT", "Arm right: $ROBROOT", "wanted: 'Arm left"),
+    "no word of the foot": ("main", FOOT, OLD_FOOT, "wanted: 'Arm left"),
+    "no interrupt": ("main", INTERRUPT, "", "GLOBAL INTERRUPT DECL 3"),
+    "an interrupt that is off": ("main", "INTERRUPT ON 3\n", "", "INTERRUPT ON 3"),
+    "an interrupt behind the settings": (
+        "main",
+        f"{INTERRUPT}BAS(#INITMOV,0)\n",
+        f"BAS(#INITMOV,0)\n{INTERRUPT}",
+        "does not begin",
+    ),
+    "the interrupt once more": ("main", "WAIT SEC 2.5", "INTERRUPT ON 3", "elsewhere"),
+    "a question among moves": ("moves", "WAIT SEC 0.25", dialog("Sure?"), "elsewhere"),
+    "a look among moves": ("moves", "WAIT SEC 0.25", FOOT, "may halt while"),
+    "a state that is not cleared": ("main", "WAIT SEC 2.5", STATE, "which is not so"),
+    "a state of nothing": ("main", "WAIT SEC 2.5", STATE + CLEARED, "none of waiting"),
+    "a state that is taken back twice": ("main", "WAIT SEC 2.5", CLEARED, "not shown"),
+    "a wait without a word": ("main", "WAIT SEC 2.5", WAIT, "does not say so"),
+    "a wait for nobody": (
+        "main",
+        "WAIT SEC 2.5",
+        (STATE + WAIT + CLEARED).replace("arm right", "arm left"),
+        "wanted: 'Waiting",
+    ),
+    "another tale": ("main", "WAIT SEC 2.5", STATE.replace("Waiting for", "Go to"), "wanted: 'Waiting"),
     "a program that calls itself": ("moves", "WAIT SEC 0.25", "wall_1()", "calls itself"),
     "a PTP among the moves": ("moves", "WAIT SEC 0.25", "PTP x_home", "elsewhere"),
 }
@@ -282,11 +440,74 @@ def test_what_has_no_single_way_is_refused(name):
         steps(**{file: whole.replace(old, new, 1)})
 
 
+OLD_MOVES = MOVES.replace("SLIN", "LIN").replace("C_SPL", "C_DIS")
+
+
 def test_the_older_dialect_has_other_words():
-    main = MAIN.replace("BAS(#", "EXT wall_1()\nBAS(#")
-    moves = MOVES.replace("SLIN", "LIN").replace("C_SPL", "C_DIS")
-    assert read("krc2", main=main, moves=moves).faults == ()
-    assert {fault.kind for fault in read("krc2", moves=moves).faults} == {"undeclared"}
+    found = steps("krc2", main=OLDER, moves=OLD_MOVES)
+    asked, told = (step for step in found if isinstance(step, MessageStep))
+    assert (asked.kind, asked.confirm, asked.certain) == ("HALT", True, True)
+    assert asked.text == "Is the stock in place and the way of the arm clear?"
+    assert (told.kind, told.text, told.panel) == (";*", "The spindle starts.", "line")
+    assert {fault.kind for fault in read("krc2", moves=OLD_MOVES).faults} == {"undeclared"}
+
+
+QUESTION = ";? Is the stock in place\n;? and the way of the arm clear?\nHALT\n"
+OLDER_NO_WAY = {
+    "a question that a PLC answers": (QUESTION + NOT_EXTERNAL, QUESTION, "refuse that mode"),
+    "a mode that is not looked at first": (NOT_EXTERNAL + LOOKED, LOOKED, "before automatic external"),
+    "a move between question and mode": (QUESTION, QUESTION + "$ADVANCE=3\n", "refuse that mode"),
+    "a halt without a question": (QUESTION, "HALT\n", "without a question"),
+    "a question without a halt": (QUESTION, QUESTION.replace("HALT\n", "WAIT SEC 1\n"), "no HALT"),
+    "no look at the foot": (OLD_FOOT, "", "has looked at"),
+    "a dialog": ("WAIT SEC 2.5\n", dialog("Sure?"), "not of the dialect"),
+}
+
+
+@pytest.mark.parametrize("name", OLDER_NO_WAY)
+def test_the_older_dialect_asks_in_no_mode_of_a_plc(name):
+    old, new, message_ = OLDER_NO_WAY[name]
+    assert old in OLDER
+    with pytest.raises(FlowError, match=message_):
+        steps("krc2", main=OLDER.replace(old, new, 1), moves=OLD_MOVES)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("WHILE $MODE_OP==#EX", "WHILE $MODE_OP==#T1"),
+        ("WHILE $MODE_OP==#EX\nHALT\nENDWHILE", "IF $MODE_OP==#EX THEN\nHALT\nENDIF"),
+        ("EXT BAS (BAS_COMMAND :IN,REAL :IN )\n", ""),
+        ("EXT BAS (BAS_COMMAND :IN,REAL :IN )", "EXT BAS ()"),
+        ("WHILE $MODE_OP==#EX\nHALT\n", "WHILE $MODE_OP==#EX\n"),
+    ],
+)
+def test_the_older_dialect_has_its_forms_too(old, new):
+    assert old in OLDER
+    assert read("krc2", main=OLDER.replace(old, new), moves=OLD_MOVES).faults
+
+
+HARMLESS = {
+    "blanks": lambda text: text.replace("=#", " = #").replace("(tm_ticket,", "( tm_ticket , "),
+    "case": lambda text: text.replace("Set_KrlDlg", "SET_KRLDLG").replace("WHILE", "while"),
+    "comments": lambda text: text.replace("\nWAIT", "\n; a comment\nWAIT"),
+    "blank rows": lambda text: text.replace("\nENDWHILE", "\n\nENDWHILE"),
+    "declarations one by one": lambda text: text.replace(
+        "DECL INT tm_ticket,tm_state,tm_answer", "DECL INT tm_answer\nDECL INT tm_state , tm_ticket"
+    ),
+    "other numbers of messages": lambda text: text.replace("Nr 1,", "Nr 207,"),
+    "the template's blanks": lambda text: text.replace("BAS(#INITMOV,0)", "BAS (#INITMOV,0 )"),
+    "a stricter look": lambda text: text.replace("tm_shift>0.1", "tm_shift>0.05"),
+    "comments with marks": lambda text: text.replace("PTP x_home", ";* Home.\n;? Sure?\nPTP x_home"),
+}
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_harmless_rewrites_are_read_alike(name):
+    changed = HARMLESS[name](WAITS)
+    assert changed != WAITS
+    ways = [[(s.kind, getattr(s, "text", "")) for s in steps(main=main)] for main in (WAITS, changed)]
+    assert ways[0] == ways[1]
 
 
 def test_a_held_block_is_the_load_less_the_tool():
@@ -347,8 +568,8 @@ INI = """;FOLD INI;%{PE}
   ;ENDFOLD (USER INI)
 ;ENDFOLD (INI)
 """.replace("ON 3\n", "ON 3\t \n")
-HARMLESS = {
-    "the controller's own head": ("main", "BAS(#INITMOV,0)\n", INI),
+REWRITTEN = {
+    "the controller's own head": ("main", f"{INTERRUPT}BAS(#INITMOV,0)\n", INI),
     "its lines in the header": (
         "main",
         "DEF wall()",
@@ -366,9 +587,9 @@ HARMLESS = {
 }
 
 
-@pytest.mark.parametrize("name", HARMLESS)
+@pytest.mark.parametrize("name", REWRITTEN)
 def test_what_a_controller_writes_otherwise_is_read_the_same(name):
-    file, old, new = HARMLESS[name]
+    file, old, new = REWRITTEN[name]
     whole = {"dat": DAT, "main": MAIN, "moves": MOVES}[file]
     assert old in whole
     mine, plain = (
@@ -399,4 +620,4 @@ def test_programs_that_call_each_other_without_end_are_refused_soon():
     text = krl_reader.read(files, 100_000, "krc4")
     assert text.faults == ()
     with pytest.raises(FlowError, match="too often"):
-        krl_reader.flow(text, text.base, Signals({}, {}))
+        krl_reader.flow(text, text.base, Signals({}, {}), "left")

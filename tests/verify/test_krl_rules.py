@@ -8,7 +8,7 @@ import pytest
 from planner.verify import krl_reader, rules_krl
 from planner.verify.krl_flow import Signals
 from planner.verify.steps import MoveStep
-from tests.verify.test_krl_reader import MAIN, MOVES, read
+from tests.verify.test_krl_reader import MAIN, MOVES, OLDER, read
 
 HEAD = (
     MOVES.split("SLIN")[0].replace("$VEL.ORI1=200.0", "$VEL.ORI1={ori}").replace("ORI2=200.0", "ORI2={ori}")
@@ -25,10 +25,10 @@ def moves(rows, dialect="krc4", **settings):
     for *place, corner in rows:
         parts = (f"{n} {v:.{4 if n in 'XYZ' else 5}f}" for n, v in zip("XYZABC", place, strict=True))
         text += f"{word} {{{','.join(parts)}}} {corner}".rstrip() + "\n"
-    main = MAIN if dialect == "krc4" else MAIN.replace("BAS(#", "EXT wall_1()\nBAS(#")
+    main = MAIN if dialect == "krc4" else OLDER
     found = read(dialect, main=main, moves=text + "END\n")
     assert found.faults == ()
-    steps, _ = krl_reader.flow(found, found.base, Signals({}, {}))
+    steps, _ = krl_reader.flow(found, found.base, Signals({}, {}), "left")
     return tuple(step for step in steps if isinstance(step, MoveStep) and step.time is not None)
 
 

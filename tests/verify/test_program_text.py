@@ -190,7 +190,7 @@ INI = (
 PARAMS = "&REL 17\r\n&COMMENT h\xf6lzern\r\n&PARAM EDITMASK = *\r\n&PARAM DISKPATH = KRC:\\R1\\Program"
 NUMBER = r"(?<=[XYZABC] )-?\d+\.\d+"
 KRL_HARMLESS = {
-    "the template's head": lambda t: t.replace("BAS(#INITMOV,0)", INI),
+    "the template's head": lambda t: re.sub(r"GLOBAL INTERRUPT.*\r\n.*\r\nBAS\(#INITMOV,0\)", INI, t),
     "headers of a controller": lambda t: t.replace("&REL 1", PARAMS).replace("RVP", "RVO1"),
     "no &REL": lambda t: t.replace("&REL 1\r\n", ""),
     "letters in comments": lambda t: t.replace("; Segment", "; \xe4\u2192\r\n; Segment"),
