@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from planner.issues import Issue
 from planner.verify import rules_krl
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
+from planner.verify.rapid_ast import Module
 from planner.verify.rules_leaving import powers
 from planner.verify.rules_sync import straight_way
 from planner.verify.steps import (
@@ -237,7 +239,7 @@ def hidden(context: Context) -> Outcome:
                     file=module.file,
                     hint="take the attribute out",
                 )
-                for word in module.attributes
+                for word in (*module.attributes, *_system(module))
             ]
             for procedure in module.procedures:
                 if (module.name, procedure.name) not in task.called:
@@ -259,6 +261,11 @@ def hidden(context: Context) -> Outcome:
                 if not _undoes(step)
             ]
     return Outcome(tuple(issues))
+
+
+def _system(module: Module) -> tuple[str, ...]:
+    """What a module is by the name of its file."""
+    return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 
 def _undoes(step: Step) -> bool:

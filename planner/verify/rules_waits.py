@@ -74,9 +74,24 @@ def power_idle(context: Context) -> Outcome:
             walk.take(slot)
         issues += [*walk.issues[:SHOWN], *_creeping(context, signal)]
         worst = max(worst, walk.worst)
+    issues += _unclaimed(context)
     if not context.contacts:
-        return Outcome(where="no power")
+        return Outcome(tuple(issues), where="no power")
     return Outcome(tuple(issues), 100.0 * worst, 100.0, "% of the time allowed")
+
+
+def _unclaimed(context: Context) -> list[Issue]:
+    """The cell's signal for a wire, on where no operation has a wire on it."""
+    signal = context.problem.cell.controller.wire_signal
+    if any(claim.signal.lower() == signal.lower() for claim in context.contacts):
+        return []
+    what = f"{signal} goes on, and no operation of the problem has anything that it heats or drives"
+    return [
+        at_step(IDLE, what, task, step)
+        for task in context.job.tasks
+        for step in task.steps
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower() and step.value
+    ]
 
 
 def _slots(context: Context) -> Iterator[_Slot]:
@@ -121,7 +136,7 @@ class _Walk:
         for step in slot.steps.get(switches, ()):
             if isinstance(step, SignalStep) and step.signal.lower() == self.key:
                 if step.value and not power.on:
-                    since, power.by, power.spent = now, switches, 0.0
+                    since, power.by = now, switches
                 elif power.on and not step.value:
                     power.spent += now - since
                     self._judge(slot)

@@ -200,6 +200,24 @@ def creeps(rng, texts):
     return timed(texts, pick(rng, air), rng.uniform(300.0, 2000.0))
 
 
+@mutator("verify.power_idle", SMALL, STRAIGHT)
+def off_and_on_again(rng, texts):
+    """Each time for no longer than it may."""
+    rows = lines(texts, 1, "Main")
+    i = next(i for i, row in enumerate(rows) if f"SetDO {SIGNAL},1" in row)
+    again = [f"    SetDO {SIGNAL},0;", f"    WaitTime {rng.uniform(0.1, 20.0):.1f};", *rows[i : i + 2]]
+    rows[i + 2 : i + 2] = int(rng.integers(1, 40)) * again
+    return put(texts, 1, rows, "Main")
+
+
+@mutator("verify.power_idle", SHAKEN)
+def power_that_nobody_claims(rng, texts):
+    file = "left/TandemMain_1.mod"
+    texts = edit(texts, file, "    SingArea\\Off;", f"    SingArea\\Off;\n    SetDO {SIGNAL},0;")
+    place = pick(rng, ["    WaitTime 1;", "    approach;", "    link;", "    retreat;"])
+    return edit(texts, file, place, f"    SetDO {SIGNAL},1;\n{place}")
+
+
 # ---- meetings ----------------------------------------
 
 
@@ -356,6 +374,13 @@ def module_with_attributes(rng, texts):
     words = ",".join(rng.permutation(ATTRIBUTES)[: int(rng.integers(1, 3))].tolist())
     head = f"MODULE Tandem{kind}_{task}"
     return edit(texts, name(kind, task), head, f"{head}({words})")
+
+
+@mutator("verify.hidden", SMALL, STRAIGHT)
+def system_module(rng, texts):
+    """A file that the list of the program's modules takes for one of them."""
+    file = name(pick(rng, ["Main", "Cut1", "Data"]), task_of(rng, texts))
+    return {path.replace(".mod", ".sys") if path == file else path: text for path, text in texts.items()}
 
 
 @mutator("verify.zone_kind", SMALL)
