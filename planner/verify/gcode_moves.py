@@ -40,8 +40,6 @@ ALIKE_SHARE = 1e-3
 """How far the radii at both ends of an arc may differ: [m], or as a share of the radius."""
 NOTHING = 1e-9
 """Places nearer to one another than this [m] are one."""
-SAME = 1e-6
-"""Waits at places no farther apart [m] are one wait."""
 WIDEST = math.radians(20.0)
 """Longest piece of an arc."""
 FINE = math.radians(1.5)
@@ -57,7 +55,7 @@ class Way:
     """N places, in the stock's frame: ``tip`` (N, 3) [m], ``axis`` (N, 3) from tip to spindle; of the move to
     each the ``feed`` (N,) [m/s], infinite for rapid ones, whether it ``cuts`` (N,), the ``spindle`` (N,)
     [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits for somebody;
-    ``dwell``: the longest time [s] that it waits by itself at one place."""
+    ``dwell`` (N,) [s]: how long it waits by itself at each place."""
 
     tip: FloatArray
     axis: FloatArray
@@ -66,7 +64,7 @@ class Way:
     spindle: FloatArray
     line: IntArray
     pauses: tuple[tuple[int, int], ...]
-    dwell: float = 0.0
+    dwell: FloatArray
 
 
 def read(stated: ProgramFile, chord: float) -> Way:
@@ -121,15 +119,18 @@ def read(stated: ProgramFile, chord: float) -> Way:
         own.spindle[row[to]],
         own.line[row[to]],
         tuple(zip(own.line[own.pause & own.wanted].tolist(), waits.tolist(), strict=True)),
-        _dwell(own, row[~(length <= SAME) | (np.abs(turn[row] - turned).sum(axis=1) > 0.0)]),
+        _dwell(own, row, ends),
     )
 
 
-def _dwell(own: Lines, row: IntArray) -> float:
-    """The longest wait [s] between two of the moves in the lines ``row``."""
+def _dwell(own: Lines, row: IntArray, ends: IntArray) -> FloatArray:
+    """How long [s] the program waits by itself at each place; ``ends`` (R,): places up to each of the moves,
+    which are in the lines ``row`` (R,)."""
+    out = np.zeros(int(ends[-1]))
     waiting = np.flatnonzero(own.wanted & (own.dwell > 0.0))
-    between = np.searchsorted(row, waiting, side="right")
-    return float(np.bincount(between, weights=own.dwell[waiting]).max(initial=0.0))
+    before = np.searchsorted(row, waiting, side="right")
+    np.add.at(out, ends[before[before > 0] - 1] - 1, own.dwell[waiting[before > 0]])
+    return out
 
 
 def _start(stated: ProgramFile) -> FloatArray:

@@ -9,18 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import StraightWire, WireJoins
-from planner.claims_milling import MillsProgram
+from planner.claims_milling import MillsAlong
 from planner.handshake import HandshakeKind
 from planner.issues import Issue
-from planner.verify import gcode_moves
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_step
-from planner.verify.gcode_words import UnreadableError
 from planner.verify.handshake_text import Reading
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.moves import between, waits
 from planner.verify.segment_names import said
-from planner.verify.setups import MILL
 from planner.verify.steps import ChoiceStep, MessageStep, MoveStep, SignalStep, Step, WaitStep
 
 FloatArray = NDArray[np.float64]
@@ -36,18 +33,17 @@ CREEP = 2.0
 RAMPS = 5.0
 """...and so much longer [s]: moves that are short or turn a tool take what their ramps take."""
 SHOWN = 50
-_CHORD = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
 class _Slot:
-    """What tasks do between one motion and the next in a stage. ``moved``: a motion follows. ``kind``: that
-    of the segment of the motion before, "" for none."""
+    """What tasks do between one motion and the next in a stage. ``moved``: a motion follows. ``segment``:
+    that of the motion before, as the text says it, "" for none."""
 
     stage: int
     steps: Mapping[str, tuple[Step, ...]]
     moved: bool
-    kind: str
+    segment: str
 
 
 @dataclasses.dataclass
@@ -96,30 +92,30 @@ def _unclaimed(context: Context) -> list[Issue]:
 
 def _slots(context: Context) -> Iterator[_Slot]:
     """All slots of the job in the order in which they pass."""
-    kind = ""
+    segment = ""
     for number, stage in enumerate(context.job.stages):
         movers = [task.name for task in context.job.tasks if stage.moves(task.name)]
         rest = {task.name: stage.steps[task.name] for task in context.job.tasks if task.name not in movers}
         if not movers:
-            yield _Slot(number, rest, False, kind)
+            yield _Slot(number, rest, False, segment)
         for group in [movers] if stage.synchronised and movers else [[name] for name in movers]:
             count = max(len(stage.moves(name)) for name in group)
             parts = {name: between(stage.steps[name], count) for name in group}
             for i in range(count + 1):
                 steps = {name: tuple(part[i]) for name, part in parts.items()}
-                yield _Slot(number, {**steps, **(rest if i == 0 else {})}, i < count, kind)
-                kind = _kind(stage, group[0], i) if i < count else kind
+                yield _Slot(number, {**steps, **(rest if i == 0 else {})}, i < count, segment)
+                segment = _segment(stage, group[0], i) if i < count else segment
 
 
-def _kind(stage: Stage, task: str, i: int) -> str:
+def _segment(stage: Stage, task: str, i: int) -> str:
     moves = stage.moves(task)
-    return said(moves[min(i, len(moves) - 1)].procedure).kind
+    return said(moves[min(i, len(moves) - 1)].procedure).key
 
 
 class _Walk:
     """Goes through the slots with one signal."""
 
-    def __init__(self, context: Context, signal: str, dwells: Mapping[int, float]) -> None:
+    def __init__(self, context: Context, signal: str, dwells: Mapping[tuple[int, str], float]) -> None:
         self.context, self.signal, self.key, self.dwells = context, signal, signal.lower(), dwells
         self.tasks = {task.name: task for task in context.job.tasks}
         self.mounted = {n for phase in context.phases for n in range(phase.first, phase.last + 1)}
@@ -162,7 +158,7 @@ class _Walk:
         contacts = self.context.setup_claims[setup].contacts
         heat = (claim.heat_up for claim in contacts if claim.signal.lower() == self.key)
         stated = max(heat, default=0.0) if self.power.by else 0.0
-        stated += self.dwells.get(setup, 0.0) if slot.kind == MILL else 0.0
+        stated += self.dwells.get((setup, slot.segment), 0.0)
         allowed = MORE * stated + LATE
         self.worst = max(self.worst, self.power.spent / allowed)
         if self.power.spent <= allowed:
@@ -211,17 +207,12 @@ def _longest(slot: _Slot) -> tuple[str, Step | None]:
     return name, step
 
 
-def _dwells(context: Context) -> dict[int, float]:
-    """The longest wait [s] that the G-code files of each setup ask for at one place."""
-    out: dict[int, float] = {}
+def _dwells(context: Context) -> dict[tuple[int, str], float]:
+    """The longest wait [s] that a G-code file asks for at one place, by setup and segment."""
+    out: dict[tuple[int, str], float] = {}
     for claim in context.claims:
-        if isinstance(claim, MillsProgram):
-            index = context.setup_of(claim)
-            try:
-                dwell = gcode_moves.read(claim.file, _CHORD).dwell
-            except UnreadableError:
-                continue  # verify.mill_path says so
-            out[index] = max(out.get(index, 0.0), dwell)
+        if isinstance(claim, MillsAlong) and claim.dwell > 0.0:
+            out[context.setup_of(claim), claim.segment.key] = claim.dwell
     return out
 
 
