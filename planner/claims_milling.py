@@ -38,7 +38,7 @@ class MillsAlong:
     """In ``segment`` the TCP of ``arm``, the tip of its cutter, goes straight from each of ``tip`` (K, 3) [m]
     to the next within ``tolerance`` [m], with its z axis against ``axis`` (K, 3), from tip to spindle, within
     ``turn`` [rad]; it passes all of them. On its way to each it is no faster than ``feed`` (K,) [m/s]; the
-    first one counts for nothing.
+    first one counts for nothing. It stands no longer than ``dwell`` [s] at any place.
 
     Where the way is that of a file, ``file`` is its name and ``line`` (K,) says where each place stands.
     ``back``: the same the other way, where nobody says which of the two it is.
@@ -53,6 +53,7 @@ class MillsAlong:
     turn: float
     file: str = ""
     line: NDArray[np.int64] | None = None
+    dwell: float = 0.0
     back: MillsAlong | None = None
 
 
@@ -114,6 +115,7 @@ class ProgramFile:
     skip: tuple[str, ...]
     tool: int | None
     chord_tol_mm: float
+    dwell: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)

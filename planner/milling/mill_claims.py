@@ -92,6 +92,7 @@ def program_file(own: GCodeFile) -> ProgramFile:
         skip=own.skip,
         tool=own.tool,
         chord_tol_mm=own.chord_tol_mm,
+        dwell=own.dwell,
     )
 
 

@@ -222,10 +222,10 @@ class _Task:
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else rapid_handshake.lines(self.partner, self.partner.end())
-        out = self._procedure("main", body, undo=False)
+        out = self._procedure("main", body)
         if self.partner is not None:
             for name, lines in rapid_handshake.procedures(self.partner, self.task).items():
-                out += ["", *self._procedure(name, lines, undo=False)]
+                out += ["", *self._procedure(name, lines)]
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]
         return out
@@ -234,8 +234,7 @@ class _Task:
         body = comment(f"Operation {operation.name}.")
         for step in operation.steps:
             body += self._step(step, index)
-        blocks = any(isinstance(step, SyncOn) for step in operation.steps)
-        return self._procedure(f"operation_{index + 1}", body, undo=blocks and self.partner is None)
+        return self._procedure(f"operation_{index + 1}", body)
 
     def _step(self, step: Step, operation: int) -> list[str]:
         match step:
@@ -275,18 +274,22 @@ class _Task:
         if self.partner is not None:
             calls = [rapid_handshake.call(self.partner, number) for number in operation.meets[rows].tolist()]
             moves = [line for pair in zip(moves, calls, strict=True) for line in pair if line]
-        return self._procedure(self.layout[part], [*body, *moves], undo=False)
+        return self._procedure(self.layout[part], [*body, *moves])
 
-    def _procedure(self, name: str, body: Sequence[str], undo: bool) -> list[str]:
+    def _procedure(self, name: str, body: Sequence[str]) -> list[str]:
         out = [f"PROC {name}()", *(_INDENT + line for line in body)]
         out += ["ERROR", *(_INDENT + line for line in self._handler(name))]
-        if undo:
-            leave = ["! the program pointer was moved away", *self._power_off(), "SyncMoveUndo;"]
-            out += ["UNDO", *(_INDENT + line for line in leave)]
+        leave = [*self._power_off(), *self._block_off()]
+        if leave:
+            # in every one: whether a pointer that is moved runs the innermost UNDO alone is not certain
+            out += ["UNDO", *(_INDENT + line for line in ("! the program pointer was moved away", *leave))]
         return [*out, "ENDPROC"]
 
     def _power_off(self) -> list[str]:
         return [f"SetDO {identifier(signal)},0;" for signal in self.signals]
+
+    def _block_off(self) -> list[str]:
+        return ["SyncMoveUndo;"] if self.job.blocks and self.partner is None else []
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""

@@ -22,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 TASKS = "all_tasks"
 ENTRY_SPEED = "v_entry"
+_ENTRY_SPEED = 250.0
+"""Highest speed [mm/s] of joint moves: the first one begins at a place that is not known."""
 _ENTRY_TURN = 45
 _TOOL_NAME = 12
 _LEAST_MASS = 0.001
@@ -118,7 +120,7 @@ def data_lines(
     tools, stations = names
     out += ["! tool and work objects" if len(tools.names) == 1 else "! tools and work objects"]
     out += [*tools.lines(), *_wobjs(task, job, plan), *_loads(task), ""]
-    speed = short(problem.settings.tcp_speed * 1e3, 3)
+    speed = short(min(problem.settings.tcp_speed * 1e3, _ENTRY_SPEED), 3)
     out += ["! on the way to the first target and home again"]
     out += [
         f"CONST speeddata {ENTRY_SPEED}:=[{speed},{_ENTRY_TURN},{speed},{_ENTRY_TURN}];",

@@ -54,7 +54,8 @@ class Lines:
     What holds on each: ``motion`` 0 to 3, ``normal`` of the plane by its axis, ``unit`` [m], ``absolute``,
     ``absolute_centre``, ``shift`` (L, 3) [m], ``feed_mode``, ``feed`` [m/min] or [m/turn] or, where the line
     has its own, [1/min]; ``spindle`` [1/min], below zero counterclockwise; ``wanted``: of the tool whose
-    moves are asked for; ``pause``: the program waits behind it. NaN is what nobody says.
+    moves are asked for; ``pause``: the program waits for somebody behind it; ``dwell`` [s]: it waits so long.
+    NaN is what nobody says.
     """
 
     line: IntArray
@@ -70,6 +71,7 @@ class Lines:
     spindle: FloatArray
     wanted: BoolArray
     pause: BoolArray
+    dwell: FloatArray
 
     def has(self, letters: str) -> BoolArray:
         """Whether a line (L,) has any of these words."""
@@ -121,7 +123,14 @@ def lines(words: Words, stated: ProgramFile) -> Lines:
         spindle=spindle,
         wanted=np.ones(count, dtype=bool) if stated.tool is None else tool == stated.tool,
         pause=np.isin(others["stop"], [0.0, 10.0]),
+        dwell=_dwells(set_by["dwell"], word["P"], stated),
     )
+
+
+def _dwells(coded: FloatArray, given: FloatArray, stated: ProgramFile) -> FloatArray:
+    """How long (L,) [s] lines wait: P where a line says G4, in the unit that the problem states."""
+    unit = 1e-3 if stated.dwell == "ms" else 1.0
+    return np.where(np.isfinite(coded) & np.isfinite(given), given, 0.0) * unit
 
 
 def held(given: FloatArray, before: float) -> FloatArray:

@@ -54,7 +54,8 @@ OVER = math.cos(math.radians(179.0))
 class Way:
     """N places, in the stock's frame: ``tip`` (N, 3) [m], ``axis`` (N, 3) from tip to spindle; of the move to
     each the ``feed`` (N,) [m/s], infinite for rapid ones, whether it ``cuts`` (N,), the ``spindle`` (N,)
-    [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits."""
+    [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits for somebody;
+    ``dwell`` (N,) [s]: how long it waits by itself at each place."""
 
     tip: FloatArray
     axis: FloatArray
@@ -63,6 +64,7 @@ class Way:
     spindle: FloatArray
     line: IntArray
     pauses: tuple[tuple[int, int], ...]
+    dwell: FloatArray
 
 
 def read(stated: ProgramFile, chord: float) -> Way:
@@ -117,7 +119,18 @@ def read(stated: ProgramFile, chord: float) -> Way:
         own.spindle[row[to]],
         own.line[row[to]],
         tuple(zip(own.line[own.pause & own.wanted].tolist(), waits.tolist(), strict=True)),
+        _dwell(own, row, ends),
     )
+
+
+def _dwell(own: Lines, row: IntArray, ends: IntArray) -> FloatArray:
+    """How long [s] the program waits by itself at each place; ``ends`` (R,): places up to each of the moves,
+    which are in the lines ``row`` (R,)."""
+    out = np.zeros(int(ends[-1]))
+    waiting = np.flatnonzero(own.wanted & (own.dwell > 0.0))
+    before = np.searchsorted(row, waiting, side="right")
+    np.add.at(out, ends[before[before > 0] - 1] - 1, own.dwell[waiting[before > 0]])
+    return out
 
 
 def _start(stated: ProgramFile) -> FloatArray:

@@ -66,10 +66,16 @@ def _extent(way: Way, rows: slice) -> float:
     return float(max(np.linalg.norm(own - own[0], axis=1).max() for own in (tip, far)))
 
 
+def _dwell(way: Way) -> float:
+    """The longest wait [s] at one place; places that are no farther apart than ``STILL`` are one."""
+    moved = np.linalg.norm(np.diff(way.tip, axis=0), axis=1) > STILL
+    moved |= np.linalg.norm(np.diff(way.axis, axis=0), axis=1) > STILL
+    return float(np.bincount(np.concatenate([[0], np.cumsum(moved)]), weights=way.dwell).max())
+
+
 def _part(way: Way, rows: slice) -> Way:
-    return Way(
-        way.tip[rows], way.axis[rows], way.feed[rows], way.cuts[rows], way.spindle[rows], way.line[rows], ()
-    )
+    tip, axis, feed, cuts = way.tip[rows], way.axis[rows], way.feed[rows], way.cuts[rows]
+    return Way(tip, axis, feed, cuts, way.spindle[rows], way.line[rows], (), way.dwell[rows])
 
 
 def asked(
@@ -95,6 +101,6 @@ def segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:
     yield FeedWindow(segment, 0.0, fastest)
     yield FeedWindow(segment.at("out"), 0.0, max(fastest, safe.rapid))
     file, bounds = program.file.path.name, (program.tolerance, program.turn)
-    yield MillsAlong(segment, program.arm, way.tip, way.axis, feed, *bounds, file, way.line)
+    yield MillsAlong(segment, program.arm, way.tip, way.axis, feed, *bounds, file, way.line, _dwell(way))
     yield down(safe, segment, program.arm, way.tip[0], way.axis[0], *bounds)
     yield up(safe, segment, program.arm, way.tip[-1], way.axis[-1], *bounds)

@@ -27,6 +27,7 @@ from planner.verify import (
     rules_adsif,
     rules_cell,
     rules_data,
+    rules_entry,
     rules_file,
     rules_follow,
     rules_forming,
@@ -39,6 +40,7 @@ from planner.verify import (
     rules_holder,
     rules_kinematics,
     rules_krl,
+    rules_leaving,
     rules_mill_spindle,
     rules_milling,
     rules_motion,
@@ -50,6 +52,7 @@ from planner.verify import (
     rules_surface,
     rules_sync,
     rules_text,
+    rules_waits,
     rules_wire,
 )
 from planner.verify.context import Context, Outcome
@@ -80,7 +83,9 @@ TASKS: _RuleTable = (
     ("verify.task_list", rules_sync.task_list),
     ("verify.sync_order", rules_sync.sync_order),
     ("verify.handshake", rules_handshake.handshake),
+    ("verify.meeting_time", rules_waits.meeting_time),
     ("verify.error_handler", rules_data.error_handler),
+    ("verify.undo", rules_leaving.undo),
     ("verify.motion_settings", rules_data.motion_settings),
     ("verify.hidden", rules_data.hidden),
 )
@@ -102,6 +107,7 @@ STAGES: _RuleTable = (
     ("verify.base_frames", rules_frames.base_frames),
     ("verify.status", rules_krl.status),
     ("verify.move_kinds", rules_data.move_kinds),
+    ("verify.unknown_start", rules_entry.unknown_start),
     ("verify.zone_size", rules_data.zone_size),
     ("verify.zero_length", rules_data.zero_length),
     ("verify.wire_mount", rules_wire.wire_mount),
@@ -117,6 +123,7 @@ MOTION: _RuleTable = (
     ("verify.joint_acceleration", rules_motion.joint_acceleration),
     ("verify.singularity", rules_motion.singularity),
     ("verify.tcp_speed", rules_motion.tcp_speed),
+    ("verify.power_idle", rules_waits.power_idle),
     ("verify.follows", rules_follow.follows),
     ("verify.order", rules_part.order),
 )

@@ -230,7 +230,7 @@ class Runner(Evaluator):
         elif name.startswith(("WaitSync", "SyncMove")):
             ident = _text(arguments[0]) if arguments else ""
             tasks = self._needed(arguments[1], "tasks") if len(arguments) > 1 else ()
-            self.steps.append(SyncStep(*where, name, ident, tasks))
+            self.steps.append(SyncStep(*where, name, ident, tasks, "timeout" in options))
         elif name in ("Load", "UnLoad"):
             path = self._needed(arguments[0], "string")
             file = self.value(options.get("file"), "string")
@@ -292,7 +292,7 @@ class Runner(Evaluator):
             self._spend(statement, 1)
             self.block(statement.body)
         if truth is None:
-            self._choice(statement, statement.source, lambda: self.block(statement.body))
+            self._choice(statement, statement.source, lambda: self.block(statement.body), True)
 
     def _for(self, statement: For) -> None:
         first, last = self._needed(statement.first, "num"), self._needed(statement.last, "num")
@@ -307,7 +307,9 @@ class Runner(Evaluator):
             self.block(statement.body)
         self.cells[key] = outer
 
-    def _choice(self, statement: Statement, condition: str, run: Callable[[], None]) -> None:
+    def _choice(
+        self, statement: Statement, condition: str, run: Callable[[], None], repeats: bool = False
+    ) -> None:
         """Steps under a run-time condition: kept aside if harmless, refused if they move, switch or
         synchronise.
         """
@@ -334,7 +336,7 @@ class Runner(Evaluator):
                     statement.start,
                     f"whether line {step.line} is run is known at run time only ({condition})",
                 )
-        self.steps.append(ChoiceStep(*where, tuple(aside)))
+        self.steps.append(ChoiceStep(*where, tuple(aside), repeats))
 
 
 def _harmless(step: Step, branch: Sequence[Step]) -> bool:

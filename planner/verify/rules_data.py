@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from planner.issues import Issue
 from planner.verify import rules_krl
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
+from planner.verify.rapid_ast import Module
+from planner.verify.rules_leaving import powers
 from planner.verify.rules_sync import straight_way
 from planner.verify.steps import (
     LoadStep,
@@ -31,6 +34,13 @@ _REFUSED = {
     "z": "\\Z gives the corner another zone than the one that the move names",
     "tload": "\\TLoad counts with another load than the tool's",
     "corr": "\\Corr lets sensors change the path",
+}
+_ATTRIBUTES = {
+    "sysmodule": "it stays in the controller when the program is taken out, beside the next one",
+    "noview": "nobody can read it at the controller",
+    "nostepin": "stepping through the program passes over it, moves and all",
+    "viewonly": "nobody can correct it at the controller",
+    "readonly": "nobody can correct it at the controller",
 }
 _MAIN_WAY = (
     "StopMove",
@@ -123,19 +133,16 @@ def zero_length(context: Context) -> Outcome:
 
 
 def error_handler(context: Context) -> Outcome:
-    """Every procedure has an error handler that switches the power off first, stops, and does not go on; KRL
-    has none."""
+    """Every procedure has an error handler that switches the power off first, stops the motion, says so,
+    stops all tasks, and does not go on; KRL has none."""
     issues = []
-    everywhere = sorted({claim.signal for claim in context.contacts})
+    many = len(context.job.tasks) > 1 and context.job.readings is None
     for task in context.job.tasks:
-        signals = everywhere
-        if context.job.readings is not None:  # a signal of the other controller cannot be switched here
-            own = {step.signal.lower() for step in task.steps if isinstance(step, SignalStep)}
-            signals = [signal for signal in everywhere if signal.lower() in own]
+        signals = powers(context, task)
         for module in task.modules:
             for procedure in module.procedures:
                 handler = task.handlers.get((module.name, procedure.name))
-                faults = ["it has none"] if handler is None else _handler_faults(handler, signals)
+                faults = ["it has none"] if handler is None else _handler_faults(handler, signals, many)
                 issues += [
                     Issue(
                         "verify.error_handler",
@@ -150,7 +157,7 @@ def error_handler(context: Context) -> Outcome:
     return Outcome(tuple(issues))
 
 
-def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
+def _handler_faults(steps: tuple[Step, ...], signals: list[str], many: bool) -> list[str]:
     faults = []
     head = [s for s in steps if not isinstance(s, MessageStep) or s.confirm][: len(signals)]
     off = {
@@ -170,8 +177,19 @@ def _handler_faults(steps: tuple[Step, ...], signals: list[str]) -> list[str]:
     kinds = {step.kind for step in steps if isinstance(step, SettingStep)}
     if kinds & {"RETRY", "TRYNEXT", "StartMove", "RETURN"}:
         faults.append("it goes on with the program")
-    if "StopMove" not in kinds:
+    plain = [step for step in steps if not step.condition]
+    halts = [step for step in plain if isinstance(step, SettingStep) and step.kind == "Stop"]
+    stop = next((i for i, s in enumerate(steps) if s in plain and s.kind == "StopMove"), None)  # type: ignore[attr-defined]
+    if stop is None:
         faults.append("it does not stop the motion (StopMove)")
+    elif any(isinstance(step, WaitStep | MessageStep) for step in steps[:stop]):
+        faults.append("it waits or talks before it stops the motion (StopMove)")
+    if not any(isinstance(step, MessageStep) and step.text.strip() for step in plain):
+        faults.append("it tells nobody what has happened (TPWrite)")
+    if not halts:
+        faults.append("it does not stop the program before it ends (Stop)")
+    elif many and not any("allmovetasks" in step.switches for step in halts):
+        faults.append("it does not stop the other tasks (Stop\\AllMoveTasks)")
     last = steps[-1] if steps else None
     if not (isinstance(last, SettingStep) and last.kind in ("EXIT", "RAISE") and not last.condition):
         faults.append("it does not end the program (EXIT)")
@@ -207,11 +225,22 @@ def _limits(step: SettingStep) -> bool:
 
 
 def hidden(context: Context) -> Outcome:
-    """Nothing runs but the straight way: no procedure is left over, no module loaded, UNDO switches off."""
+    """Nothing runs but the straight way: no procedure is left over, no module loaded, UNDO switches off; and
+    nothing hides: modules have no attributes."""
     issues = []
     for task in context.job.tasks:
         issues += rules_krl.hidden(task)
         for module in task.modules:
+            issues += [
+                Issue(
+                    "verify.hidden",
+                    f"module {module.name} is {word.upper()}: {_ATTRIBUTES[word]}",
+                    arm=task.arm.name,
+                    file=module.file,
+                    hint="take the attribute out",
+                )
+                for word in (*module.attributes, *_system(module))
+            ]
             for procedure in module.procedures:
                 if (module.name, procedure.name) not in task.called:
                     what = f"{module.name}:{procedure.name} is never called"
@@ -232,6 +261,11 @@ def hidden(context: Context) -> Outcome:
                 if not _undoes(step)
             ]
     return Outcome(tuple(issues))
+
+
+def _system(module: Module) -> tuple[str, ...]:
+    """What a module is by the name of its file."""
+    return ("sysmodule",) if PurePosixPath(module.file).suffix.lower().startswith(".sys") else ()
 
 
 def _undoes(step: Step) -> bool:

@@ -149,9 +149,12 @@ def move_ids(context: Context) -> Outcome:
 
 
 def zone_kind(context: Context) -> Outcome:
-    """Both moves of a pair stop, or both pass through a zone."""
+    """Both moves of a pair stop, or both pass through a zone: the controller stops with an error at a mix.
+    Zones may differ in size."""
+    hint = "give both moves of an ID a zone, or both a stop"
+    code = "verify.zone_kind"
     issues = [
-        at_step("verify.zone_kind", f"{b.zone_name} runs with {a.zone_name} of {a_task.name}", b_task, b)
+        at_step(code, f"{b.zone_name} runs with {a.zone_name} of {a_task.name}", b_task, b, hint)
         for a_task, a, b_task, b in _pairs(context)
         if a.zone.fine != b.zone.fine
     ]

@@ -105,12 +105,13 @@ class MessageStep(Step):
 @dataclass(frozen=True, slots=True, eq=False)
 class SyncStep(Step):
     """Tasks of one controller meet: `kind` WaitSyncTask, SyncMoveOn, SyncMoveOff or SyncMoveUndo; `tasks`
-    empty where none are named.
+    empty where none are named. ``limited``: it waits for a stated time only, and raises an error then.
     """
 
     kind: str
     ident: str
     tasks: tuple[str, ...]
+    limited: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +150,8 @@ class SettingStep(Step):
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceStep(Step):
     """A branch or loop on `condition` that only talks, waits or stops: its `steps` are not part of the
-    straight way.
+    straight way. ``repeats``: it is a loop, and nothing says how often it runs.
     """
 
     steps: tuple[Step, ...]
+    repeats: bool = False

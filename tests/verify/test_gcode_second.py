@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims import ConfirmedPower
+from planner.claims import ConfirmedPower, ContactOnlyIn
 from planner.claims_milling import MillsAlong
 from planner.issues import TandemError
 from planner.milling import (
@@ -273,3 +273,30 @@ def test_a_file_that_only_the_planner_reads_is_not_proven(
     (issue,) = [i for i in Job(tmp_path).prove().issues if i.code == "verify.mill_path"]
     assert issue.line == 7
     assert "job.nc" in issue.message
+
+
+def test_a_spindle_waits_as_long_as_the_file_says_and_no_longer(tmp_path: Path) -> None:
+    """G4 at one place twice: two seconds and one; milliseconds are the file's unit."""
+    waits = FILE.replace("X-20 F1200", "X-20 F1200\nG4 P2000\nG4 P1000").replace("A4\n", "A4\nG4 P500\n")
+    (tmp_path / "job.nc").write_text(waits)
+    place = {"xyz_mm": [5, 3, 30], "rpy_deg": [0, 0, 20]}
+    gcode_ = {"file": "job.nc", "origin": place, "tool_axis": "rotary", "convention": "head_a", "dwell": "ms"}
+    own = problem(tmp_path, PANEL, BALL, cuts=[{"name": "prog", "gcode": gcode_}], part=None)
+    claims = processes.claims(own)
+    (group,) = mill_worked.worked_out(claims)[0].values()
+    ways = [claim for claim in group if isinstance(claim, MillsAlong)]
+    assert [way.dwell for way in ways if not way.segment.phase] == [3.0, 0.5]
+    programs = dict(write.programs(solve.solve(own, [processes.job(own, 0).targets()]), own))
+    prover = Prover(own, claims)
+    assert not prover.prove(programs, last="verify.power_idle").issues
+    (main,) = [file for file, text in programs.items() if "WaitTime 2;" in text]
+    spin_up = next(c.heat_up for c in group if isinstance(c, ContactOnlyIn))
+    for old, new in (
+        ("WaitTime 2;", "WaitTime 4;"),
+        ("WaitTime 0.5;", "WaitTime 3;"),
+        (f"WaitTime {spin_up:g};", f"WaitTime {2.0 * spin_up:g};"),
+    ):
+        assert old in programs[main]
+        wrong = {**programs, main: programs[main].replace(old, new, 1)}
+        issues = prover.prove(wrong, last="verify.power_idle").issues
+        assert [issue.code for issue in issues] == ["verify.power_idle"], (old, new)

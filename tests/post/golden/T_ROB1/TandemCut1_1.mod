@@ -17,6 +17,10 @@ MODULE TandemCut1_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 
   PROC cut_front()
@@ -32,6 +36,10 @@ MODULE TandemCut1_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 
   PROC retreat()
@@ -44,6 +52,10 @@ MODULE TandemCut1_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 
   PROC unmount()
@@ -56,5 +68,9 @@ MODULE TandemCut1_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 ENDMODULE

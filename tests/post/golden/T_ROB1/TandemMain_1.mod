@@ -24,6 +24,10 @@ MODULE TandemMain_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 
   PROC operation_1()

@@ -1,0 +1,198 @@
+"""What surrounds the motion: first moves, power while nothing moves, meetings, leaving by the side. Faults of
+each kind are caught by the rule that is named for them, seeded mutants are all caught, and programs that say
+the same in other words pass."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import re
+
+import numpy as np
+import pytest
+
+from planner.claims import ContactOnlyIn
+from planner.verify.prove import Prover
+from tests.verify import handshake_job, krl_job, small_job, straight_job
+from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
+from tests.verify.mutants import edit, lines, name, put
+
+SAMPLE = 1
+FULL = 12
+SHAKEN_FORM = ("four_phase", 3)
+JOBS = {
+    "small": (small_job.problem, small_job.claims, lambda: small_job.programs(12), SMALL),
+    "straight": (straight_job.problem, straight_job.claims, lambda: straight_job.programs(12), STRAIGHT),
+    "krl": (krl_job.problem, krl_job.claims, krl_job.programs, KRL),
+    "shaken": (
+        lambda: handshake_job.problem(*SHAKEN_FORM),
+        handshake_job.claims,
+        lambda: handshake_job.programs(*SHAKEN_FORM, 2),
+        SHAKEN,
+    ),
+}
+KINDS = [(job, kind) for job, (*_, table) in JOBS.items() for kind in table]
+
+
+@functools.cache
+def prover(job):
+    problem, claims, *_ = JOBS[job]
+    return Prover(problem(), claims())
+
+
+def broken(job, texts, last=None):
+    """Codes of the rules that refuse programs, of those up to ``last``."""
+    proof = prover(job).prove(texts, last=last)
+    return {rule.code for rule in proof.rules if rule.ran and not rule.passed}
+
+
+@pytest.mark.parametrize(("job", "kind"), KINDS)
+def test_the_named_rule_catches_the_fault(job, kind):
+    *_, programs, table = JOBS[job]
+    code, mutate = table[kind]
+    mutant = mutate(np.random.default_rng(len(kind)), programs())
+    assert mutant != programs()
+    assert code in broken(job, mutant, code)
+
+
+def missed(job, each, seed):
+    """Kinds and numbers of mutants that were proven, and how many were tried."""
+    *_, programs, table = JOBS[job]
+    out, tried = [], 0
+    for n, (kind, (_, mutate)) in enumerate(table.items()):
+        for k in range(each):
+            mutant = mutate(np.random.default_rng([seed, n, k]), programs())
+            assert mutant != programs(), (kind, k)
+            tried += 1
+            if prover(job).prove(mutant, first_error=True).ok:
+                out.append((kind, k))
+    return out, tried
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_a_sample_of_mutants_is_caught(job):
+    found, tried = missed(job, SAMPLE, seed=31)
+    assert tried == SAMPLE * len(JOBS[job][-1])
+    assert found == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("job", JOBS)
+def test_hundreds_of_mutants_are_caught(job):
+    found, tried = missed(job, FULL, seed=2032)
+    assert tried == FULL * len(JOBS[job][-1])
+    assert found == []
+
+
+def test_the_proof_says_how_fast_an_arm_may_come_from_anywhere():
+    where = prover("small").prove(small_job.programs(12), last="verify.unknown_start")
+    assert "250 mm/s, 45 deg/s (left, right)" in where.rule("verify.unknown_start").where
+    krl = prover("krl").prove(krl_job.programs(), last="verify.unknown_start")
+    assert "10 % of each axis" in krl.rule("verify.unknown_start").where
+
+
+def everywhere(texts, old, new):
+    assert any(old in text for text in texts.values()), old
+    return {file: text.replace(old, new) for file, text in texts.items()}
+
+
+def slow_entry(texts):
+    return everywhere(texts, "v_entry:=[250,45,250,45]", "v_entry:=[100,30,5000,1000]")
+
+
+def slower_first_move(texts):
+    return everywhere(texts, "j_home\\NoEOffs,v_entry", "j_home\\NoEOffs,v_entry\\V:=80")
+
+
+def heats_in_two_parts(texts):
+    return everywhere(texts, "    WaitTime 10;", "    WaitTime 4;\n    WaitTime 6.2;")
+
+
+def resets(texts):
+    return everywhere(texts, f"SetDO {small_job.SIGNAL},0;", f"Reset {small_job.SIGNAL};")
+
+
+def undo_says_so(texts):
+    return everywhere(texts, "    SyncMoveUndo;", '    SyncMoveUndo;\n    TPWrite "Left by the side.";')
+
+
+def other_stop(texts):
+    return everywhere(texts, "StopMove\\Quick;", "StopMove;")
+
+
+def waits_without_power(texts):
+    """The other task is late where nothing is hot, and nothing moves."""
+    row = "    WaitSyncTask meet_1,"
+    return edit(texts, name("Main", 2), row, f"    WaitTime 90;\n{row}")
+
+
+def waits_while_cold(texts):
+    return everywhere(texts, "    WaitTime 5;", "    WaitTime 300;")
+
+
+def looks_on(texts):
+    """A word to the operator, as a lamp says."""
+    row = "    approach;"
+    return edit(texts, name("Main", 1), row, f'    IF TestDI(diLamp) TPWrite "Lit.";\n{row}')
+
+
+def other_zones(texts):
+    """Zones of a pair may differ in size."""
+    rows = lines(texts, 2)
+    i = next(i for i, row in enumerate(rows) if ",z5mm," in row)
+    rows[i] = rows[i].replace(",z5mm,", ",z1,")
+    return put(texts, 2, rows)
+
+
+SAME = (
+    slow_entry,
+    slower_first_move,
+    heats_in_two_parts,
+    resets,
+    undo_says_so,
+    other_stop,
+    waits_without_power,
+    waits_while_cold,
+    looks_on,
+    other_zones,
+)
+
+
+def test_the_same_in_other_words_passes():
+    texts = small_job.programs(12)
+    for change in SAME[::3]:
+        assert change(texts) != texts
+        texts = change(texts)
+    assert [str(issue) for issue in prover("small").prove(texts).issues] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("change", SAME, ids=lambda change: change.__name__)
+def test_each_rewrite_passes(change):
+    texts = small_job.programs(12)
+    assert change(texts) != texts
+    assert [str(issue) for issue in prover("small").prove(change(texts)).issues] == []
+
+
+def test_krl_may_be_slower():
+    texts = krl_job.programs()
+    slow = {file: re.sub(r"(\$VEL_AXIS\[\d\])=10\b", r"\1=4", text) for file, text in texts.items()}
+    assert slow != texts
+    assert not broken("krl", slow, "verify.power_idle")
+
+
+def test_two_controllers_may_wait_longer_than_they_have_to():
+    texts = handshake_job.programs(*SHAKEN_FORM, 2)
+    longer = {file: text.replace("MaxTime:=30;", "MaxTime:=120;") for file, text in texts.items()}
+    assert longer != texts
+    assert not broken("shaken", longer, "verify.undo")
+
+
+def test_a_time_that_the_problem_does_not_state_is_not_allowed():
+    """What may be hot for ten seconds may not be so for as long where the problem says two."""
+    (wire, *faces, contact, front, back) = small_job.claims()["panel"]
+    assert isinstance(contact, ContactOnlyIn)
+    short = {"panel": (wire, *faces, dataclasses.replace(contact, heat_up=2.0), front, back)}
+    proof = Prover(small_job.problem(), short).prove(small_job.programs(12), last="verify.power_idle")
+    (issue,) = [issue for issue in proof.issues if issue.code == "verify.power_idle"]
+    assert (issue.value, issue.limit, issue.unit) == (10.0, pytest.approx(2.7), "s")
