@@ -49,3 +49,5 @@ FRAMES: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
 """Settings that name data, with their type."""
 WORLD: Final = "b_world"
 """What the frame is called that is the cell's world, as the robot's foot sees it."""
+SPLINE_MOVE: Final = "SPL"
+"""What moves of a spline block are called in steps."""
