@@ -183,42 +183,12 @@ _ALL = (
     *(TEXT, ROBOTS, TASKS, STAGES, SPLINES, MOTION, FORMING, FORMED),
     *(MILLED, MILLING, WIRE, OTHERS),
 )
-RULES: tuple[str, ...] = tuple(
-    code
-    for table in (
-        TEXT,
-        ROBOTS,
-        TASKS,
-        STAGES,
-        SPLINES,
-        MOTION,
-        FORMING,
-        FORMED,
-        MILLED,
-        MILLING,
-        WIRE,
-        OTHERS,
-    )
-    for code, _ in table
-)
+RULES: tuple[str, ...] = tuple(code for table in _ALL for code, _ in table)
 """Codes of all rules."""
 
 TITLES: Mapping[str, str] = {
     code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
-    for table in (
-        TEXT,
-        ROBOTS,
-        TASKS,
-        STAGES,
-        SPLINES,
-        MOTION,
-        FORMING,
-        FORMED,
-        MILLED,
-        MILLING,
-        WIRE,
-        OTHERS,
-    )
+    for table in _ALL
     for code, rule in table
 }
 """What each rule asks, by code."""

@@ -78,13 +78,17 @@ class Block:
 
 @dataclasses.dataclass(frozen=True)
 class Allowance:
-    """What the curves of all blocks may be off the replay: the TCP by ``way`` [m] and ``turn`` [rad],
-    ``joints`` [rad], and ``body`` [m] any body of the arm."""
+    """What curves may be off the replay: the TCP by ``way`` (N,) [m] and ``turn`` (N,) [rad] on each segment,
+    at most ``joints`` [rad], and ``body`` [m] any body of the arm."""
 
-    way: float
-    turn: float
+    way: FloatArray
+    turn: FloatArray
     joints: float
     body: float
+
+    def at(self, lever: float) -> float:
+        """How far [m] something is off at most that is so far [m] from the TCP."""
+        return float((self.way + lever * self.turn).max())
 
 
 def blocks(context: Context) -> Iterator[Block]:
@@ -121,14 +125,22 @@ def spline(context: Context) -> tuple[Outcome, Context]:
     issues = _refused(context, found)
     if issues:
         return Outcome(tuple(issues)), context
-    most, worst = Allowance(0.0, 0.0, 0.0, 0.0), 0.0
+    own: list[Allowance] = []
+    worst = 0.0
     for block in found:
         bounds = spline_curve.bounds(block.pose, block.duration)
         issues += _near(block, bounds) + _paced(context, block, bounds)
         worst = max(worst, float(bounds.off.max()))
-        own, wrong = _joints(context, block, bounds)
+        one, wrong = _joints(context, block, bounds)
         issues += wrong
-        most = Allowance(*map(max, dataclasses.astuple(most), dataclasses.astuple(own)))
+        own.append(one)
+    most = Allowance(
+        np.concatenate([one.way for one in own]),
+        np.concatenate([one.turn for one in own]),
+        max(one.joints for one in own),
+        max(one.body for one in own),
+    )
+    issues += _left(context, found[0], most) if not issues else []
     points = sum(len(block.moves) for block in found)
     where = f"{len(found)} blocks of {points} points, how they are planned {NOT_SEEN}"
     outcome = Outcome(tuple(issues), mm(worst), mm(MOST), "mm off the straight ways", where)
@@ -272,7 +284,7 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
             issues.append(at_step(CODE, what, task, move))
     reach = _reaches(machine, q[at], block.tool)
     body = float((shift * reach).sum(axis=1).max())
-    return Allowance(float(way.max()), float(turn.max()), float(shift.max()), body), issues[:20]
+    return Allowance(way, turn, float(shift.max()), body), issues[:20]
 
 
 def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
@@ -323,6 +335,29 @@ def _reaches(machine: machines.Machine, q: FloatArray, tool: FloatArray) -> Floa
     )
 
 
+def _lever(claim: Claim) -> float:
+    """How far [m] from the TCP a claim looks."""
+    cutter = getattr(claim, "cutter", None)
+    if cutter is None:
+        return 0.0
+    return float(cutter.overhang if isinstance(claim, SparesPart) else cutter.flute)
+
+
+def _left(context: Context, first: Block, most: Allowance) -> list[Issue]:
+    """Claims of which a curve leaves nothing."""
+    issues = []
+    for claim in context.claims:
+        for name in _TOLERANCES[type(claim)]:
+            shift, allowed = most.at(_lever(claim)), getattr(claim, name)
+            if shift >= allowed or float(most.turn.max()) >= getattr(claim, "turn", np.inf):
+                what = (
+                    f"curves may be {mm(shift):.4f} mm off, which leaves nothing of the {mm(allowed):g} mm "
+                )
+                what += f"that {type(claim).__name__} allows; put points nearer to each other, or write SLIN"
+                issues.append(at_step(CODE, what, first.task, first.moves[0]))
+    return issues[:5]
+
+
 def tightened(context: Context, most: Allowance) -> Context:
     """The same proof with that much less room: clearance and margins, tolerances and feeds of claims."""
     settings = dataclasses.replace(
@@ -346,14 +381,10 @@ def _less(claim: Claim, most: Allowance) -> Claim:
     A cutter is held by it up to the end of its flute, or of its overhang where it spares a part; holder and
     spindle behind that keep off the whole block by the clearance, which has its own share.
     """
-    cutter = getattr(claim, "cutter", None)
-    lever = 0.0
-    if cutter is not None:
-        lever = cutter.overhang if isinstance(claim, SparesPart) else cutter.flute
-    shift = most.way + lever * most.turn
+    shift = most.at(_lever(claim))
     fields: dict[str, Any] = {name: getattr(claim, name) - shift for name in _TOLERANCES[type(claim)]}
     if hasattr(claim, "turn"):
-        fields["turn"] = claim.turn - most.turn
+        fields["turn"] = claim.turn - float(most.turn.max())
     for name in _FEEDS:
         if hasattr(claim, name) and not isinstance(claim, claims.FollowsTable):
             fields[name] = getattr(claim, name) / FASTER
