@@ -14,7 +14,7 @@ from planner.claims import FeedWindow
 from planner.problem import Problem
 from planner.targets import Targets
 
-CLEARANCE: Final = 1e-3
+CLEARANCE: Final = 4e-3
 """Bodies keep so much farther [m] apart."""
 MARGIN: Final = float(np.deg2rad(0.2))
 """Axes keep so much farther [rad] off their limits and off singular postures."""

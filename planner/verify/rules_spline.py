@@ -282,8 +282,7 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
                 f"a curve may need {100 * share[axis]:.0f} % of the speed of axis {axis + 1}; allowed: 100 %"
             )
             issues.append(at_step(CODE, what, task, move))
-    reach = _reaches(machine, q[at], block.tool)
-    body = float((shift * reach).sum(axis=1).max())
+    body = _bodies(machine, q[at], block.tool, shift, way, turn)
     return Allowance(way, turn, float(shift.max()), body), issues[:20]
 
 
@@ -321,18 +320,31 @@ def _jacobian(machine: machines.Machine, q: FloatArray, tool: FloatArray, base: 
     return out
 
 
-def _reaches(machine: machines.Machine, q: FloatArray, tool: FloatArray) -> FloatArray:
-    """How far (N, 6) [m] bodies that a joint turns are off its axis at most."""
-    frames = machine.chain.frames(q)
-    tip = frames[:, 6] @ tool
-    origins = np.concatenate([frames[:, :, :3, 3], tip[:, None, :3, 3]], axis=1)
-    return np.stack(
+def _bodies(
+    machine: machines.Machine,
+    q: FloatArray,
+    tool: FloatArray,
+    shift: FloatArray,
+    way: FloatArray,
+    turn: FloatArray,
+) -> float:
+    """How far [m] any body of the arm is off at most, where its joints q (N, 6) are off by ``shift`` (N, 6)
+    [rad] and its TCP by ``way`` (N,) [m] and ``turn`` (N,) [rad].
+
+    The links up to the forearm go with the first three joints; those of the wrist, whose axes meet, with two
+    more, about a place that they do not leave; the last link and the tool as the TCP does.
+    """
+    origins = machine.chain.frames(q)[:, :, :3, 3]
+    reach = np.stack(
         [
-            BULK + np.linalg.norm(origins[:, k + 1 :] - origins[:, k, None], axis=2).max(axis=1)
-            for k in range(6)
+            BULK + np.linalg.norm(origins[:, k + 1 : 6] - origins[:, k, None], axis=2).max(axis=1)
+            for k in range(3)
         ],
         axis=1,
     )
+    links = (shift[:, :3] * reach).sum(axis=1) + BULK * shift[:, 3:5].sum(axis=1)
+    held = way + (BULK + float(np.linalg.norm(tool[:3, 3]))) * turn
+    return float(np.maximum(links, held).max())
 
 
 def _lever(claim: Claim) -> float:

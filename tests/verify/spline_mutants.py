@@ -303,6 +303,40 @@ def faster_than_allowed(rng, texts):
     return changed(texts, r"^\$VEL.CP=.*$", f"$VEL.CP={rng.uniform(0.28, 2.9):.6f}\r")
 
 
+def unbound(texts):
+    """The speed in force no longer tells of times that are too short."""
+    return changed(texts, r"^\$VEL.CP=.*$", "$VEL.CP=0.2\r")
+
+
+@fault
+def end_shorter_and_faster_allowed(rng, texts):
+    return end_shorter(rng, unbound(texts))
+
+
+@fault
+def time_taken_and_faster_allowed(rng, texts):
+    return time_taken_from_one_part_for_another(rng, unbound(texts))
+
+
+@fault
+def kink_and_faster_allowed(rng, texts):
+    return kink_between_two_poses(rng, unbound(texts))
+
+
+@fault
+def point_moved_and_faster_allowed(rng, texts):
+    return point_moved(rng, unbound(texts))
+
+
+@fault
+def slow_turning(rng, texts):
+    """Slower than the points turn: they do not turn at all but for one."""
+    rows = [re.sub(r"(ORI[12])=200.0", r"\1=0.1", row) for row in lines(texts)]
+    at = pick(rng, points(rows))
+    rows[at] = turned(rng, rows[at], 0.5 * TOLERANCE)
+    return put(texts, rows)
+
+
 @fault
 def joint_spline(rng, texts):
     return changed(texts, r"^SPLINE", "PTP_SPLINE")

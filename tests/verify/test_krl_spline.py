@@ -100,3 +100,16 @@ def test_all_faults_are_caught(name, seed):
 def test_all_harmless_rewrites_pass(name, seed):
     texts = made(name, seed, spline_job.job()[2])
     assert spline_job.job()[3].prove(texts).ok, name
+
+
+@pytest.mark.long
+def test_a_bundled_job_of_milling_is_proven_in_blocks():
+    problem = pipeline.load("flank_wall")
+    controller = dataclasses.replace(problem.cell.controller, path="spline")
+    problem = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
+    outcome = pipeline.plan(problem)
+    assert outcome.verified, outcome.issues
+    assert outcome.programs["robot/flank_wall_1.src"].count("\r\nSPLINE\r\n") == 5
+    rules = {rule.code: rule for rule in outcome.proof.rules}
+    assert 0.01 < rules["verify.spline"].worst < 0.1
+    assert rules["verify.mill_gouge"].limit < 0.15  # of 0.15 mm without blocks
