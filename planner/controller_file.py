@@ -85,6 +85,10 @@ class ControllerFile(Strict):
     dialect: Annotated[
         Literal["krc4", "krc2"], Field(description="of KUKA arms: KSS 8.3 on, or the older subset")
     ] = "krc4"
+    path: Annotated[
+        Literal["slin", "spline"],
+        Field(description="of KUKA arms: straight moves, or spline blocks with times (`krc4`, one arm)"),
+    ] = "slin"
     io: Annotated[
         dict[Name, dict[Name, SignalNumber]],
         Field(
@@ -115,6 +119,8 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         else Handshake()
     )
     _check_io(spec.io, arms, handshake if alone else None)
+    if spec.path == "spline":
+        _check_path(spec, len(arms))
     return Controller(
         tuple(tasks),
         tuple(units),
@@ -125,7 +131,22 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         handshake,
         spec.dialect,
         {arm: dict(numbers) for arm, numbers in spec.io.items()},
+        spec.path,
     )
+
+
+def _check_path(spec: ControllerFile, arms: int) -> None:
+    """Raise where spline blocks cannot be written or proven."""
+    if spec.dialect != "krc4":
+        what = f"path: spline with dialect: {spec.dialect}; allowed: krc4; set dialect: krc4 or path: slin"
+    elif spec.sync == "handshake" or arms > 1:
+        what = (
+            "path: spline for two arms, which would have to stand still at every meeting, and whose "
+            "distance between two of them is proven on straight moves; allowed: one arm alone; set path: slin"
+        )
+    else:
+        return
+    raise TandemError(Issue("problem.field", what, field="controller.path"))
 
 
 def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:

@@ -42,6 +42,12 @@ SURFACE_SHARE: Final = 0.15
 """Part of a surface's tolerance that rounded corners of a straight wire may take, where it is more."""
 TIGHT_SHARE: Final = 0.5
 """The same of a cutter's tolerance that is tighter than :data:`DEVIATION`."""
+SPLINE_OFF: Final = 0.08
+"""How far [mm] the curve of a spline block may be off straight moves; the proof allows no more than 0.1."""
+SPLINE_SHARE: Final = 0.75
+SPLINE_WAY: Final = 0.5
+"""The same as a part of a cutter's tolerance on its surfaces, which corners then leave alone, and on ways
+that are divided by a part of it themselves."""
 LEVER: Final = 100.0
 """Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
 long."""
@@ -110,6 +116,21 @@ def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
     cutting = np.array([segment.works for segment in segments])
     foam = max(DEVIATION, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
     return np.where(cutting | np.append(cutting[1:], False), foam, AIR)
+
+
+def spline_off(targets: Targets, arm: str) -> list[tuple[float, float]]:
+    """How far [mm] the curve of a spline block may be off straight moves, at points so far [mm] from the TCP:
+    of the most anywhere, and a part of what a cutter's surfaces and ways allow there."""
+    out = [(LEVER, SPLINE_OFF)]
+    for claim in targets.claims:
+        if isinstance(claim, (SparesPart, *FOLLOWED, MillsSurface)) and claim.arm == arm:
+            cutter = getattr(claim, "cutter", None)
+            lever = 0.0
+            if cutter is not None:
+                lever = 1e3 * (cutter.overhang if isinstance(claim, SparesPart) else cutter.flute)
+            share = SPLINE_WAY if isinstance(claim, MillsAlong | MillsProgram | Engraves) else SPLINE_SHARE
+            out.append((lever, share * 1e3 * claim.tolerance))
+    return list(dict.fromkeys(out))
 
 
 def room(

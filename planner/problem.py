@@ -23,6 +23,7 @@ from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
+KrlPath = Literal["slin", "spline"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +72,8 @@ class Controller:
     module.
 
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
-    units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms. ``io``: {arm:
+    units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms; ``path``: how they go
+    from target to target, straight one by one or in spline blocks. ``io``: {arm:
     {signal: number}} of the inputs and outputs of KUKA controllers, which know no names.
     """
 
@@ -84,6 +86,7 @@ class Controller:
     handshake: Handshake = dataclasses.field(default_factory=Handshake)
     dialect: KrlDialect = "krc4"
     io: Mapping[str, Mapping[str, int]] = dataclasses.field(default_factory=dict)
+    path: KrlPath = "slin"
 
     def number(self, arm: str, signal: str) -> int | None:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""

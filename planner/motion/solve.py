@@ -20,6 +20,7 @@ from planner.motion.paths import find
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.scene import Scene
 from planner.motion.search import Blocked
+from planner.motion.spline_room import with_room
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
@@ -40,6 +41,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
     :class:`TandemError` with the reasons when there is no plan.
     """
     tell = progress or _silent
+    problem, targets = with_room(problem, targets)
     tell("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     bases = {arm.name: arm.base for arm in problem.cell.arms}
@@ -68,6 +70,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
 
 def check(problem: Problem, targets: Sequence[Targets]) -> list[Issue]:
     """Issues of reach and collision without optimising or timing; empty if every operation has a path."""
+    problem, targets = with_room(problem, targets)
     bases: Mapping[str, FloatArray] | None = None
     for stand in stands(problem, targets):
         place, reasons = _look(problem, stand if bases is None else stand.based(bases))

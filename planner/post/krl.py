@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, krl_moves, krl_panel, krl_tracks
+from planner.post import handshake_drift, krl_moves, krl_panel, krl_spline, krl_tracks
 from planner.post.krl_data import Data
 from planner.post.krl_format import comment, name
 from planner.post.krl_main import Main
@@ -34,13 +34,7 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     own = [task for task in job.tasks if task.robot.family == "KUKA"]
     limits = problem.cell.controller
     data = {task.number: Data(task, plan) for task in own}
-    moves = {
-        task.number: [
-            None if rows is None else krl_moves.lines(rows, limits.dialect)
-            for rows in krl_tracks.rows(task, data[task.number])
-        ]
-        for task in own
-    }
+    moves = {task.number: _lines(task, plan, problem, data[task.number]) for task in own}
     call = _CALL if job.handshake is not None else 0
     sizes = [
         np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in own], axis=0) + call
@@ -58,6 +52,20 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     return out
 
 
+def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[krl_moves.Lines | None]:
+    """The text of the moves of each operation."""
+    controller = problem.cell.controller
+    rows = krl_tracks.rows(task, data)
+    lines = [None if own is None else krl_moves.lines(own, controller.dialect) for own in rows]
+    if controller.path == "slin":
+        return lines
+    found = krl_tracks.blocks(task, plan, data)
+    return [
+        None if text is None or own is None else krl_spline.with_blocks(text, own, runs)
+        for text, own, runs in zip(lines, rows, found, strict=True)
+    ]
+
+
 def _files(
     task: TaskProgram,
     job: Job,
@@ -72,7 +80,7 @@ def _files(
     stem = name(problem.name, _STEM)
     main = Main(task, job, problem, data, layout, moves, stem)
     body = main.lines()
-    head = _header(task, job, plan, margins)
+    head = _header(task, job, plan, problem, margins)
     brief = comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     dialect = problem.cell.controller.dialect
     note = "; what this program was planned for; the proof starts from these"
@@ -98,13 +106,18 @@ def _program(
     return [f"DEF {word}()", *declared, *head, *body, "END"]
 
 
-def _header(task: TaskProgram, job: Job, plan: Plan, margins: Mapping[str, str]) -> list[str]:
+def _header(
+    task: TaskProgram, job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]
+) -> list[str]:
     tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
     out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
     out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")
     out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
     for item, value in margins.items():
         out += comment(f"Proven: {item} {value}.")
+    if problem.cell.controller.path == "spline":
+        for sentence in krl_spline.ASSUMED:
+            out += comment(sentence)
     partner = Partner.of(task, job)
     if partner is not None:
         for sentence in partner.header():

@@ -107,25 +107,25 @@ class Lines:
     def sizes(self) -> IntArray:
         """Characters (M,) of each move with its settings; ends of lines count twice."""
         pairs = zip(self.settings, self.move, strict=True)
-        return np.array([len(a) + a.count("\n") + len(b) + 2 for a, b in pairs], dtype=np.int64)
+        return np.array(
+            [len(a) + a.count("\n") + len(b) + b.count("\n") + 2 for a, b in pairs], dtype=np.int64
+        )
 
     def of(self, row: int, fresh: bool) -> list[str]:
         """The lines of a move; ``fresh``: with all settings, for the first one of a file."""
         head = _settings(self.values[row].tolist()) if fresh else self.settings[row]
-        return [*head.splitlines(), self.move[row]]
+        return [*head.splitlines(), *self.move[row].splitlines()]
+
+    def replaced(self, move: list[str], values: FloatArray) -> Lines:
+        """With other text for the moves, which may have several lines, and other values in force."""
+        return Lines(move, _changes(values), values)
 
 
 def lines(moves: Rows, dialect: KrlDialect) -> Lines:
     """The text of all moves."""
     word = "SLIN" if dialect == "krc4" else "LIN"
     values = _modal(moves)
-    changed = np.diff(values, axis=0, prepend=np.nan) != 0.0
-    settings = [
-        _settings(row, new) if some else ""
-        for row, new, some in zip(
-            values.tolist(), changed.tolist(), changed.any(axis=1).tolist(), strict=True
-        )
-    ]
+    settings = _changes(values)
     poses = zip(moves.position.tolist(), moves.angles.tolist(), _ends(moves, dialect), strict=True)
     move = [
         f"{word} {{X {x:.4f},Y {y:.4f},Z {z:.4f},A {a:.5f},B {b:.5f},C {c:.5f}}}{end}"
@@ -134,6 +134,17 @@ def lines(moves: Rows, dialect: KrlDialect) -> Lines:
     for row in np.flatnonzero(moves.still).tolist():
         move[row] = f"WAIT SEC {short(float(moves.duration[row]), 5)}"
     return Lines(move, settings, values)
+
+
+def _changes(values: FloatArray) -> list[str]:
+    """The settings that change before each of M moves, given the values (M, 5) in force."""
+    changed = np.diff(values, axis=0, prepend=np.nan) != 0.0
+    return [
+        _settings(row, new) if some else ""
+        for row, new, some in zip(
+            values.tolist(), changed.tolist(), changed.any(axis=1).tolist(), strict=True
+        )
+    ]
 
 
 def _modal(moves: Rows) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.issues import Issue, Severity
 from planner.plans import Plan
-from planner.post import krl_tracks
+from planner.post import krl_spline, krl_tracks
 from planner.post.krl_data import Data
 from planner.post.krl_status import near_zero
 from planner.post.program import Job, TaskProgram
@@ -22,13 +22,16 @@ TURN_OFF: Final = np.deg2rad(0.05)
 
 
 def notes(job: Job, plan: Plan, problem: Problem, files: Mapping[str, str]) -> tuple[Issue, ...]:
-    """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), and files
-    that are too long for some controllers (``post.krl_size``)."""
+    """Turn bits near zero (``post.turn_near_zero``), large turns in one move (``post.krl_turn``), files
+    that are too long for some controllers (``post.krl_size``), what spline blocks rest on (``post.spline``),
+    and moves that are in none (``post.spline_left``)."""
     out: list[Issue] = []
     dialect = problem.cell.controller.dialect
     for task in job.tasks:
         if task.robot.family == "KUKA":
             out += [*_turn_bits(task), *_turns(task, plan, dialect), *_size(task, files)]
+            if problem.cell.controller.path == "spline":
+                out += _splines(task, plan)
     return tuple(out)
 
 
@@ -79,6 +82,16 @@ def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
                 )
             )
     return out
+
+
+def _splines(task: TaskProgram, plan: Plan) -> list[Issue]:
+    found = krl_tracks.blocks(task, plan, Data(task, plan))
+    named = zip(task.operations, found, strict=True)
+    return [
+        issue
+        for operation, runs in named
+        for issue in krl_spline.notes(operation.name, task.arm.name, runs, operation.segments)
+    ]
 
 
 def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from planner.post import krl_moves
+from planner import corners
+from planner.claims import FeedWindow
+from planner.plans import Plan
+from planner.post import krl_moves, krl_spline
 from planner.post.krl_data import Data
 from planner.post.program import FloatArray, Joints, OperationProgram, TaskProgram
 
@@ -23,4 +26,20 @@ def rows(task: TaskProgram, data: Data) -> list[krl_moves.Rows | None]:
         else:
             start = data.start_pose(operation, q)
             out.append(krl_moves.rows(operation.track, operation.stop, start))
+    return out
+
+
+def blocks(task: TaskProgram, plan: Plan, data: Data) -> list[list[krl_spline.Run]]:
+    """The moves of each operation from stop to stop, as spline blocks or not."""
+    out: list[list[krl_spline.Run]] = []
+    for number, (operation, own) in enumerate(zip(task.operations, rows(task, data), strict=True)):
+        q = first_joints(operation)
+        if own is None or q is None:
+            out.append([])
+            continue
+        targets = plan.operations[number].targets
+        allowed = corners.spline_off(targets, task.arm.name)
+        fed = any(isinstance(claim, FeedWindow) for claim in targets.claims)
+        start = data.start_pose(operation, q)
+        out.append(krl_spline.runs(own, start, operation.segments, allowed, fed))
     return out

@@ -140,6 +140,28 @@ class Said(Statement):
 
 
 @dataclass(frozen=True, slots=True)
+class Point(Statement):
+    """SPL to X, Y, Z [mm], A, B, C [deg] in a spline block; ``part``: its share, 0 to 1, of the block's
+    time."""
+
+    place: tuple[float, float, float, float, float, float]
+    part: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spline(Statement):
+    """SPLINE to ENDSPLINE: its points, with the heads of segments before them, and all its time [s]."""
+
+    points: tuple[Point | Said, ...]
+    seconds: float
+
+    @property
+    def moves(self) -> int:
+        """How many points there are."""
+        return sum(isinstance(point, Point) for point in self.points)
+
+
+@dataclass(frozen=True, slots=True)
 class Program:
     """A .src file: its `name` as in DEF, the subprograms that it declares by EXT, its statements, and its
     variables as (type, name), all in lower case."""
@@ -152,8 +174,9 @@ class Program:
 
     @property
     def moves(self) -> int:
-        """How many straight moves there are."""
-        return sum(isinstance(statement, Straight) for statement in self.body)
+        """How many straight moves and points of spline blocks there are."""
+        splines = sum(statement.moves for statement in self.body if isinstance(statement, Spline))
+        return splines + sum(isinstance(statement, Straight) for statement in self.body)
 
 
 @dataclass(frozen=True, slots=True)

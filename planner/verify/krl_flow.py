@@ -22,9 +22,11 @@ from planner.verify.krl_ast import (
     Listen,
     Output,
     Pause,
+    Point,
     Program,
     Said,
     Set,
+    Spline,
     Start,
     Statement,
     StopInterrupt,
@@ -33,7 +35,7 @@ from planner.verify.krl_ast import (
 from planner.verify.krl_load import NOTHING, held
 from planner.verify.krl_panel import Panel, PanelError
 from planner.verify.krl_values import quaternion
-from planner.verify.krl_words import AXES, CHOICES, FRAMES, MOVING
+from planner.verify.krl_words import AXES, CHOICES, FRAMES, MOVING, SPLINE_MOVE
 from planner.verify.steps import CarryStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
 from planner.verify.values import (
     Array,
@@ -55,6 +57,8 @@ MAIN = "main"
 _BLOCK = "l_block_"
 """How the loads of a tool together with a block are called."""
 _FINE = Zone(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_THROUGH = Zone(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""At a point of a spline block: the arm goes through it without a stop."""
 _STILL = np.zeros(6)
 _HEAD = (
     (False, "GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM ( )"),
@@ -133,6 +137,9 @@ class Runner:
                 self._fail(statement.line, "the programs call each other too often to be read")
             if isinstance(statement, Straight):
                 self._straight(statement)
+                continue
+            if isinstance(statement, Spline):
+                self._spline(statement)
                 continue
             if not isinstance(statement, Set | Said):
                 self._carry(statement.line)
@@ -305,25 +312,57 @@ class Runner:
 
     def _straight(self, move: Straight) -> None:
         line = move.line
-        self._carry(line)
-        what = f"{move.word} stands in the main program; moves have files of their own"
-        self._misplaced(line, not self.depth, what)
-        if self.here is None:
-            self._fail(line, f"{move.word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
+        here = self._begins(line, move.word)
         self._needed(line, tuple(MOVING))
-        settings = self.settings
-        velocity, turning = float(settings["$vel.cp"]), float(settings["$vel.ori1"])
-        if settings["$vel.ori2"] != turning:
-            self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
-        x, y, z, a, b, c = move.place
-        there = _Pose((x, y, z), quaternion(a, b, c))
-        way, turn = _apart(self.here, there)
-        rate = math.sqrt(2.0) * math.radians(turning)
-        speed = Speed(velocity, rate, 0.0, 0.0)
+        speed, way, turn, there = self._paced(line, here, move.place)
         target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _STILL)
         zone, name = self._zone(move.corner)
-        self._move(line, move.word, target, "", max(way / velocity, turn / rate), speed, zone, name)
+        time = max(way / speed.tcp, turn / speed.turn)
+        self._move(line, move.word, target, "", time, speed, zone, name)
         self.here = there
+
+    def _spline(self, block: Spline) -> None:
+        """The points of a spline block as moves: each takes its share of the block's time, and only the last
+        one ends in a stop."""
+        self._begins(block.line, "SPLINE")
+        self._needed(block.line, tuple(MOVING))
+        last = next((step for step in reversed(self.steps) if isinstance(step, MoveStep)), None)
+        if last is None or not last.zone.fine:
+            self._fail(block.line, "SPLINE does not begin at an exact stop; the move before it must be one")
+        left = block.moves
+        for item in block.points:
+            if isinstance(item, Said):
+                self._statement(item)
+            elif isinstance(item, Point) and self.here is not None:
+                left -= 1
+                speed, _, _, there = self._paced(item.line, self.here, item.place)
+                target = RobTarget(1e-3 * np.array(there.position), np.array(there.quaternion), None, _STILL)
+                zone, name = (_THROUGH, SPLINE_MOVE) if left else (_FINE, "")
+                seconds = item.part * block.seconds
+                self._move(item.line, SPLINE_MOVE, target, "", seconds, speed, zone, name)
+                self.here = there
+
+    def _begins(self, line: int, word: str) -> _Pose:
+        """The pose at which a straight move, or a spline block, begins."""
+        self._carry(line)
+        what = f"{word} stands in the main program; moves have files of their own"
+        self._misplaced(line, not self.depth, what)
+        if self.here is None:
+            self._fail(line, f"{word} begins at no pose of this $BASE and $TOOL; PTP to an E6POS first")
+        return self.here
+
+    def _paced(
+        self, line: int, here: _Pose, place: tuple[float, float, float, float, float, float]
+    ) -> tuple[Speed, float, float, _Pose]:
+        """The speeds in force, way [m] and turn [rad] to a place, and that."""
+        velocity, turning = float(self.settings["$vel.cp"]), float(self.settings["$vel.ori1"])
+        if self.settings["$vel.ori2"] != turning:
+            self._fail(line, "$VEL.ORI1 and $VEL.ORI2 differ; set both to one value")
+        x, y, z, a, b, c = place
+        there = _Pose((x, y, z), quaternion(a, b, c))
+        way, turn = _apart(here, there)
+        rate = math.sqrt(2.0) * math.radians(turning)
+        return Speed(velocity, rate, 0.0, 0.0), way, turn, there
 
     def _stand(self, line: int, seconds: float) -> None:
         """A wait in a file with moves: the arm's part of a move in which it stands still."""

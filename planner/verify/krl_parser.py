@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
-from planner.verify import krl_values
+from planner.verify import krl_spline, krl_values
 from planner.verify.faults import Fault
 from planner.verify.krl_ast import (
     Call,
@@ -163,6 +163,8 @@ class Reader:
     def _statement(self, line: int, code: str) -> Statement | None:
         if _GUARD[0].fullmatch(code):
             return self._listen(line)
+        if krl_spline.OPENS.fullmatch(code):
+            return self._spline(line)
         for pattern, make in _FORMS:
             found = pattern.fullmatch(code)
             if found is None:
@@ -227,6 +229,25 @@ class Reader:
         if not 0 < limit <= _LONGEST_WAIT:
             self.fault(line, "type", f"a wait of {limit} ms; allowed: 1 to {_LONGEST_WAIT}")
         return Listen(line, number, level, limit * 1e-3)
+
+    def _spline(self, line: int) -> Statement | None:
+        """The spline block whose SPLINE has been read; where it is none, the lines up to its end are passed
+        over."""
+        try:
+            return krl_spline.block(line, self._behind())
+        except krl_spline.SplineError as wrong:
+            self.fault(wrong.line, wrong.kind, wrong.message)
+        while self.at < len(self.rows) and not self.rows[self.at - 1].strip().upper().startswith("ENDSPLINE"):
+            self.at += 1
+        return None
+
+    def _behind(self) -> Iterator[tuple[int, str, list[Said]]]:
+        """Rows from here on: line, code, and what is said there."""
+        while self.at < len(self.rows):
+            row = self.rows[self.at].strip()
+            self.at += 1
+            code, text = parted(row)
+            yield self.at, code, said(self.at, text)
 
     # ---- .dat ----
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 
 from planner.verify.faults import Fault
-from planner.verify.krl_ast import Call, DataList, Joint, Program, Set, Statement, Straight
+from planner.verify.krl_ast import Call, DataList, Joint, Program, Set, Spline, Statement, Straight
 from planner.verify.krl_flow import Runner, Signals
 from planner.verify.krl_forms import VARIABLES
 from planner.verify.krl_panel import Panel
@@ -149,6 +149,8 @@ def _used(statement: Statement, text: KrlText, dialect: str) -> Iterator[tuple[s
             words = f"{statement.word} {statement.corner}".rstrip()
             yield "syntax", f"{words} is not of the dialect {dialect}, which the cell's controller has"
         return
+    if isinstance(statement, Spline) and dialect != "krc4":
+        yield "syntax", f"SPLINE is not of the dialect {dialect}, which the cell's controller has"
     if isinstance(statement, Call):
         if statement.name not in text.programs:
             yield "undeclared", f"there is no {statement.name}()"

@@ -60,3 +60,5 @@ FOOT: Final = "Arm {}: $ROBROOT is off zero by %1 mm, %2 deg"
 FOOT_SHIFT: Final = 0.1
 FOOT_TURN: Final = 0.02
 """How far $ROBROOT may be off zero: its way [mm], and the sum of its angles [deg]."""
+SPLINE_MOVE: Final = "SPL"
+"""What moves of a spline block are called in steps."""

@@ -219,13 +219,15 @@ class _Rapid(Runner):
             self._between(found[1].line, self._end(found[1].line))
             self.module = here
 
-    def _choice(self, statement: Statement, condition: str, run: Callable[[], None]) -> None:
+    def _choice(
+        self, statement: Statement, condition: str, run: Callable[[], None], repeats: bool = False
+    ) -> None:
         """What hangs on a condition is no part of the way, and leaves a gap where it is not read."""
         self._flush()
         way, taken = self.way, self.taken
         self.way, self.taken = [], 0
         try:
-            super()._choice(statement, condition, run)
+            super()._choice(statement, condition, run, repeats)
         finally:
             aside, self.way, self.taken = self.way, way, taken
             if aside:

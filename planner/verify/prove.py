@@ -48,6 +48,7 @@ from planner.verify import (
     rules_power,
     rules_setup,
     rules_slit,
+    rules_spline,
     rules_straight,
     rules_surface,
     rules_sync,
@@ -174,6 +175,8 @@ MILLING: tuple[tuple[str, Callable[[Context, Milling], Outcome]], ...] = (
     ("verify.spindle", rules_mill_spindle.spindle),
 )
 
+SPLINES: tuple[tuple[str, Callable[..., Any]], ...] = (("verify.spline", rules_spline.spline),)
+
 NEEDED = (
     "verify.setup",
     "verify.move_count",
@@ -185,16 +188,16 @@ NEEDED = (
 )
 """What must hold for a motion to follow from the text."""
 
-RULES: tuple[str, ...] = tuple(
-    code
-    for table in (TEXT, ROBOTS, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
-    for code, _ in table
+_ALL = (
+    *(TEXT, ROBOTS, TASKS, STAGES, SPLINES, MOTION, FORMING, FORMED),
+    *(MILLED, MILLING, WIRE, OTHERS),
 )
+RULES: tuple[str, ...] = tuple(code for table in _ALL for code, _ in table)
 """Codes of all rules."""
 
 TITLES: Mapping[str, str] = {
     code: " ".join((rule.__doc__ or code).split("\n\n")[0].split()).rstrip(".")
-    for table in (TEXT, ROBOTS, TASKS, STAGES, MOTION, FORMING, FORMED, MILLED, MILLING, WIRE, OTHERS)
+    for table in _ALL
     for code, rule in table
 }
 """What each rule asks, by code."""
@@ -250,6 +253,9 @@ class Prover:
             yield
         if run.broken_any(*NEEDED):
             return
+        outcome, context = rules_spline.spline(context)  # from here on with what its curves leave of room
+        run.add("verify.spline", outcome)
+        yield
         for code, rule in MOTION:
             run.add(code, rule(context))
             yield

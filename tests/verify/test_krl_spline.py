@@ -1,0 +1,115 @@
+"""Programs with spline blocks: written, read, proven; each fault is caught, harmless rewrites pass."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from planner import pipeline, processes
+from planner.controller_file import ControllerFile, controllers
+from planner.issues import TandemError
+from planner.post import write
+from planner.verify import prove
+from tests.verify import spline_job
+from tests.verify.spline_job import MAIN, MOVES, broken
+from tests.verify.spline_mutants import MUTATORS, REWRITES, instances, made
+
+
+def test_a_block_keeps_the_planned_times_and_says_what_it_rests_on():
+    problem, plan, texts, _ = spline_job.job()
+    text = texts[MOVES]
+    assert text.count("\r\nSPLINE\r\nTIME_BLOCK START\r\n") == text.count("\r\nENDSPLINE\r\n") == 1
+    assert "SLIN" not in text and text.count("\r\nSPL {") == 80
+    parts = np.array([float(part) for part in re.findall(r"PART = ([\d.]+)", text)])
+    end = float(re.search(r"TIME_BLOCK END = ([\d.]+)", text)[1])
+    assert parts.sum() == pytest.approx(100.0, abs=1e-6)
+    assert np.allclose(parts / 100.0 * end, np.diff(plan.operations[0].time), atol=2e-5)
+    assert "not seen on a controller" in " ".join(texts[MAIN].replace("\r\n; ", " ").split())
+    (told,) = [issue for issue in write.notes(plan, problem) if issue.code == "post.spline"]
+    assert "not seen on a controller" in told.message and told.value < 0.02
+
+
+def test_the_job_is_proven_with_that_much_less_room():
+    proof = spline_job.job()[3].prove(spline_job.job()[2])
+    assert proof.ok, proof.issues
+    rules = {rule.code: rule for rule in proof.rules}
+    assert rules["verify.spline"].worst < 0.02 and "not seen" in rules["verify.spline"].where
+    assert rules["verify.singularity"].limit > 5.0
+
+
+def test_straight_moves_are_what_is_written_without_asking(tmp_path):
+    problem = pipeline.load(spline_job.written(tmp_path, spline_job.bow(), path="slin"))
+    plan = dataclasses.replace(spline_job.job()[1], digest=problem.digest)
+    texts = write.programs(plan, problem)
+    assert "SPLINE" not in texts[MOVES] and "SLIN {" in texts[MOVES]
+    texts[MOVES] = spline_job.job()[2][MOVES].replace(spline_job.job()[0].digest, problem.digest)
+    found = prove.Prover(problem, processes.claims(problem)).prove(texts, first_error=True)
+    assert {issue.code for issue in found.issues} == {"verify.spline"}
+
+
+def test_a_kink_stays_straight_and_is_named(tmp_path):
+    points = spline_job.bow(41)
+    points[21:, 0] += 1.5 * np.arange(20)
+    problem = pipeline.load(spline_job.written(tmp_path, points))
+    outcome = pipeline.plan(problem)
+    assert outcome.verified, outcome.issues
+    (left,) = [issue for issue in outcome.issues if issue.code == "post.spline_left"]
+    assert "move 2" in left.message and "allowed" in left.message
+    assert "SPLINE" not in outcome.programs[MOVES]
+
+
+@pytest.mark.parametrize(
+    "fields", [{"dialect": "krc2"}, {"sync": "handshake", "io": "{left: {doPartner: 1, diPartner: 1}}"}]
+)
+def test_splines_are_refused_where_they_cannot_be(tmp_path, fields):
+    with pytest.raises(TandemError) as caught:
+        pipeline.load(spline_job.written(tmp_path, spline_job.bow(), **fields))
+    assert any("controller" in (issue.field or "") for issue in caught.value.issues)
+
+
+def test_two_arms_have_no_splines():
+    spec = ControllerFile.model_validate({"path": "spline", "sync": "handshake"})
+    with pytest.raises(TandemError) as caught:
+        controllers(spec, ("left", "right"))
+    (issue,) = caught.value.issues
+    assert issue.field == "controller.path" and "one arm alone" in issue.message
+
+
+@pytest.mark.parametrize(("name", "seed"), instances(MUTATORS, [0]))
+def test_each_kind_of_fault_is_caught(name, seed):
+    assert broken(made(name, seed, spline_job.job()[2])), name
+
+
+@pytest.mark.parametrize(("name", "seed"), instances(REWRITES, [0]))
+def test_harmless_rewrites_pass(name, seed):
+    texts = made(name, seed, spline_job.job()[2])
+    assert spline_job.job()[3].prove(texts).ok, name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "seed"), instances(MUTATORS, [1, 2, 3, 4]))
+def test_all_faults_are_caught(name, seed):
+    assert broken(made(name, seed, spline_job.job()[2])), name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "seed"), instances(REWRITES, [1, 2, 3]))
+def test_all_harmless_rewrites_pass(name, seed):
+    texts = made(name, seed, spline_job.job()[2])
+    assert spline_job.job()[3].prove(texts).ok, name
+
+
+@pytest.mark.long
+def test_a_bundled_job_of_milling_is_proven_in_blocks():
+    problem = pipeline.load("flank_wall")
+    controller = dataclasses.replace(problem.cell.controller, path="spline")
+    problem = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
+    outcome = pipeline.plan(problem)
+    assert outcome.verified, outcome.issues
+    assert outcome.programs["robot/flank_wall_1.src"].count("\r\nSPLINE\r\n") == 5
+    rules = {rule.code: rule for rule in outcome.proof.rules}
+    assert 0.01 < rules["verify.spline"].worst < 0.1
+    assert rules["verify.mill_gouge"].limit < 0.15  # of 0.15 mm without blocks
