@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, halts, rounding, transit
+from planner.motion import aim, corridor, diagnose, entry, halts, least_feed, rounding, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, tcp_ways
 from planner.motion.paths import find
@@ -64,7 +64,9 @@ def plan_operation(
         diagnose.require_moves(scene, targets, found.path.branch, samples)
     wanted = targets
     targets, ticks, deviation = _clock(scene, targets, samples)
-    issues = [*_slow(targets, ticks.time), *halts.told(wanted, targets)]
+    least_feed.require(scene, targets, samples, ticks.time)
+    slow = _slow(targets, ticks.time) if targets.run_up is None else []
+    issues = [*slow, *halts.told(wanted, targets)]
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
