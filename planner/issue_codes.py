@@ -17,6 +17,7 @@ CODES: Final[dict[str, str]] = {
     "problem.unknown_robot": "a robot that the catalogue does not have",
     "problem.unknown_arm": "an operation names an arm that the cell does not have",
     "problem.unknown_process": "an operation names a process that is not built in",
+    "problem.signal": "one signal would switch two things",
     "problem.not_finite": "a number is NaN or infinite",
     # blocks that are held, and what is known of them
     "stock.gripper": "the arm that is to hold the block carries no gripper",

@@ -15,6 +15,7 @@ import yaml
 from planner import cli, pipeline, problem_bundle, sshsig, statement
 from planner.files import RESULT, write_folder
 from planner.issues import TandemError
+from planner.problem import Problem
 from planner.problem_compare import differences
 from tests.verify import bead_job
 
@@ -47,8 +48,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("signed")
     key, _ = keys(folder)
     bead_job.write(folder, "abb")
-    assert cli.plan(folder / "problem.yaml", folder / "out", sign=key) == cli.DONE
+    problem = pipeline.load(folder / "problem.yaml")
+    write_folder(folder / "out", result(problem) | {"report.html": "<html>", "proof.json": "true"}, RESULT)
+    assert cli.verify(folder / "out", problem=folder / "problem.yaml", sign=key) == cli.DONE
     return folder
+
+
+def result(problem: Problem) -> dict[str, str | bytes]:
+    """Programs and problem as a result folder has them."""
+    files: dict[str, str | bytes] = {
+        f"programs/{name}": text for name, text in pipeline.plan(problem).programs.items()
+    }
+    return files | {f"problem/{name}": text for name, text in problem_bundle.bundle(problem).items()}
 
 
 @pytest.fixture
@@ -203,11 +214,11 @@ def test_every_change_of_a_signed_file_is_told(
 
 
 def test_files_that_come_and_go_are_told(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (copy / "out" / "replay.html").unlink()
+    (copy / "out" / "proof.json").unlink()
     (copy / "out" / "programs" / "note.txt").write_text("x")
     assert verify(copy) == cli.NOT_PROVEN
     shown = capsys.readouterr().err
-    assert "replay.html is missing" in shown
+    assert "proof.json is missing" in shown
     assert "programs/note.txt was added" in shown
 
 
@@ -251,6 +262,15 @@ def test_what_is_not_proven_is_not_signed(copy: Path, capsys: pytest.CaptureFixt
     assert (copy / "out" / "statement.json.sig").read_bytes() == before
 
 
+@pytest.mark.long
+def test_a_plan_is_signed_as_a_whole(copy: Path) -> None:
+    key, _ = keys(copy, "other")
+    assert cli.plan(copy / "problem.yaml", copy / "out", sign=key) == cli.DONE
+    assert verify(copy, "other.pub") == cli.DONE
+    signed = json.loads((copy / "out" / "statement.json").read_text())["files"]
+    assert {"report.html", "replay.html", "plan.npz", "plan.json", "proof.json"} <= set(signed)
+
+
 def test_the_next_result_takes_the_old_signature_away(copy: Path) -> None:
     write_folder(copy / "out", {"report.html": "of another plan"}, RESULT)
     assert not (copy / "out" / "statement.json").exists()
@@ -271,10 +291,7 @@ def test_a_relaxed_problem_in_the_folder_is_shown(copy: Path, capsys: pytest.Cap
     del data["operations"][0]["feed_mm_s"]
     data["operations"][0]["feed_mm_s"] = 41
     (copy / "relaxed.yaml").write_text(yaml.safe_dump(data))
-    relaxed_problem = pipeline.load(copy / "relaxed.yaml")
-    files = {f"programs/{k}": v for k, v in pipeline.plan(relaxed_problem).programs.items()}
-    files |= {f"problem/{k}": v for k, v in problem_bundle.bundle(relaxed_problem).items()}
-    write_folder(copy / "out", files, RESULT)
+    write_folder(copy / "out", result(pipeline.load(copy / "relaxed.yaml")), RESULT)
     assert cli.verify(copy / "out") == cli.DONE
     assert cli.verify(copy / "out", problem=own) == cli.NOT_PROVEN
     shown = capsys.readouterr()

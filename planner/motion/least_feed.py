@@ -8,11 +8,12 @@ between two feeds that no speed keeps both.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.geometry.rigid import log_rotation
 from planner.issues import Issue, TandemError, aggregate
 from planner.motion.joints import Dense
 from planner.motion.rounding import MOST_RAMP
@@ -28,6 +29,8 @@ DIP: Final = 0.82
 """A tool that rounds a corner is nowhere slower than this share of its least feed; the proof asks for 0.8."""
 RESERVED: Final = 0.999
 """Moves take at most this share of the time they may, for it is rounded when it is written."""
+KRL_TURN: Final = float(np.deg2rad(200.0))
+"""How fast tools may turn in programs in KRL [rad/s], whose moves are led by their way."""
 LOOKS: Final = 33
 """Instants of a corner that are looked at."""
 
@@ -40,7 +43,7 @@ def require(scene: Scene, targets: Targets, samples: Dense, time: FloatArray) ->
     most = allowed(targets)
     slow = np.flatnonzero(took > RESERVED * most)
     issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in slow.tolist()]
-    issues += _corners(targets, took)
+    issues += [*_corners(targets, took), *_turns(scene, targets, samples, took)]
     if issues:
         raise TandemError(list(aggregate(issues)))
 
@@ -158,6 +161,30 @@ def _corners(targets: Targets, took: FloatArray) -> list[Issue]:
         slowest = fastest.min(axis=0)
         bad = np.flatnonzero(slowest < limit).tolist()
         out += [_sharp(targets, first + k, float(slowest[k]), float(limit[k])) for k in bad]
+    return out
+
+
+def _turns(scene: Scene, targets: Targets, samples: Dense, took: FloatArray) -> list[Issue]:
+    """Moves in which the tool of a KUKA arm turns faster than programs in KRL let it, so that it would be
+    slow."""
+    out = []
+    rows = np.flatnonzero(samples.share == 1.0)
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        if chain.robot.family != "KUKA":
+            continue
+        turned = chain.pose(samples.q[arm][rows])[:, :3, :3]
+        angle = np.linalg.norm(log_rotation(np.swapaxes(turned[:-1], 1, 2) @ turned[1:]), axis=1)
+        rate = angle / np.maximum(took[1:], 1e-9)
+        for i in (np.flatnonzero((rate > KRL_TURN) & (targets.feed_min[1:] > 0.0)) + 1).tolist():
+            got, limit = (float(np.rad2deg(value)) for value in (rate[i - 1], KRL_TURN))
+            what = f"on the way to {targets.name(i)} the tool of {arm} turns at {got:.4g} deg/s; programs in "
+            what += f"KRL with a least feed allow {limit:g} deg/s"
+            measure: dict[str, Any] = {"value": got, "limit": limit, "unit": "deg/s"}
+            hint = "lower feed_min_mm_s and feed_mm_s there, or turn the tool over a longer way"
+            out.append(
+                Issue("motion.feed_min", what, arm=arm, index=i, target=targets.name(i), hint=hint, **measure)
+            )
     return out
 
 

@@ -124,7 +124,7 @@ def test_what_is_no_rapid_is_told() -> None:
 @reads_krl
 @pytest.mark.parametrize("job", KRL_JOBS)
 def test_krl_is_read(job: str) -> None:
-    texts = dict(KRL_JOBS[job]())
+    texts = {name: text for name, text in KRL_JOBS[job]().items() if not name.startswith("controller/")}
     assert len(texts) >= 2
     assert found(KRL, texts, GRAMMAR) == {name: [] for name in texts}
 
