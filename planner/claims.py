@@ -263,7 +263,9 @@ class FollowsTable:
 
     Each pose holds within ``position_tol`` [m] and ``angle_tol`` [rad]. From each pose to the next the TCPs
     take so long that the farthest one moves no faster than the row's feed, or ``feed`` [m/s] where it has
-    none.
+    none; and no slower than the row's least feed, or ``feed_min`` [m/s], 0 for none. From and to stops, and
+    where the least feed begins and ends, they come up to it over ``run_up`` [m]; stops are those of the table
+    alone.
     """
 
     operation: str
@@ -273,6 +275,8 @@ class FollowsTable:
     position_tol: float
     angle_tol: float
     feed: float | None
+    feed_min: float = 0.0
+    run_up: float = 0.0
 
 
 Claim = (

@@ -30,15 +30,22 @@ from planner import (
     feature_commands,
     kerf_commands,
     service_commands,
+    sshsig,
+    statement,
 )
 from planner.blame import given_wrong
 from planner.files import unhurried
 from planner.issues import Issue, Severity, TandemError, has_errors
+from planner.problem_compare import Difference, differences
 
 if TYPE_CHECKING:
     from planner.plans import Plan
+    from planner.problem import Problem
+    from planner.verify.result import Proof
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
+SHOWN = 40
+"""Fields of two problems that are listed at most."""
 STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
 
 app = tyro.extras.SubcommandApp()
@@ -50,17 +57,20 @@ err = Console(stderr=True)
 def plan(
     problem: tyro.conf.Positional[Path],
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out"),
+    sign: Path | None = None,
 ) -> int:
     """Plan a problem file, prove the programs and write them with a report; exit 0 only if verified.
 
     Args:
         problem: the problem file, YAML.
         output: folder for programs, report, replay and plan.
+        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
     """
     pipeline = _pipeline()
 
     started = time.perf_counter()
     try:
+        key = None if sign is None else sshsig.private_key(sign)
         pipeline.claim_output(output, problem)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
@@ -78,6 +88,8 @@ def plan(
         return _refused(error, _infeasible_code(error))
     _print_issues(outcome.issues)
     _summary(outcome, output, time.perf_counter() - started)
+    if key is not None and not _signed(output, loaded, outcome.proof, key):
+        return NOT_PROVEN
     return int(pipeline.exit_code(outcome))
 
 
@@ -99,18 +111,30 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
 
 
 @app.command
-def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> int:
+def verify(
+    folder: tyro.conf.Positional[Path],
+    problem: Path | None = None,
+    sign: Path | None = None,
+    signed_by: Path | None = None,
+) -> int:
     """Prove the programs in a result folder again, from their text and the problem alone.
 
     Args:
         folder: a result folder; of it, only programs/ and problem/ are read. With ``problem``, also a folder
             of programs that somebody else has written: what of them can be read and proven is told.
-        problem: the problem file to prove against, instead of the copy in the folder.
+        problem: your own problem file, to prove against instead of the copy in the folder, and to compare
+            that copy with.
+        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is proven.
+        signed_by: a public key, or a file of allowed signers, by which the result must be signed.
     """
     pipeline = _pipeline()
 
     try:
+        key = None if sign is None else sshsig.private_key(sign)
         loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
+        signature = () if signed_by is None else statement.check(folder, loaded, signed_by)
+        _print_issues(_compared(pipeline, folder, loaded, problem))
+        _print_issues(signature)
         programs = pipeline.read_programs(folder, bare=problem is not None)
     except TandemError as error:
         return _refused(error, BAD_INPUT)
@@ -132,7 +156,53 @@ def verify(folder: tyro.conf.Positional[Path], problem: Path | None = None) -> i
     out.print(
         f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
     )
-    return DONE if proof.ok else NOT_PROVEN
+    if key is not None and not _signed(folder, loaded, proof, key):
+        return NOT_PROVEN
+    return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
+
+
+def _signed(folder: Path, problem: Problem, proof: Proof, key: sshsig.PrivateKey) -> bool:
+    """Sign a result folder, and tell it; False where it is not signed."""
+    try:
+        stored = _pipeline().load_result(folder).digest
+        out.print(f"signed by {statement.sign(folder, problem, stored, proof, key)}", highlight=False)
+    except TandemError as error:
+        _print_issues(error.issues)
+        return False
+    return True
+
+
+def _compared(pipeline: ModuleType, folder: Path, own: Problem, file: Path | None) -> tuple[Issue, ...]:
+    """Tell how the problem in a folder compares with one's own, read from ``file``."""
+    if file is None:
+        out.print(f"problem in {folder}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
+        out.print("It was not compared with a file of yours: give --problem FILE.", highlight=False)
+        return ()
+    if not (folder / "problem").exists():
+        return ()  # a folder of programs alone
+    try:
+        stored = pipeline.load_result(folder)
+    except TandemError as error:
+        what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
+        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder)),)
+    out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
+    out.print(f"problem in {file}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
+    if stored.digest == own.digest:
+        out.print("They are the same, values and files.", highlight=False)
+        return ()
+    found = differences(stored.source, own.source)
+    _differences(found, folder, file)
+    what = f"the problem in {folder} is not that of {file}: they differ in {len(found)} fields"
+    hint = "the proof is against your file; plan it yourself, or ask why the folder has another one"
+    return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
+
+
+def _differences(found: tuple[Difference, ...], folder: Path, file: Path) -> None:
+    for item in found[:SHOWN]:
+        text = f"  {item.field}: {item.first} in {folder}, {item.second} in {file}"
+        out.print(text, highlight=False, markup=False, soft_wrap=True)
+    if len(found) > SHOWN:
+        out.print(f"  and {len(found) - SHOWN} more fields", highlight=False)
 
 
 @app.command

@@ -17,6 +17,8 @@ from planner.issues import Issue, TandemError
 
 STAGING = ".tandem-"
 """How the names of unfinished folders begin."""
+STATEMENT, SIGNATURE = "statement.json", "statement.json.sig"
+"""What is signed of a result, and its signature."""
 RESULT = (
     "programs",
     "problem",
@@ -26,6 +28,8 @@ RESULT = (
     "report.html",
     "replay.html",
     "simulated_part.obj",
+    STATEMENT,
+    SIGNATURE,
 )
 """What a result folder holds; anything else in the folder is left alone."""
 

@@ -29,9 +29,13 @@ from planner.units import DEG, MM
 FloatArray = NDArray[np.float64]
 MAX_BYTES = 100_000_000
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-ROW_COLUMNS = ("feed_mm_s", "segment", "stop")
+ROW_COLUMNS = ("feed_mm_s", "feed_min_mm_s", "segment", "stop")
 FARTHEST_MM = 100_000.0
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 10_000.0
+MOST_OF_FEED = 0.95
+"""A least feed is at most this share of the feed: plans keep a reserve to the feed."""
+LEAST_WAY = 1e-6
+"""A tool that goes no farther than this [m] stands."""
 SEGMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(/[A-Za-z0-9_]{1,32})?")
 FLAGS = {"": False, "0": False, "false": False, "no": False, "1": True, "true": True, "yes": True}
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -60,8 +64,8 @@ class Posed(Strict):
     """Poses from a file.
 
     CSV columns: for each arm ``<arm>.x_mm, .y_mm, .z_mm, .qw, .qx, .qy, .qz``, besides ``feed_mm_s`` and, if
-    wanted, ``segment`` and ``stop``. JSON: a list of objects with the same keys. ``segment`` is a kind, or
-    ``kind/name``, of letters, digits and ``_``, such as ``cut/front``.
+    wanted, ``feed_min_mm_s``, ``segment`` and ``stop``. JSON: a list of objects with the same keys.
+    ``segment`` is a kind, or ``kind/name``, of letters, digits and ``_``, such as ``cut/front``.
     """
 
     name: Name
@@ -71,6 +75,12 @@ class Posed(Strict):
     frame: Literal["stock", "world"] = "stock"
     free: tuple[FreeAxis, ...] = ()
     feed_mm_s: Annotated[float, Field(ge=SLOWEST_MM_S, le=FASTEST_MM_S)] | None = None
+    feed_min_mm_s: Annotated[
+        float, Field(ge=0, le=FASTEST_MM_S, description="a slower tool is refused and not proven; 0: none")
+    ] = 0.0
+    run_up_mm: Annotated[
+        float, Field(gt=0, le=1000, description="way from and to stops over which the tool comes up to it")
+    ] = 5.0
     coupled: bool = False
     position_tol_mm: Annotated[float, Field(gt=0)] = 0.01
     angle_tol_deg: Annotated[float, Field(gt=0)] = 0.01
@@ -95,6 +105,8 @@ class Posed(Strict):
         for axis in self.free:
             if not set(axis.arms) <= set(self.arms) or len(set(axis.arms)) != len(axis.arms):
                 raise ValueError(f"free: axis '{axis.name}' must name arms of this operation, each once")
+        if self.feed_mm_s is not None and self.feed_min_mm_s > MOST_OF_FEED * self.feed_mm_s:
+            raise ValueError(f"feed_min_mm_s must not exceed {MOST_OF_FEED:g} of feed_mm_s")
         return self
 
 
@@ -132,17 +144,20 @@ class PosedJob(Job[Posed]):
         segment = tuple(_segment(row, i, operation) for i, row in enumerate(rows))
         stop = np.array([_flag(row, i, operation) for i, row in enumerate(rows)])
         stop[[0, -1]] = True
+        travel = _travel(poses)
+        least = _least(rows, operation, feed, travel, segment)
         return Targets(
             arms=operation.arms,
             pose=poses,
             frame=dict.fromkeys(operation.arms, operation.frame),
             freedoms=tuple(_freedom(axis, count) for axis in operation.free),
             feed=feed * MM,
-            feed_min=np.zeros(count),
-            travel=_travel(poses),
+            feed_min=least * MM,
+            travel=travel,
             stop=stop,
             segment=segment,
             coupled=operation.coupled,
+            run_up=operation.run_up_mm * MM,
             claims=self.claims(),
         )
 
@@ -163,12 +178,49 @@ class PosedJob(Job[Posed]):
         )
         feed = None if op.feed_mm_s is None else op.feed_mm_s * MM
         tolerance = (op.position_tol_mm * MM, op.angle_tol_deg * DEG)
-        return (claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed),)
+        least = (op.feed_min_mm_s * MM, op.run_up_mm * MM)
+        return (claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed, *least),)
 
 
 def _travel(poses: Mapping[str, FloatArray]) -> FloatArray:
     steps = [np.linalg.norm(np.diff(p[:, :3, 3], axis=0), axis=1) for p in poses.values()]
     return np.concatenate([[0.0], np.max(steps, axis=0)])
+
+
+def _least(
+    rows: list[Mapping[str, Any]],
+    operation: Posed,
+    feed: FloatArray,
+    travel: FloatArray,
+    segment: tuple[Segment, ...],
+) -> FloatArray:
+    """Least feeds (N,) [mm/s] on the way to each target, 0 for none. Raises ``TandemError`` where one cannot
+    be kept whatever the arms can do."""
+    default = operation.feed_min_mm_s
+    least = np.array([_number(row, "feed_min_mm_s", i, operation, default) for i, row in enumerate(rows)])
+    least[0] = 0.0
+    coupled = [operation.coupled and own.kind == "transit" for own in segment]
+    wrong = (
+        (least < 0.0, "is below 0; give 0 for none"),
+        (least > MOST_OF_FEED * feed, f"is over {MOST_OF_FEED:g} of the feed; lower it or raise feed_mm_s"),
+        ((least > 0.0) & (travel < LEAST_WAY), "is asked for where the tools stand or only turn; give 0"),
+        (
+            (least > 0.0) & np.array(coupled),
+            "is asked for in a transit of joined tools, which may be led otherwise; give 0",
+        ),
+    )
+    for bad, why in wrong:
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise TandemError(_fault(operation, first, f"feed_min_mm_s of {least[first]:g} {why}"))
+    slides = [axis.name for axis in operation.free if axis.slide_mm is not None]
+    if slides and least.any():
+        what = (
+            f"free axis '{slides[0]}' slides, which changes the tool's speed, and feed_min_mm_s asks for a "
+            "least one; leave turns free alone, or take feed_min_mm_s out"
+        )
+        raise TandemError(Issue("targets.freedom", what, field="operations.free"))
+    return least
 
 
 def _twist(axis: FreeAxis) -> FloatArray:

@@ -134,10 +134,12 @@ class Targets:
     ``feed`` (N,) m/s: upper limit of the speed of the fastest guarded point on the way TO target i, 0-th
     unused; ``feed_min`` (N,) m/s: its lower limit, 0 for none. ``travel`` (N,) m: how far that point moves on
     the way to target i (travel[0] = 0); the speed is travel / time. ``stop`` (N,): the motion stops there
-    (fine point). ``coupled``: the TCPs are joined (a mounted wire), so no arm may move alone and every move
-    keeps the relation that the targets prescribe; transit moves keep the relative pose of the TCPs fixed.
-    ``apart`` [m]: by how much two TCPs may stand to each other otherwise where they pass by targets at which
-    they need not stand, 0 where they have to stand at each.
+    (fine point). ``run_up`` [m]: over this way from and to stops the point comes up to ``feed_min``, which is
+    then required; None: where it is not kept users are told. ``coupled``: the TCPs are joined (a mounted
+    wire), so no arm may move alone and every move keeps the relation that the targets prescribe; transit
+    moves keep the relative pose of the TCPs fixed. ``apart`` [m]: by how much two TCPs may stand to each
+    other otherwise where they pass by targets at which they need not stand, 0 where they have to stand at
+    each.
     ``segment`` (N,): the segment that the move to target i belongs to.
     ``exhibits`` is named data for the report, by kind of picture.
     """
@@ -153,6 +155,7 @@ class Targets:
     segment: tuple[Segment, ...]
     coupled: bool = False
     apart: float = 0.0
+    run_up: float | None = None
     edge: Edge | None = None
     actions: tuple[Action, ...] = ()
     claims: tuple[Claim, ...] = ()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, halts, rounding, thinning, transit
+from planner.motion import aim, corridor, diagnose, entry, halts, least_feed, rounding, thinning, transit
 from planner.motion.avoid import Avoid
 from planner.motion.joints import Dense, dense, tcp_ways
 from planner.motion.paths import find
@@ -70,8 +70,9 @@ def plan_operation(
     wanted, timed = targets, _clock(scene, targets, samples)
     wanted, better, timed = _joined(scene, wanted, found, better, timed)
     targets, ticks, deviation = timed
-    issues = [*_slow(targets, ticks.time), *halts.told(wanted, targets)]
-    issues += thinning.told(targets, better.values, ticks.time)
+    least_feed.require(scene, targets, samples, ticks.time)
+    slow = _slow(targets, ticks.time) if targets.run_up is None else []
+    issues = [*slow, *halts.told(wanted, targets), *thinning.told(targets, better.values, ticks.time)]
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")

@@ -69,4 +69,26 @@ def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
                 "whole step ahead of the other, so the tool would leave its path on the block"
             )
             issues.append(Issue("post.handshake_process", what, index=i, hint=_HINT))
+        row = _halted(targets, problem.cell.controller.handshake.every)
+        if row is not None:
+            what = (
+                f"operation {operation.name}: the arms stop at {targets.name(row)}, where their controllers "
+                "meet or one arm stands still, and a least feed is asked for there"
+            )
+            hint = f"lower feed_min_mm_s there, or {_HINT}"
+            issues.append(Issue("post.handshake_process", what, index=i, hint=hint))
     return tuple(issues)
+
+
+def _halted(targets: Targets, every: int) -> int | None:
+    """The first target at which arms that meet at every ``every`` moves stop against a required least
+    feed."""
+    if len(targets.arms) < 2 or targets.run_up is None or targets.count < 3:
+        return None
+    halts = meeting_rows(targets.stop[1:], every)[:-1]
+    for pose in targets.pose.values():
+        still = np.all(np.diff(pose, axis=0) == 0.0, axis=(1, 2))
+        halts |= still[1:] | still[:-1]
+    asked = (targets.feed_min[1:-1] > 0.0) | (targets.feed_min[2:] > 0.0)
+    rows = np.flatnonzero(halts & ~targets.stop[1:-1] & asked)
+    return int(rows[0]) + 1 if len(rows) else None

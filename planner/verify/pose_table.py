@@ -18,14 +18,20 @@ FloatArray = NDArray[np.float64]
 PLACE = ("x_mm", "y_mm", "z_mm")
 TURN = ("qw", "qx", "qy", "qz")
 FEED = "feed_mm_s"
+LEAST = "feed_min_mm_s"
+STOP = "stop"
+_YES = ("1", "true", "yes")
 
 
 @dataclasses.dataclass(frozen=True)
 class PoseTable:
-    """``poses`` {arm: (P, 4, 4)} [m]; ``feed`` (P,) [m/s] on the way to each, NaN where the row has none."""
+    """``poses`` {arm: (P, 4, 4)} [m]; ``feed`` and ``least`` (P,) [m/s] on the way to each, NaN where the row
+    has none; ``stop`` (P,): the motion may stop there."""
 
     poses: Mapping[str, FloatArray]
     feed: FloatArray
+    least: FloatArray
+    stop: NDArray[np.bool_]
 
 
 def read(path: Path, arms: Sequence[str]) -> PoseTable:
@@ -42,8 +48,9 @@ def read(path: Path, arms: Sequence[str]) -> PoseTable:
     for arm in arms:
         values = np.array([[float(row[f"{arm}.{key}"]) for key in (*PLACE, *TURN)] for row in rows])
         poses[arm] = _poses(values)
-    feed = np.array([_number(row.get(FEED)) for row in rows])
-    return PoseTable(poses, feed / 1000.0)
+    feed, least = (np.array([_number(row.get(key)) for row in rows]) for key in (FEED, LEAST))
+    stop = np.array([str(row.get(STOP) or "").strip().lower() in _YES for row in rows])
+    return PoseTable(poses, feed / 1000.0, least / 1000.0, stop)
 
 
 def _number(value: Any) -> float:

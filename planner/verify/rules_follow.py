@@ -14,6 +14,7 @@ from planner.issues import Issue
 from planner.verify import pose_table
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.follow_poses import Passing, passing, values
+from planner.verify.least_feed import Way, kept
 from planner.verify.pose_table import PoseTable
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +29,7 @@ OWN: Final = (1e-5, float(np.deg2rad(0.01)))
 
 def follows(context: Context) -> Outcome:
     """Targets of the tools are the poses that the problem gives, in order, up to the free axes and within
-    their ranges, and no faster than at their feeds."""
+    their ranges, no faster than at their feeds and no slower than at their least ones."""
     issues: list[Issue] = []
     worst, limits = 0.0, []
     for index, setup in enumerate(context.setup_claims):
@@ -90,7 +91,8 @@ def _table(context: Context, index: int, claim: FollowsTable) -> tuple[list[Issu
         free = [axis for axis in claim.free if arm in axis.arms]
         for axis, value in zip(free, moved.T, strict=True):
             issues += _range(claim, axis, arm, value, taken)
-    return issues + _feeds(context, claim, table, rows[found.target]), worst
+    issues += _feeds(context, claim, table, rows[found.target])
+    return issues + _least(context, claim, table, rows, paths, found.target), worst
 
 
 def _paths(
@@ -195,6 +197,40 @@ def _feeds(context: Context, claim: FollowsTable, table: PoseTable, node: IntArr
         message += f"{mm(feed[i]):.2f} mm/s"
         issues.append(_issue(message, claim.arms[0], i + 1, mm(speed[i]), mm(feed[i]), "mm/s"))
     return issues
+
+
+def _least(
+    context: Context,
+    claim: FollowsTable,
+    table: PoseTable,
+    rows: IntArray,
+    paths: list[FloatArray],
+    target: IntArray,
+) -> list[Issue]:
+    """Where the tools are slower than they may, or stop where they may not; ``target`` (P,) are the places in
+    ``rows`` (R,) and ``paths`` that meet the poses."""
+    least = np.where(np.isnan(table.least), claim.feed_min, table.least)
+    if not (least[1:] > 0.0).any():
+        return []
+    feed = np.where(np.isnan(table.feed), np.nan if claim.feed is None else claim.feed, table.feed)
+    stop = table.stop.copy()
+    stop[[0, -1]] = True
+    motion = context.motion
+    steps = [np.diff(table.poses[arm][:, :3, 3], axis=0) for arm in claim.arms]
+    way = Way(
+        step=np.max([np.linalg.norm(step, axis=1) for step in steps], axis=0),
+        least=least[1:],
+        feed=feed[1:],
+        may_stop=stop,
+        node=target,
+        end=np.cumsum(motion.node_duration)[rows],
+        stops=motion.node_stop[rows],
+        place=tuple(path[:, :3, 3] for path in paths),
+    )
+    return [
+        _issue(fault.message, claim.arms[0], fault.pose, mm(fault.got), mm(fault.limit), "mm/s")
+        for fault in kept(way, claim.run_up)
+    ]
 
 
 def _issue(message: str, arm: str, index: int, value: float, limit: float, unit: str) -> Issue:
