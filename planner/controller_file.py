@@ -91,6 +91,9 @@ class ControllerFile(Strict):
             default_factory=dict, description="numbers of the signals of KUKA controllers, by arm and name"
         ),
     ]
+    robotware: Annotated[
+        Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
+    ] = 6
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
 
@@ -125,6 +128,7 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         handshake,
         spec.dialect,
         {arm: dict(numbers) for arm, numbers in spec.io.items()},
+        spec.robotware,
     )
 
 

@@ -22,6 +22,8 @@ from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
+UTF_8 = (".modx", ".sysx")
+"""Endings of files that controllers read in UTF-8; all others are in ISO 8859-1."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,8 +120,13 @@ def read_programs(folder: str | Path) -> dict[str, str]:
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
-            return path.read_text("utf-8")
-        what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
+            # as the controller reads it; line ends stay as they are
+            text = path.read_bytes().decode("utf-8" if path.suffix.lower() in UTF_8 else "iso-8859-1")
+            if "\0" not in text:
+                return text
+            what = "is no text (it holds the byte 0)"
+        else:
+            what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
     except (OSError, UnicodeDecodeError) as error:
         what = f"is not text in UTF-8 ({error})"
     raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))

@@ -72,7 +72,8 @@ class Controller:
 
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
     units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms. ``io``: {arm:
-    {signal: number}} of the inputs and outputs of KUKA controllers, which know no names.
+    {signal: number}} of the inputs and outputs of KUKA controllers, which know no names. ``robotware``: main
+    version of ABB's controllers.
     """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
@@ -84,6 +85,7 @@ class Controller:
     handshake: Handshake = dataclasses.field(default_factory=Handshake)
     dialect: KrlDialect = "krc4"
     io: Mapping[str, Mapping[str, int]] = dataclasses.field(default_factory=dict)
+    robotware: Literal[6, 7] = 6
 
     def number(self, arm: str, signal: str) -> int | None:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""

@@ -24,6 +24,9 @@ from planner.verify.rapid_parser import Limits
 from planner.verify.rapid_reader import Flow, flow, read_task
 from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
 
+MODULES = (".mod", ".modx", ".sys", ".sysx")
+"""Endings of the names of RAPID modules."""
+
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
 
@@ -115,7 +118,7 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
         words = [
             task
             for task in found
-            if suffix in ((".src", ".dat") if task in krl else (".mod", ".sys"))
+            if suffix in ((".src", ".dat") if task in krl else MODULES)
             and (
                 task.lower() in where
                 if task in folders

@@ -61,7 +61,8 @@ def read_module(
             return None, tuple(faults)  # not worth reading
     parser = Parser(text, file, limits, quick)
     module = parser.module()
-    for row, line in enumerate(text.split("\n"), 1):
+    for row, ended in enumerate(text.split("\n"), 1):
+        line = ended.removesuffix("\r")
         if len(line) > limits.line:
             message = f"the line has {len(line)} characters; allowed: {limits.line}"
             faults.append(Fault(row, limits.line + 1, "rapid.line_length", message, file))

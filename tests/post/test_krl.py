@@ -14,10 +14,10 @@ from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import inverse
 from planner.issues import TandemError
-from planner.post.write import programs
 from planner.targets import Action
 from tests.post import krl_job, synthetic
 from tests.post.krl_job import body, data, flat, moves
+from tests.post.reading import programs
 
 GOLDEN = Path(__file__).with_name("golden_krl")
 MARGINS = {"least clearance": "12.3 mm (left/link_4 to stock)"}

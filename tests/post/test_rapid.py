@@ -12,11 +12,10 @@ import pytest
 from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import from_quaternion
-from planner.post.write import programs
 from planner.targets import Action
 from planner.verify.rapid_reader import read_task
 from tests.post import synthetic
-from tests.post.reading import flat, modules, moves, numbers
+from tests.post.reading import flat, modules, moves, numbers, programs
 
 GOLDEN = Path(__file__).with_name("golden")
 
@@ -30,7 +29,9 @@ def small():
 def test_a_small_job_is_written_as_read_by_a_person(small):
     """The golden text was read line by line: forms, meeting points, order of power and stops."""
     files = small[2]
-    stored = {str(p.relative_to(GOLDEN)): p.read_text() for p in sorted(GOLDEN.rglob("*")) if p.is_file()}
+    stored = {
+        str(p.relative_to(GOLDEN)): p.read_bytes().decode() for p in sorted(GOLDEN.rglob("*")) if p.is_file()
+    }
     stored = {name: re.sub(r"Tandem \d+\.\d+\.\d+", "Tandem X", text) for name, text in stored.items()}
     written = {name: re.sub(r"Tandem \d+\.\d+\.\d+", "Tandem X", text) for name, text in files.items()}
     assert sorted(written) == sorted(stored)
