@@ -9,7 +9,7 @@ from pydantic import Field
 
 from planner.handshake import Handshake, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
-from planner.problem import Controller
+from planner.problem import Controller, Interlock, PowerOutput
 from planner.schema import Name, Strict
 
 SignalNumber = Annotated[int, Field(ge=1, le=4096)]
@@ -64,6 +64,31 @@ class HandshakeFile(Strict):
     ] = 3600.0
 
 
+class PowerOutputFile(Strict):
+    """The output that a request of the program drives."""
+
+    signal: Annotated[
+        Name | None, Field(description="its name, unless stated that of the request and `Out`")
+    ] = None
+    device: Annotated[
+        Name | None, Field(description="I/O device of an ABB controller; none: nothing is wired to it")
+    ] = None
+    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+
+
+class InterlockFile(Strict):
+    """What the power hangs on besides the program."""
+
+    outputs: Annotated[
+        dict[Name, PowerOutputFile],
+        Field(default_factory=dict, description="by the signal that the program sets, which is a request"),
+    ]
+    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = "soCycleOn"
+    motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
+        "soMotorsOn"
+    )
+
+
 class ControllerFile(Strict):
     """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
     own."""
@@ -94,6 +119,15 @@ class ControllerFile(Strict):
     robotware: Annotated[
         Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
     ] = 6
+    robots: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"),
+    ] = None
+    options: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None,
+        Field(description="options installed, as the controller lists them; none: not stated"),
+    ] = None
+    interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
 
@@ -103,7 +137,8 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     alone = spec.sync == "handshake"
     tasks = spec.tasks or (("T_ROB1", "T_ROB1") if alone else ("T_ROB1", "T_ROB2"))
     units = spec.units or (("ROB_1", "ROB_1") if alone else ("ROB_1", "ROB_2"))
-    for field, names in (("tasks", tasks), ("units", units)):
+    stated = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
+    for field, names in stated:
         if len(names) < len(arms):
             what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
             raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
@@ -129,7 +164,18 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         spec.dialect,
         {arm: dict(numbers) for arm, numbers in spec.io.items()},
         spec.robotware,
+        _interlock(spec.interlock),
+        tuple(spec.robots or ()),
+        spec.options,
     )
+
+
+def _interlock(spec: InterlockFile) -> Interlock:
+    outputs = {
+        request: PowerOutput(item.signal or f"{request}Out", item.device or "", item.device_map)
+        for request, item in spec.outputs.items()
+    }
+    return Interlock(outputs, spec.cycle_signal, spec.motors_signal)
 
 
 def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:

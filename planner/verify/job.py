@@ -26,6 +26,8 @@ from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
 
 MODULES = (".mod", ".modx", ".sys", ".sysx")
 """Endings of the names of RAPID modules."""
+CONTROLLER = "controller"
+"""Folder of the files for controllers, which are no programs."""
 
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
@@ -84,6 +86,11 @@ class JobText:
     readings: Mapping[str, Reading] | None = None
 
 
+def beside(path: str) -> bool:
+    """Whether a file is for a controller, and no program."""
+    return PurePosixPath(path).parts[0].lower() == CONTROLLER
+
+
 def task_names(problem: Problem) -> tuple[str, ...]:
     """What the tasks of the arms are called here: those of two controllers may have one name, and KUKA's have
     none, so by arm."""
@@ -135,6 +142,7 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
 def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
     controller = problem.cell.controller
+    programs = {path: text for path, text in programs.items() if not beside(path)}
     files, strays = task_files(problem, programs)
     tasks: list[TaskText] = []
     faults: list[Fault] = []

@@ -25,6 +25,7 @@ from planner.verify import (
     report_series,
     rules_adsif,
     rules_cell,
+    rules_controller,
     rules_data,
     rules_file,
     rules_follow,
@@ -81,6 +82,7 @@ TASKS: _RuleTable = (
     ("verify.error_handler", rules_data.error_handler),
     ("verify.motion_settings", rules_data.motion_settings),
     ("verify.hidden", rules_data.hidden),
+    ("verify.controller_files", rules_controller.controller_files),
 )
 STAGES: _RuleTable = (
     ("verify.setup", rules_setup.setup),

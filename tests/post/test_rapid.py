@@ -316,6 +316,6 @@ def test_an_operation_may_be_a_single_place():
 
 
 def test_persistent_data_of_one_task_cannot_be_kept_from_an_older_program(small):
-    for text in small[2].values():
+    for text in modules(small[2], "T_ROB1").values():
         shared = re.findall(r"^ +PERS (\w+) (\w+)", text, re.MULTILINE)
         assert all(kind == "tasks" for kind, _ in shared)
