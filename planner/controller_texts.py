@@ -15,11 +15,6 @@ OFF_BY_MM: Final = "is off by [mm]"
 OFF_BY_DEGREES: Final = "and turned by [degrees]"
 NOT_AS_PLANNED: Final = "is not as it was planned."
 NOTHING_MOVES: Final = ("Nothing moves. Put it right,", "then PP to main in all tasks.")
-NO_CHECK: Final = (
-    "The cell could not be checked, error",
-    "Nothing moves. Look at the names of the",
-    "controller.",
-)
 REFUSED: Final = (
     "Not started: the power was on at the",
     "stop. Free the wire or tool, then",

@@ -165,6 +165,7 @@ CODES: Final[dict[str, str]] = {
     "verify.part": "on its way in or out the wire cuts into the part",
     "verify.slit": "a wire comes to a cut from elsewhere than stated, or by too long a slit",
     "verify.kerf": "the slot is narrower or wider than wanted at the wire's actual speed",
+    "verify.cell_check": "a program does not compare the controller's frames with the plan before it moves",
     "verify.controller_files": "files for a controller are missing, changed, or fit other programs",
     "verify.hidden": "something runs beside the straight way, or may: it is not proven",
     "verify.speed_data": "the speed beside a move's time is below what way and time ask for",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, rapid_handshake
+from planner.post import handshake_drift, rapid_check, rapid_handshake
 from planner.post.layout import Part, parts
 from planner.post.partner import Partner
 from planner.post.program import (
@@ -154,7 +154,7 @@ class _Task:
         n = self.task.number
         names = (self.tools, self.stations)
         data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
-        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main()}
+        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
         own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
         for module in dict.fromkeys(part.module for part in own):
             lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
@@ -218,7 +218,7 @@ class _Task:
 
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
-        body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        body = [f"{rapid_check.CALL};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is not None:
             body += [
@@ -239,6 +239,12 @@ class _Task:
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]
         return out
+
+    def _check(self) -> list[str]:
+        task, together = self.task, len(self.job.tasks) > 1 and self.partner is None
+        robot = self.problem.cell.controller.robot(task.unit)
+        body = rapid_check.body(task, self.job, self.plan, self.tools, robot)
+        return rapid_check.lines(self._procedure(rapid_check.CALL, body, undo=False), together)
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")

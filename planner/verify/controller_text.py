@@ -74,12 +74,13 @@ def crossed(row: Row) -> tuple[str, frozenset[str]] | None:
 
 
 def rapid_words(text: str) -> list[str]:
-    """The words of RAPID text without comments, case only kept in strings."""
+    """The words of RAPID text without comments, case only kept in strings, numbers by their values."""
     cursor, out = Cursor(text), []
-    while cursor.token.kind not in ("end", "bad"):
-        out.append(cursor.token.text if cursor.token.kind == "string" else cursor.token.text.lower())
+    while cursor.token.kind != "end":
+        kind, word = cursor.token.kind, cursor.token.text
+        out.append(word if kind == "string" else repr(float(word)) if kind == "number" else word.lower())
         cursor.take()
-    return [*out, cursor.token.text] if cursor.token.kind == "bad" else out
+    return out
 
 
 def krl_lines(text: str) -> list[str]:

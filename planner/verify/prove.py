@@ -25,6 +25,7 @@ from planner.verify import (
     report_series,
     rules_adsif,
     rules_cell,
+    rules_check,
     rules_controller,
     rules_data,
     rules_file,
@@ -82,6 +83,7 @@ TASKS: _RuleTable = (
     ("verify.error_handler", rules_data.error_handler),
     ("verify.motion_settings", rules_data.motion_settings),
     ("verify.hidden", rules_data.hidden),
+    ("verify.cell_check", rules_check.cell_check),
     ("verify.controller_files", rules_controller.controller_files),
 )
 STAGES: _RuleTable = (
