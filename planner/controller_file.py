@@ -145,6 +145,10 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         if not alone and len({name.lower() for name in names}) != len(names):
             what = f"the {field} {', '.join(names)} are not different; give each arm its own"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
+    for field, called in (("controller.tasks", tasks), ("arms", tuple(arms))):
+        if "controller" in (name.lower() for name in called):
+            what = "controller is the folder of files for controllers beside the programs; rename it"
+            raise TandemError(Issue("problem.field", what, field=field))
     if spec.handshake is not None and not alone:
         raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
     handshake = (

@@ -27,7 +27,7 @@ def again(signal: str) -> tuple[str, ...]:
     return (
         f"{signal} was on at the stop.",
         "Free: block and part are out of all that follows.",
-        f"On: {signal} is 1 again, set by hand,",
+        f"On: {signal} is 1 again by hand,",
         "and the wire is hot, or the tool at full speed.",
         "Stop: neither. Free it, then PP to main in all tasks.",
     )

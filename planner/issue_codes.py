@@ -130,6 +130,7 @@ CODES: Final[dict[str, str]] = {
     "post.name": "a segment, tool or signal has a name that the language refuses, or that another has",
     "post.tool": "a tool's data cannot be written",
     "post.frame": "targets lie in a work frame that the program cannot refer to",
+    "post.option": "the controller has not the option that the programs need",
     "post.no_split": "a program is too long for one module and has no stop to split it at",
     "post.handshake_process": "work that two controllers cannot do that share digital signals only",
     "post.handshake_drift": "what one arm a step ahead of the other does to the distance of the tools",
