@@ -116,9 +116,9 @@ class Controller:
     robots: tuple[str, ...] = ()
     options: tuple[str, ...] | None = None
 
-    def robot(self, unit: str) -> str:
-        """The name under ``/MOC/ROBOT`` of the robot that is the mechanical unit ``unit``."""
-        return self.robots[self.units.index(unit)] if self.robots else unit
+    def robot(self, place: int) -> str:
+        """The name under ``/MOC/ROBOT`` of the robot of the cell's arm number ``place`` [from 0]."""
+        return self.robots[place] if self.robots else self.units[place]
 
     def number(self, arm: str, signal: str) -> int | None:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""

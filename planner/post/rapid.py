@@ -242,7 +242,8 @@ class _Task:
 
     def _check(self) -> list[str]:
         task, together = self.task, len(self.job.tasks) > 1 and self.partner is None
-        robot = self.problem.cell.controller.robot(task.unit)
+        place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
+        robot = self.problem.cell.controller.robot(place)
         body = rapid_check.body(task, self.job, self.plan, self.tools, robot)
         return rapid_check.lines(self._procedure(rapid_check.CALL, body, undo=False), together)
 

@@ -112,7 +112,8 @@ def _statements(text: str) -> list[str]:
 def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
     """How the base frame is read, in this order, and the comparisons, in any order."""
     controller = context.problem.cell.controller
-    place = f'"/MOC/ROBOT/{controller.robot(task.unit)}"'
+    arms = [arm.name for arm in context.problem.cell.arms]
+    place = f'"/MOC/ROBOT/{controller.robot(arms.index(task.arm.name))}"'
     read = "VAR pose cfg_base; VAR num cfg_value;"
     for axis in "xyz":
         read += (
@@ -125,7 +126,7 @@ def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
     for data in context.data(task, r"\w+"):
         if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
             continue
-        calls += _compared(data.name, data.kind, _raw(context, task, data.name))
+        calls += _compared(data.name, data.kind, _raw(task, data.name))
     return _statements(read), _statements(calls)
 
 
@@ -142,12 +143,13 @@ def _compared(name: str, kind: str, value: Sequence[str]) -> str:
     return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
 
 
-def _raw(context: Context, task: TaskText, name: str) -> list[str]:
+def _raw(task: TaskText, name: str) -> list[str]:
     """The components of a declaration, as its text has them."""
     for path, text in task.files.items():
         if CHECK.match(PurePosixPath(path).name):
             continue
-        found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", text, re.DOTALL)
+        plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
+        found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
         if found is not None:
             return _components(found.group(1))
     return [""] * 5

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from planner.geometry.rigid import from_rpy, to_quaternion
+from planner.post import write
 from planner.verify.prove import Prover
 from tests.verify import handshake_job, held_job, small_job, straight_job
 from tests.verify.controller_mutants import swap, without
@@ -54,7 +55,8 @@ def test_the_name_of_the_robot_is_that_of_the_configuration():
     problem = small_job.problem()
     controller = dataclasses.replace(problem.cell.controller, robots=("rob_a", "rob_b"))
     named = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    assert named.cell.controller.robot("ROB_2") == "rob_b"
+    assert named.cell.controller.robot(1) == "rob_b"
+    assert "/MOC/ROBOT/rob_b" in write.programs(small_job.plan(COUNT), named)["T_ROB2/TandemCheck_2.mod"]
     proof = Prover(named, small_job.claims()).prove(programs("small"), last=RULE)
     assert {issue.code for issue in proof.issues} == {RULE}
 
@@ -137,6 +139,23 @@ MUTANTS = {
         r"\1 ; ERROR check_stop;\n  ERROR\n",
         rng,
     ),
+    "shadowed": lambda rng, t: swap(
+        t,
+        MAIN,
+        r"ENDMODULE",
+        r"  LOCAL PROC check_cell()\n  ERROR\n    SetDO doWirePower,0;\n    StopMove\\Quick;\n"
+        r"    EXIT;\n  ENDPROC\nENDMODULE",
+        rng,
+    ),
+    "value of a comment": lambda rng, t: {
+        **t,
+        FILE: re.sub(r"450\.0000", "950.0000", t[FILE]),
+        "T_ROB1/TandemData_1.mod": t["T_ROB1/TandemData_1.mod"].replace(
+            "  TASK PERS wobjdata",
+            '  ! TASK PERS wobjdata w_stock:=[FALSE,TRUE,"",[[0,0,950],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n'
+            "  TASK PERS wobjdata",
+        ),
+    },
     "attributes": lambda rng, t: swap(t, FILE, r"MODULE (\w+)", r"MODULE \1(NOSTEPIN)", rng),
     "more behind": lambda rng, t: swap(
         t, FILE, r"ENDMODULE", r"  LOCAL PROC more()\n  ENDPROC\nENDMODULE", rng
