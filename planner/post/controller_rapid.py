@@ -162,11 +162,12 @@ Signals:
 Seen in backups of real controllers: EIO_CROSS with AND of a request and a CycleOn output
 (RobotWare 5; -Name in RobotWare 6), SYSSIG_OUT with CycleOn, EIO_ACCESS and its attributes,
 -Access "ReadOnly", -Device and -DeviceMap, CAB_TASK_MODULES with HOME: and -AllTask,
-CAB_EXEC_HOOKS for START, RESTART and STEP, a wait in such a routine.
+CAB_EXEC_HOOKS for START, RESTART and STEP, a wait in such a routine, UIMessageBox.
 
 To be checked at the controller: SYSSIG_OUT with MotOnState; the shelves STOP, QSTOP and RESET; that
 CycleOn falls at every stop; that Stop in a routine of START or RESTART keeps the arms where they
-are; that TandemRequest lets the operator set the request by hand in automatic.
+are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray; that TandemRequest lets
+the operator set the request by hand in automatic.
 
 A cross connection is no safety function: an emergency stop must cut the power by itself, too.
 
