@@ -96,6 +96,8 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("Tool `plain`", "", cell_file.PlainToolFile),
     ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
     ("`cell.controller`", "", controller_file.ControllerFile),
+    ("`cell.controller.interlock`", "", controller_file.InterlockFile),
+    ("`outputs` of `interlock`, by request", "", controller_file.PowerOutputFile),
     ("`cell.controller.handshake`", "", controller_file.HandshakeFile),
     ("`signals` of `handshake`, by arm", "", controller_file.SignalsFile),
     ("`wires` of `handshake`, each", "", controller_file.SignalWireFile),

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from planner.handshake import Handshake, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
-from planner.problem import Controller
+from planner.problem import Controller, Interlock, PowerOutput
 from planner.schema import Name, Strict
 
 SignalNumber = Annotated[int, Field(ge=1, le=4096)]
@@ -64,6 +64,31 @@ class HandshakeFile(Strict):
     ] = 3600.0
 
 
+class PowerOutputFile(Strict):
+    """The output that a request of the program drives."""
+
+    signal: Annotated[
+        Name | None, Field(description="its name, unless stated that of the request and `Out`")
+    ] = None
+    device: Annotated[
+        Name | None, Field(description="I/O device of an ABB controller; none: nothing is wired to it")
+    ] = None
+    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+
+
+class InterlockFile(Strict):
+    """What the power hangs on besides the program."""
+
+    outputs: Annotated[
+        dict[Name, PowerOutputFile],
+        Field(default_factory=dict, description="by the signal that the program sets, which is a request"),
+    ]
+    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = "soCycleOn"
+    motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
+        "soMotorsOn"
+    )
+
+
 class ControllerFile(Strict):
     """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
     own."""
@@ -95,6 +120,18 @@ class ControllerFile(Strict):
             default_factory=dict, description="numbers of the signals of KUKA controllers, by arm and name"
         ),
     ]
+    robotware: Annotated[
+        Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
+    ] = 6
+    robots: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"),
+    ] = None
+    options: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None,
+        Field(description="options installed, as the controller lists them; none: not stated"),
+    ] = None
+    interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
     max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
     max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
 
@@ -104,13 +141,18 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     alone = spec.sync == "handshake"
     tasks = spec.tasks or (("T_ROB1", "T_ROB1") if alone else ("T_ROB1", "T_ROB2"))
     units = spec.units or (("ROB_1", "ROB_1") if alone else ("ROB_1", "ROB_2"))
-    for field, names in (("tasks", tasks), ("units", units)):
+    stated = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
+    for field, names in stated:
         if len(names) < len(arms):
             what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
             raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
         if not alone and len({name.lower() for name in names}) != len(names):
             what = f"the {field} {', '.join(names)} are not different; give each arm its own"
             raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
+    for field, called in (("controller.tasks", tasks), ("arms", tuple(arms))):
+        if "controller" in (name.lower() for name in called):
+            what = "controller is the folder of files for controllers beside the programs; rename it"
+            raise TandemError(Issue("problem.field", what, field=field))
     if spec.handshake is not None and not alone:
         raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
     handshake = (
@@ -132,6 +174,10 @@ def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
         spec.dialect,
         {arm: dict(numbers) for arm, numbers in spec.io.items()},
         spec.path,
+        spec.robotware,
+        _interlock(spec.interlock),
+        tuple(spec.robots or ()),
+        spec.options,
     )
 
 
@@ -147,6 +193,14 @@ def _check_path(spec: ControllerFile, arms: int) -> None:
     else:
         return
     raise TandemError(Issue("problem.field", what, field="controller.path"))
+
+
+def _interlock(spec: InterlockFile) -> Interlock:
+    outputs = {
+        request: PowerOutput(item.signal or f"{request}Out", item.device or "", item.device_map)
+        for request, item in spec.outputs.items()
+    }
+    return Interlock(outputs, spec.cycle_signal, spec.motors_signal)
 
 
 def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:

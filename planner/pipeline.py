@@ -23,6 +23,7 @@ from planner.verify.result import Proof
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
+"""Endings of files that controllers read in UTF-8; all others are in ISO 8859-1."""
 
 
 @dataclasses.dataclass(frozen=True)

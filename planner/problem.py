@@ -67,14 +67,41 @@ class Cell:
 
 
 @dataclasses.dataclass(frozen=True)
+class PowerOutput:
+    """What a request of the program drives: the output ``signal``, bit ``bit`` of ``device`` on an ABB
+    controller; without a device nothing is wired to it."""
+
+    signal: str
+    device: str = ""
+    bit: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Interlock:
+    """What power hangs on besides the program: ``outputs`` by the signal that the program sets, which is a
+    request, and the system outputs of an ABB controller that say that a program runs and motors are on."""
+
+    outputs: Mapping[str, PowerOutput] = dataclasses.field(default_factory=dict)
+    cycle: str = "soCycleOn"
+    motors: str = "soMotorsOn"
+
+    def of(self, request: str) -> PowerOutput:
+        """The output that a request drives; unless stated, one with the request's name and ``Out``."""
+        found = {name.lower(): output for name, output in self.outputs.items()}
+        return found.get(request.lower(), PowerOutput(f"{request}Out"))
+
+
+@dataclasses.dataclass(frozen=True)
 class Controller:
     """How the programs address the controller: task and mechanical unit per arm, signals, limits of a
     module.
 
     ``sync``: one MultiMove controller for all arms, or one for each arm that meet by ``handshake``; tasks and
     units of two controllers may have the same names. ``dialect``: the KRL of KUKA arms; ``path``: how they go
-    from target to target, straight one by one or in spline blocks. ``io``: {arm:
-    {signal: number}} of the inputs and outputs of KUKA controllers, which know no names.
+    from target to target, straight one by one or in spline blocks. ``io``: {arm: {signal: number}} of the
+    inputs and outputs of KUKA controllers, which know no names. ``robotware``: main version of ABB's
+    controllers. ``robots``: names of the robots in their configuration, the units' unless stated.
+    ``options`` that are installed, None where the cell does not say.
     """
 
     tasks: tuple[str, ...] = ("T_ROB1", "T_ROB2")
@@ -87,6 +114,14 @@ class Controller:
     dialect: KrlDialect = "krc4"
     io: Mapping[str, Mapping[str, int]] = dataclasses.field(default_factory=dict)
     path: KrlPath = "slin"
+    robotware: Literal[6, 7] = 6
+    interlock: Interlock = dataclasses.field(default_factory=Interlock)
+    robots: tuple[str, ...] = ()
+    options: tuple[str, ...] | None = None
+
+    def robot(self, place: int) -> str:
+        """The name under ``/MOC/ROBOT`` of the robot of the cell's arm number ``place`` [from 0]."""
+        return self.robots[place] if self.robots else self.units[place]
 
     def number(self, arm: str, signal: str) -> int | None:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner import cell_file, part_file, part_sheet_file, sheet_file, signal_uses, stock_file, yaml_lines
+from planner import cell_file, controller_uses, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
 from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issues import Issue, TandemError
@@ -114,7 +114,7 @@ def build(document: Document, models: OperationModels) -> Problem:
             issues += error.issues
     if cell is not None:
         issues += _names(cell, operations, document)
-        issues += [_placed(issue, document) for issue in signal_uses.shared(cell, operations)]
+        issues += [_placed(issue, document) for issue in controller_uses.faults(cell, operations)]
     part, stock = None, None
     changes: dict[int, Change] = {}
     if spec is not None:

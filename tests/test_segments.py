@@ -26,7 +26,7 @@ from planner.segments import Segment, clash, fold
 from planner.verify import prove
 from planner.verify.krl_parser import said as marked
 from planner.verify.segment_names import said
-from tests import small_problem
+from tests import line_ends, small_problem
 from tests.hotwire import test_straight
 from tests.milling import small_mill
 from tests.verify import straight_job
@@ -289,7 +289,7 @@ def test_programs_of_both_languages_tell_such_faces_apart(
 ) -> None:
     """Written by the posts and proven: ``wall`` by the first operation, ``wall_in`` by the second."""
     monkeypatch.setattr(straight_job, "NAMES", ("wall", "wall_in"))
-    texts = write.programs(straight_job.plan(model=model), straight_job.problem(model))
+    texts = line_ends.bare(write.programs(straight_job.plan(model=model), straight_job.problem(model)))
     proof = prove.prove(straight_job.problem(model), straight_job.claims(), texts)
     assert proof.ok, proof.issues
     played = list(dict.fromkeys(proof.series["targets/label"].tolist()))

@@ -17,7 +17,7 @@ from planner.targets import Targets
 
 _OWN: Final = re.compile(
     r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
-    r"load_block\w*|base_frame|problem_digest|all_tasks"
+    r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
 )
 """Names of other things in RAPID programs."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from planner import __version__
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, rapid_handshake
+from planner.post import handshake_drift, rapid_check, rapid_handshake
 from planner.post.layout import Part, parts
 from planner.post.partner import Partner
 from planner.post.program import (
@@ -41,10 +42,12 @@ from planner.post.rapid_format import action_lines, box, comment, identifier, qu
 from planner.post.rapid_moves import move_lines, zones
 from planner.post.rapid_names import part_names
 from planner.post.text import short
-from planner.problem import Problem
+from planner.problem import Controller, Problem
 
 NameArray = NDArray[np.str_]
 
+LINE_END: Final = "\r\n"
+"""A program list with bare line feeds does not load; modules are written alike."""
 _INDENT = "  "
 _PROC_BYTES = 1500
 _CALL_BYTES = 20
@@ -64,7 +67,7 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     sizes = [
         np.max(
             [
-                [len(line) + len(_INDENT) * 2 + 1 for line in moves[t.number][i]]
+                [len(line) + len(_INDENT) * 2 + len(LINE_END) for line in moves[t.number][i]]
                 or [0] * len(t.operations[i].ids)
                 for t in own
             ],
@@ -79,7 +82,8 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     out: dict[str, str] = {}
     for task in own:
         writer = _Task(task, job, plan, problem, margins, layout, moves[task.number])
-        out |= writer.files({name for op in zone for name in op.get(task.number, np.array([])).tolist()})
+        own_zones = {name for op in zone for name in op.get(task.number, np.array([])).tolist()}
+        out |= {name: text.replace("\n", LINE_END) for name, text in writer.files(own_zones).items()}
     for name, text in out.items():
         if len(text.encode()) > limits.max_bytes:
             message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
@@ -87,6 +91,11 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
                 Issue("post.no_split", message, file=name, hint="allow larger modules (max_bytes)")
             )
     return out
+
+
+def module_suffix(controller: Controller) -> str:
+    """Ending of the names of modules: RobotWare 7 does not load ``.mod``."""
+    return ".mod" if controller.robotware == 6 else ".modx"
 
 
 def _moving(job: Job, operation: int) -> list[TaskProgram]:
@@ -145,13 +154,14 @@ class _Task:
         n = self.task.number
         names = (self.tools, self.stations)
         data = data_lines(self.task, self.job, self.plan, self.problem, names, zone_names)
-        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main()}
+        bodies = {f"TandemData_{n}": data, f"TandemMain_{n}": self._main(), f"TandemCheck_{n}": self._check()}
         own = [part for part in self.layout if self.task.operations[part.operation].track is not None]
         for module in dict.fromkeys(part.module for part in own):
             lines = [line for part in own if part.module == module for line in [*self._part(part), ""]]
             bodies[f"TandemCut{module}_{n}"] = lines[:-1]
         self._unique(bodies)
-        files = {f"{name}.mod": self._module(name, lines) for name, lines in bodies.items()}
+        suffix = module_suffix(self.problem.cell.controller)
+        files = {f"{name}{suffix}": self._module(name, lines) for name, lines in bodies.items()}
         listed = "".join(f"\t<Module>{name}</Module>\n" for name in files)
         head = '<?xml version="1.0" encoding="ISO-8859-1" ?>\n'
         files[f"Tandem_{n}.pgf"] = f"{head}<Program>\n{listed}</Program>\n"
@@ -208,7 +218,7 @@ class _Task:
 
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
-        body = ["ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        body = [f"{rapid_check.CALL};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         clear = _CLEAR if self.problem.setups[0].steps else _READY
         if self.partner is not None:
             body += [
@@ -229,6 +239,13 @@ class _Task:
         for i, operation in enumerate(self.task.operations):
             out += ["", *self._operation(i, operation)]
         return out
+
+    def _check(self) -> list[str]:
+        task, together = self.task, len(self.job.tasks) > 1 and self.partner is None
+        place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
+        robot = self.problem.cell.controller.robot(place)
+        body = rapid_check.body(task, self.job, self.plan, self.tools, robot)
+        return rapid_check.lines(self._procedure(rapid_check.CALL, body), together)
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import handshake_drift, krl, krl_notes, languages, names, rapid
+from planner.post import controller, handshake_drift, krl, krl_notes, languages, names, rapid
 from planner.post.handshake import refusals as refused
 from planner.post.program import Job
 from planner.post.steps import build
@@ -18,9 +18,9 @@ def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = N
     """Texts of the program files by relative name, such as ``T_ROB1/TandemMain_1.mod``; of two controllers,
     and of KUKA arms, in folders by arm, such as ``left/TandemMain_1.mod`` or ``left/ruled_wall.src``.
 
-    Each arm gets the language of its controller. ``margins``: results of the proof by name, as text; they go
-    into the headers' comments only. Raises :class:`TandemError` with codes ``post.*`` when the plan cannot be
-    written.
+    Each arm gets the language of its controller; files for the controllers themselves are in
+    ``controller/``. ``margins``: results of the proof by name, as text; they go into the headers' comments
+    only. Raises :class:`TandemError` with codes ``post.*`` when the plan cannot be written.
     """
     return _texts(_job(plan, problem), plan, problem, margins or {})
 
@@ -59,4 +59,5 @@ def _job(plan: Plan, problem: Problem) -> Job:
 def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
     families = {task.robot.family for task in job.tasks}
     out = rapid.texts(job, plan, problem, margins) if "ABB" in families else {}
-    return out | (krl.texts(job, plan, problem, margins) if "KUKA" in families else {})
+    out |= krl.texts(job, plan, problem, margins) if "KUKA" in families else {}
+    return out | controller.texts(job, plan, problem)

@@ -18,6 +18,7 @@ from planner.problem import Problem, Setup
 from planner.report import exhibits, markup, standing
 from planner.report.inputs import kerf_range, operation_starts
 from planner.report.markup import Raw
+from planner.report.setup_controller import checks
 from planner.report.setup_tables import block, measure, tools
 from planner.units import DEG, MM
 
@@ -51,6 +52,8 @@ def sheet(problem: Problem, plan: Plan) -> Raw:
             title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
             parts.append(markup.figure(title, _work(problem, setup, plan, operation)))
             parts.append(markup.figure("Stops with something to do", _stops(operation, starts[index])))
+        if setup.number == 1:
+            parts.append(markup.figure("Controllers, before the first run", checks(problem, plan)))
         parts.append(markup.figure("Measure before the first run", measure(setup, plan, made[0])))
     return Raw("".join(f'<div style="margin-bottom:20px">{part}</div>' for part in parts))
 

@@ -29,7 +29,7 @@ TYPES: Final = {
     ".obj": "model/obj",
     ".npz": "application/octet-stream",
     ".yaml": "application/yaml",
-    **dict.fromkeys((".mod", ".pgf", ".src", ".dat"), "text/plain; charset=utf-8"),
+    **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat"), "text/plain; charset=utf-8"),
 }
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""

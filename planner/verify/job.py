@@ -24,6 +24,11 @@ from planner.verify.rapid_parser import Limits
 from planner.verify.rapid_reader import Flow, flow, read_task
 from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
 
+MODULES = (".mod", ".modx", ".sys", ".sysx")
+"""Endings of the names of RAPID modules."""
+CONTROLLER = "controller"
+"""Folder of the files for controllers, which are no programs."""
+
 Handlers = Mapping[tuple[str, str], tuple[Step, ...]]
 
 
@@ -83,6 +88,11 @@ class JobText:
     notes: tuple[Fault, ...] = ()
 
 
+def beside(path: str) -> bool:
+    """Whether a file is for a controller, and no program."""
+    return PurePosixPath(path).parts[0].lower() == CONTROLLER
+
+
 def task_names(problem: Problem) -> tuple[str, ...]:
     """What the tasks of the arms are called here: those of two controllers may have one name, and KUKA's have
     none, so by arm."""
@@ -117,7 +127,7 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
         words = [
             task
             for task in found
-            if suffix in ((".src", ".dat") if task in krl else (".mod", ".sys"))
+            if suffix in ((".src", ".dat") if task in krl else MODULES)
             and (
                 task.lower() in where
                 if task in folders
@@ -134,7 +144,7 @@ def task_files(problem: Problem, programs: Mapping[str, str]) -> tuple[dict[str,
 def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     """Read everything. Faults are collected, never raised; a task that cannot be read has no steps."""
     controller = problem.cell.controller
-    plain = {path: program_text.settled(path, text) for path, text in programs.items()}
+    plain = {path: program_text.settled(path, text) for path, text in programs.items() if not beside(path)}
     programs = {path: text for path, (text, _) in plain.items()}
     notes = tuple(note for _, found in plain.values() for note in found)
     files, strays = task_files(problem, programs)

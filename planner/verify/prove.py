@@ -26,6 +26,8 @@ from planner.verify import (
     report_series,
     rules_adsif,
     rules_cell,
+    rules_check,
+    rules_controller,
     rules_data,
     rules_entry,
     rules_file,
@@ -89,6 +91,8 @@ TASKS: _RuleTable = (
     ("verify.undo", rules_leaving.undo),
     ("verify.motion_settings", rules_data.motion_settings),
     ("verify.hidden", rules_data.hidden),
+    ("verify.cell_check", rules_check.cell_check),
+    ("verify.controller_files", rules_controller.controller_files),
 )
 STAGES: _RuleTable = (
     ("verify.setup", rules_setup.setup),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 from xml.etree import ElementTree as ET
@@ -134,7 +135,7 @@ def decimals(context: Context) -> Outcome:
 
 def files(context: Context) -> Outcome:
     """Every task of the cell has modules, no file is left over, and the program lists name the modules that
-    are there; a KRL file has the name of its program."""
+    are there, as the controller's RobotWare loads them; a KRL file has the name of its program."""
     issues = [
         Issue("verify.files", f.message, file=f.file, line=f.line)
         for f in context.job.faults
@@ -157,6 +158,7 @@ def files(context: Context) -> Outcome:
             if PurePosixPath(module.file).stem.lower() != module.name.lower():
                 what = f"{module.file} holds the module {module.name}; the list of modules goes by file names"
                 issues.append(Issue("verify.files", what, file=module.file))
+            issues += _ending(context, module.file)
         lists = [path for path in job.lists if _folder(path) in {_folder(file) for file in task.files}]
         if len(lists) > 1:
             issues.append(Issue("verify.files", f"{task.name} has {len(lists)} program lists", file=lists[1]))
@@ -165,19 +167,35 @@ def files(context: Context) -> Outcome:
     return Outcome(tuple(issues))
 
 
+def _ending(context: Context, file: str) -> list[Issue]:
+    """RobotWare 6 loads ``.mod`` alone, RobotWare 7 ``.modx``."""
+    version = context.problem.cell.controller.robotware
+    allowed = {6: ".mod", 7: ".modx"}[version]
+    if PurePosixPath(file).suffix == allowed:
+        return []
+    what = f"{file} is no module of RobotWare {version}, which loads {allowed}"
+    hint = "plan again with the controller's robotware; a renamed module is no converted one"
+    return [Issue("verify.files", what, file=file, hint=hint)]
+
+
 def _list(context: Context, path: str, text: str) -> list[Issue]:
     if "<!" in text:
         return [Issue("verify.files", "the program list holds more than modules", file=path)]
+    bare = re.search(r"(?<!\r)\n|\r(?!\n)", text)
+    if bare is not None or not text.endswith("\r\n"):
+        line = text.count("\n", 0, bare.start() if bare else len(text)) + 1
+        what = "the program list has other line ends than CR LF; controllers do not load it"
+        return [Issue("verify.files", what, file=path, line=line, hint="copy the file byte by byte")]
     try:
         root = ET.fromstring(text.encode("latin-1", "replace"))
     except (ET.ParseError, LookupError, ValueError) as wrong:
         return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
     if root.tag != "Program" or any(item.tag != "Module" or len(item) for item in root):
         return [Issue("verify.files", "the program list holds more than modules", file=path)]
-    listed = sorted((item.text or "").strip().lower().removesuffix(".mod") for item in root)
+    listed = sorted((item.text or "").strip().lower() for item in root)
     for task in context.job.tasks:
         if any(_folder(file) == _folder(path) for file in task.files):
-            there = sorted(module.name.lower() for module in task.modules)
+            there = sorted(PurePosixPath(module.file).name.lower() for module in task.modules)
             if listed != there:
                 message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
                 return [Issue("verify.files", message, file=path, hint="list every module once")]

@@ -25,6 +25,7 @@ from planner.post import write
 from planner.problem import Problem
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
+from tests import line_ends
 
 HERE = Path(pipeline.__file__).resolve().parents[1] / "problems" / "dome_tpif"
 MAIN = "T_ROB1/TandemMain_1.mod"
@@ -56,7 +57,7 @@ def made(one: Forming) -> Work:
 def programs() -> dict[str, str]:
     problem = coarse()
     targets = [processes.job(problem, 0).targets()]
-    return dict(write.programs(solve.solve(problem, targets, lambda *_: None), problem))
+    return line_ends.bare(write.programs(solve.solve(problem, targets, lambda *_: None), problem))
 
 
 @functools.cache

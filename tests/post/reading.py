@@ -8,11 +8,18 @@ import re
 import numpy as np
 
 from planner.geometry.rigid import from_quaternion
+from planner.post import write
+from tests.line_ends import bare
 
 MOVE = re.compile(
     r"^ +MoveL \[\[([-\d.,]+)\],\[([-\d.,]+)\],\[([-\d,]+)\],\[9E9,9E9,9E9,9E9,9E9,9E9\]\]"
     r"(?:\\ID:=(\d+))?,v(\w+)\\T:=([\d.]+),(\w+),(\w+)\\WObj:=(\w+);$"
 )
+
+
+def programs(plan, problem, margins=None):
+    """Texts as they are written, RAPID's with bare line feeds."""
+    return bare(write.programs(plan, problem, margins))
 
 
 def modules(files, task, kind=""):

@@ -12,11 +12,10 @@ from planner import corners
 from planner.claims import CutsSurface, KerfCurve, StraightWire
 from planner.claims_milling import MillsAlong, SparesPart
 from planner.post import krl_moves, rapid_moves
-from planner.post.write import programs
 from planner.segments import Segment
 from planner.tooling import bow
 from tests.post import synthetic
-from tests.post.reading import moves, numbers
+from tests.post.reading import moves, numbers, programs
 
 
 def test_zones_take_at_most_half_a_segment():

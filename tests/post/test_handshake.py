@@ -15,10 +15,11 @@ from planner.issues import TandemError
 from planner.post import handshake_drift, write
 from planner.post.handshake import meeting_rows, stretched
 from planner.post.steps import build
-from planner.post.write import notes, programs
+from planner.post.write import notes
 from planner.targets import Action
 from planner.verify.rapid_reader import read_task
 from tests.post import reading, synthetic
+from tests.post.reading import programs
 
 KINDS = ("four_phase", "toggle")
 LABELS = ["mount", "approach", "approach", *["cut/front"] * 4, "retreat", "unmount"]

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.post.write import notes, programs, refusals
+from planner.post.write import notes, refusals
 from planner.verify.rapid_reader import read_task
 from tests.post import krl_job, reading, synthetic
 from tests.post import test_handshake as rapid_side
+from tests.post.reading import programs
 
 KUKA, ABB = "kr10_r1100", "irb140"
 WAIT = re.compile(r"^WHILE \$IN\[1\]==(TRUE|FALSE)$")

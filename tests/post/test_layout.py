@@ -7,9 +7,9 @@ import re
 import pytest
 
 from planner.issues import TandemError
-from planner.post.write import programs
 from planner.verify.rapid_reader import read_task
 from tests.post import synthetic
+from tests.post.reading import programs
 
 
 def job(counts, stops, **limits):

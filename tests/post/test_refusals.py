@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.post.write import programs
 from planner.segments import Segment
 from planner.targets import Action
 from tests.post import synthetic
+from tests.post.reading import programs
 
 
 def changed(plan, **fields):

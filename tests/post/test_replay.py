@@ -7,10 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner.post.write import programs
 from planner.targets import Action
 from planner.verify import job, replay, setups
 from tests.post import synthetic
+from tests.post.reading import programs
 
 
 def read(plan, problem):

@@ -12,11 +12,10 @@ from planner.catalogue import robot
 from planner.cell.robots import forward
 from planner.geometry.rigid import from_quaternion
 from planner.issues import TandemError
-from planner.post.write import programs
 from planner.problem import Change
 from planner.verify.rapid_reader import read_task
 from tests.post import synthetic
-from tests.post.reading import data, flat, modules, moves, pose, targets
+from tests.post.reading import data, flat, modules, moves, pose, programs, targets
 
 TASKS = ("T_ROB1", "T_ROB2")
 

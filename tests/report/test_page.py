@@ -230,6 +230,19 @@ def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, p
     assert "doPartner of left to diPartner of right" in str(setup_sheet.sheet(apart, plan))
 
 
+def test_setup_sheet_says_what_the_controllers_need(problem: Problem, plan: Plan) -> None:
+    shown = str(setup_sheet.sheet(problem, plan))
+    for words in (
+        "EIO.cfg, SYS.cfg and TandemPower.sys",
+        "SoftES",
+        "CAB_REGAIN_DIST",
+        "PP to main in all tasks",
+    ):
+        assert words in shown
+    assert "NO DEVICE stated" in shown and "reduced speed" in shown
+    assert "ModalPayLoadMode" not in shown
+
+
 def test_setup_sheet_names_what_a_kuka_controller_must_have(problem: Problem, plan: Plan) -> None:
     controller = dataclasses.replace(problem.cell.controller, io={"left": {"doSpindle": 17}}, dialect="krc2")
     arms = (dataclasses.replace(problem.cell.arms[0], robot="kr60_ha"), *problem.cell.arms[1:])

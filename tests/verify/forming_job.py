@@ -22,6 +22,7 @@ from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
 from planner.segments import Segment
 from planner.targets import Action
 from planner.tooling import ball_tool, profile
+from tests import line_ends
 from tests.verify.by_hand import Operation, home_of, operation_plan
 
 DIGEST = "ef56" * 16
@@ -227,7 +228,7 @@ def plan(steps=72):
 @functools.cache
 def programs(steps=72):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(steps), problem())
+    return line_ends.bare(write.programs(plan(steps), problem()))
 
 
 @functools.cache
@@ -237,4 +238,4 @@ def programs_of_two(every, steps=72):
         ("T_ROB1",) * 2, ("ROB_1",) * 2, sync="handshake", handshake=Handshake("toggle", every)
     )
     there = problem(controller)
-    return there, write.programs(plan(steps), there)
+    return there, line_ends.bare(write.programs(plan(steps), there))

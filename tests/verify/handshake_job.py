@@ -9,6 +9,7 @@ from planner.handshake import Handshake
 from planner.post import write
 from planner.problem import Controller
 from planner.targets import Action
+from tests import line_ends
 from tests.verify import small_job
 
 ARMS = ("left", "right")
@@ -43,4 +44,4 @@ def claims():
 @functools.cache
 def programs(kind="four_phase", every=1, count=8):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(count), problem(kind, every))
+    return line_ends.bare(write.programs(plan(count), problem(kind, every)))

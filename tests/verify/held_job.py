@@ -28,6 +28,7 @@ from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.segments import Segment
 from planner.tooling import bow, gripper_plate
+from tests import line_ends
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
 
@@ -208,4 +209,4 @@ def plan(count=24):
 @functools.cache
 def programs(count=24):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(count), problem())
+    return line_ends.bare(write.programs(plan(count), problem()))

@@ -30,6 +30,7 @@ from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import wire_holder
 from planner.verify import arm_ik, machines
+from tests import line_ends
 
 LENGTH = 0.5
 KERF = 0.002
@@ -221,4 +222,4 @@ def plan(count=24):
 @functools.cache
 def programs(count=24):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(count), problem())
+    return line_ends.bare(write.programs(plan(count), problem()))

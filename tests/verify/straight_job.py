@@ -28,6 +28,7 @@ from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
 from planner.segments import Segment
 from planner.tooling import bow
+from tests import line_ends
 from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003
@@ -188,4 +189,4 @@ def plan(count=24, over=None, model="irb140"):
 @functools.cache
 def programs(count=24, model="irb140"):
     """The texts of the job as the planner writes them."""
-    return write.programs(plan(count, model=model), problem(model))
+    return line_ends.bare(write.programs(plan(count, model=model), problem(model)))

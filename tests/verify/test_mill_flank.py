@@ -22,6 +22,7 @@ from planner.motion import solve
 from planner.post import write
 from planner.verify import mill_flank
 from planner.verify.prove import Prover
+from tests import line_ends
 from tests.milling.small_mill import WALL, problem
 
 FloatArray = NDArray[np.float64]
@@ -232,7 +233,7 @@ FAULTS: dict[str, tuple[Any, str, Any]] = {
 def prove(folder: Path) -> Any:
     own = problem(folder, WALL, cuts=[{"flank": "wall", "stepdown_mm": 25}])
     targets = [processes.job(own, 0).targets()]
-    programs = dict(write.programs(solve.solve(own, targets), own))
+    programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
     return Prover(own, processes.claims(own)).prove(programs, last="verify.spindle")
 
 

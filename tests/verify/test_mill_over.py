@@ -19,6 +19,7 @@ from planner.motion import solve
 from planner.post import write
 from planner.verify.mill_over import OverFace
 from planner.verify.prove import Prover
+from tests import line_ends
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_mill_flank import dense
 
@@ -123,5 +124,5 @@ def test_faults_in_the_planner_are_not_proven(
     (wanted,) = [c for group in claims.values() for c in group if isinstance(c, MillsSurface)]
     assert wanted.margin == 0.008
     targets = [processes.job(own, 0).targets()]
-    programs = dict(write.programs(solve.solve(own, targets), own))
+    programs = line_ends.bare(write.programs(solve.solve(own, targets), own))
     assert bool(Prover(own, claims).prove(programs, last="verify.spindle").issues) == (name is not None)

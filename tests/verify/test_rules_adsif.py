@@ -16,7 +16,7 @@ from planner.post import write
 from planner.problem import Mesh
 from planner.verify import response
 from planner.verify.prove import Prover
-from tests import small_forming
+from tests import line_ends, small_forming
 from tests.forming import shapes
 from tests.verify.mutants import change, field, moves, segment, tilted
 
@@ -38,7 +38,7 @@ def oval():
 def planned(folder, part, **more):
     found = pipeline.load(small_forming.write(folder, small_forming.problem("adsif", **more), part))
     plan = solve.solve(found, [one.targets() for one in processes.jobs(found)], lambda *_: None)
-    return found, write.programs(plan, found)
+    return found, line_ends.bare(write.programs(plan, found))
 
 
 @pytest.fixture(scope="module")

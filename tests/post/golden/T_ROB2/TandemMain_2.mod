@@ -7,6 +7,7 @@ MODULE TandemMain_2
   ! that it falls with the motors.
 
   PROC main()
+    check_cell;
     ConfJ\On;
     ConfL\On;
     SingArea\Off;

@@ -1,0 +1,87 @@
+"""What the operations of a problem ask of the controllers of its cell: signals of one use each, names that
+fit, options that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from planner.catalogue import robot
+from planner.issues import Issue
+from planner.problem import Cell, Controller, Operation
+
+RAPID_NAME: Final = 32
+SWITCHED_NAME: Final = 28
+"""The longest names [characters] of signals, and of those that programs switch."""
+
+_COORDINATED: Final = {6: "604-1 MultiMove Coordinated", 7: "3102-1 MultiMove Coordinated"}
+"""What one ABB controller needs to move two arms together, by RobotWare."""
+
+
+def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
+    """Signals that two uses share, names that are too long (both ``problem.field``), and options that are
+    missing (``post.option``), each with its field in the problem file."""
+    used = [(f"operations.{index}", operation) for index, operation in enumerate(operations)]
+    return [*_signals(cell, used), *_options(cell.controller, cell, operations)]
+
+
+def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
+    """Each name has one use; requests of one use may come again."""
+    controller = cell.controller
+    uses: dict[str, str] = {}
+    issues: list[Issue] = []
+
+    def use(name: str, what: str, field: str, longest: int = RAPID_NAME) -> None:
+        before = uses.setdefault(name.lower(), what)
+        if before != what:
+            got = f"{name} is to be {before} and {what}; a signal has one use"
+            issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
+        if len(name) > longest:
+            got = f"{name} has {len(name)} characters; allowed: {longest}"
+            issues.append(Issue("problem.field", got, field=field, hint="shorten the name"))
+
+    lock, place = controller.interlock, "cell.controller.interlock"
+    if controller.sync == "handshake":
+        for arm in cell.arms:
+            own = controller.handshake.of(arm.name)
+            field = f"cell.controller.handshake.signals.{arm.name}"
+            use(own.output, "an output to the other controller", field)
+            use(own.input, "an input from the other controller", field)
+    use(lock.cycle, "what says that a program runs", f"{place}.cycle_signal")
+    use(lock.motors, "what says that motors are on", f"{place}.motors_signal")
+    for field, operation in operations:
+        die = getattr(operation, "die", None)
+        if die is not None and getattr(die, "holder", "") == "sinking":
+            use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", SWITCHED_NAME)
+        signal = getattr(operation, "signal", None)
+        if isinstance(signal, str):
+            what = "the power of a spindle" if operation.process == "milling" else "the power of a wire"
+            use(signal, what, f"{field}.signal", SWITCHED_NAME)
+            use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
+    wired: dict[tuple[str, int], str] = {}
+    for request, output in lock.outputs.items():
+        key = (output.device.lower(), output.bit)
+        if output.device and key in wired:
+            got = f"{wired[key]} and {output.signal} are both bit {output.bit} of {output.device}"
+            hint = "give each output a bit of its own (device_map)"
+            issues.append(Issue("problem.field", got, field=f"{place}.outputs.{request}", hint=hint))
+        wired[key] = output.signal
+    return issues
+
+
+def _options(controller: Controller, cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
+    """One ABB controller that moves two arms needs MultiMove; a cell that states no options is not asked."""
+    arms = {arm for operation in operations for arm in operation.arms}
+    together = [arm for arm in cell.arms if arm.name in arms and robot(arm.robot).family == "ABB"]
+    if controller.options is None or controller.sync == "handshake" or len(together) < 2:
+        return []
+    wanted = _COORDINATED[controller.robotware]
+    if any(option.split()[:1] == wanted.split()[:1] for option in controller.options):
+        return []
+    got = f"two arms on one controller need the option {wanted}; the cell lists {_listed(controller)}"
+    hint = "install the option, or take two controllers that share signals (sync: handshake)"
+    return [Issue("post.option", got, field="cell.controller.options", hint=hint)]
+
+
+def _listed(controller: Controller) -> str:
+    return ", ".join(controller.options or ()) or "none"

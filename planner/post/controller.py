@@ -1,0 +1,43 @@
+"""Files for the controllers that the programs of a job run on, where a job has power that they switch."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from planner.claims_forming import SinksHolder
+from planner.plans import Plan
+from planner.post import controller_krl, controller_rapid
+from planner.post.program import Job
+from planner.problem import Problem
+
+FOLDER: Final = "controller"
+LINE_END: Final = "\r\n"
+
+
+def texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
+    """Files by relative name, such as ``controller/T_ROB1/EIO.cfg``, in a folder for each controller: by its
+    first task, or by its arm where each arm has one. Empty where nothing is powered."""
+    controller = problem.cell.controller
+    pulsed = {
+        claim.signal
+        for operation in plan.operations
+        for claim in operation.targets.claims
+        if isinstance(claim, SinksHolder)
+    }
+    alone = controller.sync == "handshake"
+    out: dict[str, str] = {}
+    for task in job.tasks:
+        signals = sorted((s for s in job.switched(task) if s not in pulsed), key=str.lower)
+        if not signals:
+            continue
+        if task.robot.family == "KUKA":
+            made, folder = controller_krl.files(controller, task.arm.name, signals), task.arm.name
+        elif alone:
+            made, folder = controller_rapid.files(controller, [task.task], signals), task.arm.name
+        elif task.number == 1:
+            tasks = [other.task for other in job.tasks]
+            made, folder = controller_rapid.files(controller, tasks, signals), task.task
+        else:
+            continue  # files of the first task are for all of one controller
+        out |= {f"{FOLDER}/{folder}/{name}": text.replace("\n", LINE_END) for name, text in made.items()}
+    return out
