@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from planner.post.krl_format import asked, comment, told
-from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
+from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, Note, Partner, PartnerStep, SetLine, Tell
 from planner.problem import Controller
 
 
@@ -14,6 +14,7 @@ def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]
     """The statements of the steps."""
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
+    runs = controller.number(partner.arm, own.partner_running)
     out: list[str] = []
     for step in steps:
         match step:
@@ -21,6 +22,11 @@ def lines(partner: Partner, controller: Controller, steps: Sequence[PartnerStep]
                 out.append(f"$OUT[{output}]={_level(value)}")
             case AwaitLine(value, seconds):
                 out += _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
+            case AwaitRunning(value, seconds):
+                what = partner.not_as_wanted(value)
+                out += _wait(f"$IN[{runs}]=={_level(1 - value)}", seconds, what)
+            case Halt(text):  # HALT stops the program, so that one is enough
+                out += asked(text)
             case Ask(text):
                 out += asked(text)
             case Tell(text):
