@@ -222,6 +222,7 @@ class _Reader:
                 self._add("gate", 0, 0, i)
                 return True
             case SettingStep() if step.stops:
+                self._rest()
                 self._add("pause", 0, 0, i)
                 return True
             case MessageStep() if not step.confirm:
@@ -286,9 +287,10 @@ class _Reader:
             what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
         self._rest()
+        limit = self.limit
         self._looked(step, int(step.value == 1.0))
-        if self.limit is not None and step.seconds is not None and self.limit > step.seconds:
-            what = f"{self.limit:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
+        if limit is not None and step.seconds is not None and limit > step.seconds:
+            what = f"{limit:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
             self._fault(f"{what}; the look at the running wire may take no longer", step)
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
 
@@ -383,11 +385,16 @@ class _Reader:
         """Levels that error handlers and UNDO of a step's procedure leave on the wires."""
         key = (step.module, step.procedure)
         if key not in self.resets:
+            signals = [
+                s for table in self.sections for s in _all(table.get(key, ())) if isinstance(s, SignalStep)
+            ]
+            for s in signals:
+                if s.signal.lower() in self.tells:
+                    self._fault(f"{s.signal} says that the program runs; no handler switches it", s)
             self.resets[key] = tuple(
                 (self.drives[s.signal.lower()], int(s.value == 1.0))
-                for table in self.sections
-                for s in _all(table.get(key, ()))
-                if isinstance(s, SignalStep) and s.signal.lower() in self.drives
+                for s in signals
+                if s.signal.lower() in self.drives
             )
         return self.resets[key]
 

@@ -49,22 +49,22 @@ def handshake(context: Context) -> Outcome:
             what = "there is no other program to answer this"
             issues += [at_step(CODE, what, task, task.steps[action.line]) for action in lone[:1]]
         return Outcome(tuple(issues), where="one program")
-    found, states = _model(context, wiring)
+    found, states = _model(context, wiring, bool(issues))
     issues += found
     issues += _numbers(context) if not found else []
     meetings = max((reading.interval[-1] for reading in readings.values() if reading.interval), default=0)
     return Outcome(tuple(issues), where=f"{meetings} meetings, {states} states")
 
 
-def _model(context: Context, wiring: Wiring) -> tuple[list[Issue], int]:
-    """Faults of the product of both automata, and how many states it has."""
+def _model(context: Context, wiring: Wiring, faulty: bool) -> tuple[list[Issue], int]:
+    """Faults of the product of both automata, and how many states it has; of programs that are ``faulty``
+    anyway only what is found at little cost."""
     readings = context.job.readings or {}
     tasks = context.job.tasks
     arms = [task.name for task in tasks]
     words = Words(arms, readings, {task.name: task.steps for task in tasks}, wiring.wires)
     programs = [readings[arm].actions for arm in arms]
     states = 0
-    faulty = any(reading.faults for reading in readings.values())
     for gates, running in _CASES[:2] if faulty else _CASES:
         verdict = check(programs, len(wiring.wires), gates, running=running)
         states += verdict.states
