@@ -13,7 +13,7 @@ import pytest
 
 from planner.handshake import Handshake, PartnerSignals, SignalWire
 from planner.post import write
-from planner.verify import rules_handshake
+from planner.verify import rules_data, rules_handshake
 from planner.verify.context import Context
 from tests.post import krl_job
 from tests.verify import handshake_job
@@ -300,3 +300,18 @@ def test_names_of_the_cells_own_pass_and_the_default_ones_then_fail():
     assert faults(named, written) == []
     assert "WaitDI diOtherAlive,0" in written["left/TandemMain_1.mod"]
     assert faults(named, good) and faults(problem, written)
+
+
+def test_only_a_plain_stop_before_the_first_move_is_no_change_of_the_motion():
+    problem, good = rapid()
+    main = "left/TandemMain_1.mod"
+
+    def settings(text):
+        context = Context(problem, {"panel": ()}, {**good, main: text})
+        return rules_data.motion_settings(context).issues
+
+    assert good[main].count("    Stop;\n    UIMsgBox") == 1
+    assert settings(good[main]) == ()
+    assert settings(good[main].replace("    Stop;\n    UIMsgBox", "    Stop\\NoRegain;\n    UIMsgBox"))
+    move = re.search(r" *MoveAbsJ .*\n", good[main]).group()
+    assert settings(good[main].replace(move, f"{move}    Stop;\n", 1))
