@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
@@ -21,6 +22,15 @@ class SignalsFile(Strict):
 
     output: Annotated[Name, Field(description="digital output to the other controller")] = "doPartner"
     input: Annotated[Name, Field(description="digital input from the other controller")] = "diPartner"
+    running: Annotated[
+        Name, Field(description="output that the controller holds at 1 while its program runs")
+    ] = "doRunning"
+    partner_running: Annotated[
+        Name, Field(description="input from the other controller's `running`; its fall stops this arm")
+    ] = "diPartnerRunning"
+    move_enable: Annotated[
+        Name, Field(description="of a KUKA controller: output that is looped to the input of $MOVE_ENABLE")
+    ] = "doMoveEnable"
 
 
 class WireEndFile(Strict):
@@ -51,7 +61,10 @@ class HandshakeFile(Strict):
     ]
     wires: Annotated[
         tuple[SignalWireFile, ...],
-        Field(max_length=2, description="none: each arm's output drives the other arm's input"),
+        Field(
+            max_length=4,
+            description="all four, of `output` and of `running`; none: each drives the other arm's input",
+        ),
     ] = ()
     timeout_s: Annotated[
         float, Field(ge=0.1, le=3600, description="longest wait for the other arm at a step of joint work")
@@ -209,7 +222,8 @@ def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshak
         if arm not in arms:
             what = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
             raise TandemError(Issue("problem.field", what, field="controller.io"))
-        inputs = {handshake.of(arm).input.lower()} if handshake else set()
+        own = handshake.of(arm) if handshake else None
+        inputs = {own.input.lower(), own.partner_running.lower()} if own else set()
         used: dict[tuple[bool, int] | str, str] = {}
         for name, number in numbers.items():
             for key in ((name.lower() in inputs, number), name.lower()):
@@ -231,33 +245,44 @@ def _handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshak
         if name not in arms:
             raise _wrong("signals", f"the cell has no arm {name}; allowed: {', '.join(arms)}")
     signals = {
-        arm: PartnerSignals(names.output, names.input)
+        arm: PartnerSignals(
+            names.output, names.input, names.running, names.partner_running, names.move_enable
+        )
         for arm in arms
         for names in [spec.signals.get(arm, SignalsFile())]
     }
     for arm, names in signals.items():
-        words = [names.output.lower(), names.input.lower(), power.lower()]
-        if len(set(words)) != len(words):
-            what = f"{names.output}, {names.input} and {power} (the wire's power) must be three signals"
+        words = [*dataclasses.astuple(names), power]
+        if len({word.lower() for word in words}) != len(words):
+            what = f"{', '.join(words[:-1])} and {power} (the wire's power) must be {len(words)} signals"
             raise _wrong(f"signals.{arm}", f"{what}; give them different names")
     wires = tuple(SignalWire(w.output.arm, w.output.signal, w.input.arm, w.input.signal) for w in spec.wires)
     _check_wires(wires, signals)
-    return Handshake(spec.kind, spec.every, signals, wires, spec.timeout_s, spec.patience_s)
+    runs = [wire.output.lower() == signals[wire.source].running.lower() for wire in wires]
+    meet = tuple(wire for wire, running in zip(wires, runs, strict=True) if not running)
+    watch = tuple(wire for wire, running in zip(wires, runs, strict=True) if running)
+    return Handshake(spec.kind, spec.every, signals, meet, watch, spec.timeout_s, spec.patience_s)
 
 
 def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSignals]) -> None:
-    """Raise where stated wires are not one from each controller's output to the other one's input."""
+    """Raise where stated wires are not two from each controller to the other one: from output to input, and
+    from running output to running input."""
     if not wires:
         return
     first, second = signals
-    wanted = {
-        (a, signals[a].output.lower(), b, signals[b].input.lower())
+    wanted = [
+        SignalWire(a, output, b, given)
         for a, b in ((first, second), (second, first))
-    }
+        for output, given in (
+            (signals[a].output, signals[b].input),
+            (signals[a].running, signals[b].partner_running),
+        )
+    ]
     got = {(w.source, w.output.lower(), w.sink, w.input.lower()) for w in wires}
-    for source, _, sink, _ in sorted(wanted - got):
-        what = f"no wire leads from {signals[source].output} of {source} to {signals[sink].input} of {sink}"
-        raise _wrong("wires", f"{what}; add it, name the signals as they are, or leave wires out")
+    for wire in wanted:
+        if (wire.source, wire.output.lower(), wire.sink, wire.input.lower()) not in got:
+            what = f"no wire leads from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
+            raise _wrong("wires", f"{what}; add it, name the signals as they are, or leave wires out")
 
 
 def _wrong(field: str, message: str) -> TandemError:

@@ -1,4 +1,5 @@
-"""How two controllers that share no more than digital signals meet: kind, signals, wires between them."""
+"""How two controllers that share no more than digital signals meet, and how each one knows that the other one
+runs: kind, signals, wires between them."""
 
 from __future__ import annotations
 
@@ -11,10 +12,18 @@ HandshakeKind = Literal["four_phase", "toggle"]
 
 @dataclasses.dataclass(frozen=True)
 class PartnerSignals:
-    """Names that one controller has for its output to the other one and for its input from there."""
+    """Names that one controller has for its output to the other one and for its input from there.
+
+    ``running``: the output that the controller itself holds at 1 while its program runs with the motors on;
+    ``partner_running``: the input that the other one's drives, which no program switches either;
+    ``move_enable``: of a KUKA controller, the output that is looped to its input for $MOVE_ENABLE.
+    """
 
     output: str = "doPartner"
     input: str = "diPartner"
+    running: str = "doRunning"
+    partner_running: str = "diPartnerRunning"
+    move_enable: str = "doMoveEnable"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +42,8 @@ class Handshake:
     """The handshake of two controllers.
 
     ``kind``: two signal changes of each side at every meeting, or one. ``every``: they meet at every so many
-    moves. ``signals`` {arm: names}, the defaults for an arm that is not named; ``wires``: what drives what.
+    moves. ``signals`` {arm: names}, the defaults for an arm that is not named; ``wires``: what drives what;
+    ``running``: the wires that say that a controller runs.
     ``timeout`` [s]: how long an arm waits for the other one at a step of joint work; ``patience`` [s]: how
     long while the other arm moves alone or asks the operator.
     """
@@ -42,6 +52,7 @@ class Handshake:
     every: int = 1
     signals: Mapping[str, PartnerSignals] = dataclasses.field(default_factory=dict)
     wires: tuple[SignalWire, ...] = ()
+    running: tuple[SignalWire, ...] = ()
     timeout: float = 30.0
     patience: float = 3600.0
 
@@ -50,9 +61,19 @@ class Handshake:
         return self.signals.get(arm, PartnerSignals())
 
     def wired(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
-        """The wires between two arms' controllers; unless stated, outputs drive the other one's inputs."""
+        """The wires between two arms' controllers by which they meet; unless stated, outputs drive the other
+        one's inputs."""
         if self.wires or len(arms) != 2:
             return self.wires
         return tuple(
             SignalWire(a, self.of(a).output, b, self.of(b).input) for a, b in (tuple(arms), tuple(arms)[::-1])
+        )
+
+    def wired_running(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
+        """The wires by which two arms' controllers know that the other one runs; as :meth:`wired`."""
+        if self.running or len(arms) != 2:
+            return self.running
+        return tuple(
+            SignalWire(a, self.of(a).running, b, self.of(b).partner_running)
+            for a, b in (tuple(arms), tuple(arms)[::-1])
         )

@@ -43,7 +43,7 @@ def test_two_arms_of_one_or_two_brands_form_a_dish_by_handshake(tmp_path: Path, 
     data["cell"]["arms"][1] |= {"robot": "kr60_ha", "home_deg": HOME}
     if left.startswith("kr"):
         data["cell"]["arms"][0] |= {"robot": left, "home_deg": HOME}
-    numbers = {"doPartner": 1, "diPartner": 2}
+    numbers = {"doPartner": 1, "diPartner": 2, "doRunning": 3, "diPartnerRunning": 4, "doMoveEnable": 5}
     data["cell"]["controller"] = {
         "sync": "handshake",
         "handshake": {"every": 5},

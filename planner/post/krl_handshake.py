@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from planner.post import krl_panel
 from planner.post.krl_format import comment
-from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
+from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, Note, Partner, PartnerStep, SetLine, Tell
 from planner.problem import Controller
 
 
@@ -19,6 +19,7 @@ def lines(
     waiting = krl_panel.WAITING.format(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
+    runs = controller.number(partner.arm, own.partner_running)
     out: list[str] = []
     for step in steps:
         match step:
@@ -27,6 +28,12 @@ def lines(
             case AwaitLine(value, seconds):
                 wait = _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
                 out += krl_panel.during(waiting, wait, controller.dialect) if shown else wait
+            case AwaitRunning(value, seconds):
+                wait = _wait(f"$IN[{runs}]=={_level(1 - value)}", seconds, partner.not_as_wanted(value))
+                out += krl_panel.during(waiting, wait, controller.dialect) if shown else wait
+            case Halt(text):  # krc2: the HALT of the question is a stop itself
+                out += ["HALT"] if controller.dialect == "krc4" else []
+                out += krl_panel.asked(text, controller.dialect)
             case Ask(text):
                 out += krl_panel.asked(text, controller.dialect)
             case Tell(text):

@@ -31,7 +31,7 @@ def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     together = len(arms) > 1
     if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
-        hint = "set controller: {sync: handshake} and wire two signals each way, or take ABB robots for both"
+        hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
         return (Issue("post.controller", f"{names} cannot move together: {_ALONE}", hint=hint),)
     issues = []
     for arm in filter(speaks_krl, arms):
@@ -49,7 +49,8 @@ def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
 
 
 def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool) -> list[str]:
-    """Signals that an arm's program uses: of the actions that it leads, and of its handshake."""
+    """Signals that an arm's program and its submit interpreter use: of the actions that it leads, and of its
+    handshake."""
     order = [item.name for item in problem.cell.arms]
     out = [
         action.signal
@@ -60,5 +61,5 @@ def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool
     ]
     if together:
         own = problem.cell.controller.handshake.of(arm.name)
-        out += [own.output, own.input]
+        out += [own.output, own.input, own.running, own.partner_running, own.move_enable]
     return list(dict.fromkeys(out))

@@ -2,6 +2,10 @@
 
 The lead asks and the other one answers, so no line changes before its last change was answered: programs that
 both set their output and then wait lose an edge when one of them is late.
+
+Each program sees the other one's running wire at 0 and then at 1 before the first meeting: the lead is
+started while the other one stands, and stands itself while the other one looks. So a wire that is cut or
+stuck is found before anything moves. Every meeting begins with a look at it.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import math
 import numpy as np
 
 from planner.handshake import Handshake
+from planner.post import running
 from planner.post.program import Job, TaskProgram
 
 
@@ -28,6 +33,21 @@ class AwaitLine:
 
     value: int
     seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class AwaitRunning:
+    """Wait until the other controller's running wire has the level ``value``, for ``seconds`` [s] at most."""
+
+    value: int
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Halt:
+    """The program stops by itself, so that the running wire falls; started again, it asks ``text``."""
+
+    text: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +71,7 @@ class Note:
     text: str
 
 
-PartnerStep = SetLine | AwaitLine | Ask | Tell | Note
+PartnerStep = SetLine | AwaitLine | AwaitRunning | Halt | Ask | Tell | Note
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,8 +97,8 @@ class Partner:
         return (number % 2,) if self.handshake.kind == "toggle" else (1, 0)
 
     def meeting(self, number: int, wait: float) -> list[PartnerStep]:
-        """The steps of a meeting, which waits ``wait`` [s] at most."""
-        out: list[PartnerStep] = []
+        """The steps of a meeting, which waits ``wait`` [s] at most: the other program runs, the lines."""
+        out: list[PartnerStep] = [AwaitRunning(1, wait)]
         for phase in self.phases(number):
             turn: list[PartnerStep] = [SetLine(phase), AwaitLine(phase, wait)]
             out += turn if self.lead else turn[::-1]
@@ -98,16 +118,18 @@ class Partner:
         return {self.phases(n): n for n in np.unique(numbers[numbers > 0]).tolist()}
 
     def start(self, ask: str, ok: str = "") -> list[PartnerStep]:
-        """What the program begins with: lines down and seen so, first meeting.
+        """What the program begins with: lines down and seen so, the other program seen to stand, then to run,
+        first meeting.
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
         earlier = f"Does no program of an earlier run go on at the controller of arm {self.other}? {ok}"
-        out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0)]
-        wait = self.handshake.timeout if self.lead else self.handshake.patience
+        limit = self.handshake.timeout
+        out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
+        wait = limit if self.lead else self.handshake.patience
         if self.lead:
             ready = f"Does the panel of arm {self.other} say that it is ready to meet arm {self.arm}?"
-            out += [Ask(f"{ready} {ask}"), AwaitLine(0, wait)]
+            out += [Tell(running.START.format(other=self.other)), Halt(f"{ready} {ask}"), AwaitLine(0, wait)]
         else:
             out += [AwaitLine(0, wait), Tell(f"Ready to meet arm {self.other}.")]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
@@ -123,17 +145,24 @@ class Partner:
         """What is said of a wait that was over its time."""
         return f"Arm {self.other} did not answer in time."
 
+    def not_as_wanted(self, value: int) -> str:
+        """What is said when the other one's running wire did not come to this level in time."""
+        text = running.STANDS if value else running.RUNS
+        return text.format(other=self.other, input=self.handshake.of(self.arm).partner_running)
+
     def header(self) -> tuple[str, str]:
         """Sentences on the signals, and on the wires between the controllers."""
         own, kind = self.handshake.of(self.arm), self.handshake.kind.replace("_", "-")
         role = "leads" if self.lead else "follows"
         wires = " ".join(
             f"Wire {wire.output} of arm {wire.source} to {wire.input} of arm {wire.sink}."
-            for wire in self.handshake.wired((self.arm, self.other))
+            for arms in [(self.arm, self.other)]
+            for wire in (*self.handshake.wired(arms), *self.handshake.wired_running(arms))
         )
         every = "every move" if self.handshake.every == 1 else f"every {self.handshake.every} moves"
         return (
             f"Meets arm {self.other}, on a controller of its own, by {kind} handshake at {every}: sets "
-            f"{own.output}, reads {own.input}, and {role}.",
+            f"{own.output}, reads {own.input}, and {role}. {own.partner_running} is 1 while the program of "
+            f"arm {self.other} runs; its fall stops this arm and takes its power. {own.running} is its like.",
             wires,
         )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
+from planner.post import running
+from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, Note, Partner, PartnerStep, SetLine, Tell
 from planner.post.program import TaskProgram
 from planner.post.rapid_format import box, comment, identifier, write_lines
 from planner.post.text import short
@@ -28,7 +29,7 @@ def procedures(partner: Partner, task: TaskProgram) -> dict[str, list[str]]:
 
 def unanswered(partner: Partner) -> list[str]:
     """What an error handler says of a wait that was over its time."""
-    text = write_lines(partner.unanswered)
+    text = write_lines(running.RAPID.format(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
 
 
@@ -50,6 +51,10 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
             return [f"SetDO\\Sync,{identifier(own.output)},{value};"]
         case AwaitLine(value, seconds):
             return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={short(seconds, 3)};"]
+        case AwaitRunning(value, seconds):
+            return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={short(seconds, 3)};"]
+        case Halt(text):
+            return ["Stop;", *box("Tandem", text)]
         case Ask(text):
             return box("Tandem", text)
         case Tell(text):

@@ -117,7 +117,8 @@ def _wires(problem: Problem) -> list[tuple[object, object]]:
     controller = problem.cell.controller
     if controller.sync != "handshake":
         return []
-    wires = controller.handshake.wired([arm.name for arm in problem.cell.arms])
+    arms = [arm.name for arm in problem.cell.arms]
+    wires = (*controller.handshake.wired(arms), *controller.handshake.wired_running(arms))
     shown = ", ".join(f"{w.output} of {w.source} to {w.input} of {w.sink}" for w in wires)
     return [("wires between the controllers", shown)]
 

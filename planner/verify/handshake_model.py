@@ -4,6 +4,13 @@ Each program is a row of actions. A wire carries one program's output to the oth
 its reading end follows its driving end at any later instant, so that a pulse may pass unseen. Any program may
 stop at any instant for good, as its error handler leaves the outputs. All interleavings are looked at.
 
+With ``running`` each controller drives a wire that is 1 while its program runs. Both programs stand at first;
+any of them may be stopped at any instant and started again later, both or one, in either order. The fall of
+the wire stops the other program, which does one more step at most: wire and stop input are faster than two
+steps. A program that has come to its end runs no longer. One of the wires may be cut at any instant.
+So behind a stop the other side stands too, or reads 0 until somebody starts it again: no power is on. What
+the wire cannot find by itself is that it is stuck; then no program may begin to work (``unwatched``).
+
 Every step of a program adds one to the sum of both places, so the reachable states are visited sum by sum;
 what depends on places alone is put in relative form, and equal rows of states before equal actions are
 expanded once. This is exact, and takes time in proportion to the programs' length.
@@ -14,27 +21,34 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
+from typing import Final, Literal
 
-ActionKind = Literal["set", "wait", "go", "done", "gate"]
-FaultKind = Literal["deadlock", "lost_edge", "apart"]
+ActionKind = Literal["set", "wait", "go", "done", "gate", "look", "pause"]
+FaultKind = Literal["deadlock", "lost_edge", "apart", "unwatched"]
+RunningWire = Literal["works", "low", "high"]
+"""A running wire that works, or is stuck at a level for ever (one that is not there is stuck, too)."""
 Levels = tuple[tuple[int, int], ...]
 _State = tuple[int, int]
 """Offset between the places of both programs, and bits: three for each wire (driven level, level as read, a
-change that the reader has not seen yet), then one for each program that has stopped."""
+change that the reader has not seen yet), then four for each program, those of one kind in a row: whether it
+has stopped for good, stands, is read as standing by the other one, and whether its running wire is cut."""
 _Here = tuple[int, int, bool, bool, bool, bool]
 """What the places decide: codes of both actions, whether the other one has done the work before, whether
 gates are open."""
 _Step = tuple[int, int, FaultKind | None]
 """A step of a program: which one, the bits behind it, the fault that it is."""
 _EVER, _NEVER = 2**60, -(2**60)
+_ALWAYS: Final = ("apart", "unwatched")
+"""Faults whatever the operator does."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Action:
     """One action. "set" puts ``wire`` to ``value``, "wait" waits until it reads so. "go" and "done" enclose
     the work of the interval ``value`` between two meetings. "gate" is passed once the other program has
-    reached its place ``value``.
+    reached its place ``value``; a program that stands before it is not started earlier either. "look" waits
+    until the other program is read as running (``value`` 1) or standing (0). "pause": the program stops by
+    itself until it is started again.
 
     ``resets``: levels of wires that the error handler in force here leaves, as (wire, value). ``line`` is
     its step in the program text, for messages.
@@ -83,16 +97,25 @@ class Verdict:
     kinds: int
 
 
-def check(programs: Sequence[Sequence[Action]], wires: int, gates: bool = True, trace: int = 12) -> Verdict:
+def check(
+    programs: Sequence[Sequence[Action]],
+    wires: int,
+    gates: bool = True,
+    trace: int = 12,
+    running: tuple[RunningWire, RunningWire] | None = None,
+) -> Verdict:
     """Look at all that two programs can do together.
 
     ``wires``: how many there are; at first each one has any level, at both ends. ``gates`` False: gates are
-    passed at any time (the operator does not look), and only "apart" is a fault.
+    passed at any time (the operator does not look), and only "apart" and "unwatched" are faults.
+    ``running``: the wire that each program's controller drives; None: both programs run from the first on,
+    nothing but their end stops them, and "look" and "pause" are passed.
 
     "apart": a program works in an interval before the other one has done its work of the interval before.
     "lost_edge": a wire changes before the other program has seen its last change, or that is never seen.
+    "unwatched": a program works behind the first meeting though a running wire is stuck.
     """
-    return _Search(programs, wires, gates, trace).run()
+    return _Search(programs, wires, gates, trace, running).run()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,20 +127,32 @@ class _Row:
 
 
 class _Search:
-    def __init__(self, programs: Sequence[Sequence[Action]], wires: int, gates: bool, trace: int) -> None:
+    def __init__(
+        self,
+        programs: Sequence[Sequence[Action]],
+        wires: int,
+        gates: bool,
+        trace: int,
+        running: tuple[RunningWire, RunningWire] | None,
+    ) -> None:
         if len(programs) != 2:
             raise ValueError(f"{len(programs)} programs; the check takes two")
         self.programs = programs
         self.wires = wires
         self.gates = gates
         self.trace = trace
+        self.running = running
+        self.stuck = running is not None and running != ("works", "works")
+        self.gone, self.stands, self.low, self.cut = (3 * wires + 2 * i for i in range(4))
         self.code: list[list[int]] = []
         self.table: list[Action | None] = [None]
         known: dict[tuple[object, ...], int] = {}
         for program in programs:
             row = []
             for action in program:
-                value = action.value if action.kind in ("set", "wait") else 0
+                value = action.value if action.kind in ("set", "wait", "look") else 0
+                if action.kind == "go":
+                    value = min(action.value, 1)
                 key = (action.kind, action.wire, value, action.resets)
                 if key not in known:
                     known[key] = len(self.table)
@@ -131,8 +166,11 @@ class _Search:
         self.finished = [_finished(program) for program in programs]
 
     def run(self) -> Verdict:
+        first = 0
+        if self.running is not None:
+            first = 3 << self.stands | sum(1 << self.low + i for i in range(2) if self.running[i] != "high")
         start = frozenset(
-            (0, sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
+            (0, first | sum(level * 3 << 3 * wire for wire, level in enumerate(levels)))
             for levels in itertools.product((0, 1), repeat=self.wires)
         )
         rows = [_row(start)]
@@ -172,9 +210,9 @@ class _Search:
         whole = self._closed(row.states, here)
         for offset, bits in whole:
             moved = self._events(bits, here[offset])
-            stopped = bits >> 3 * self.wires
+            stopped = bits >> self.gone & 3
             for program, after, fault in moved:
-                if fault and (fault == "apart" or (self.gates and not stopped)):
+                if fault and (fault in _ALWAYS or (self.gates and not stopped)):
                     faults.add(fault)
                 out.add((offset + (1 if program == 0 else -1), after))
             if self.gates and self._stuck(bits, here[offset], moved):
@@ -192,11 +230,15 @@ class _Search:
             offset, bits = todo.pop()
             behind = [wire for wire in range(self.wires) if (bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1]
             after = [bits ^ 2 << 3 * wire for wire in behind]
+            if self.running is not None:
+                after += self._by_hand(bits, here[offset])
             for program in range(2):
-                mark = 1 << 3 * self.wires + program
+                mark = 1 << self.gone + program
                 action = self.table[here[offset][program]]
-                if bits & mark or action is None:
+                if bits & mark or action is None or self.stuck:
                     continue
+                if self.running is not None:
+                    mark |= 1 << self.stands + program
                 after.append(bits | mark)
                 changed = bits
                 for wire, value in action.resets:
@@ -209,23 +251,73 @@ class _Search:
                     todo.append(state)
         return whole
 
+    def _by_hand(self, bits: int, here: _Here) -> list[int]:
+        """What follows when a program is started or stopped by hand or a running wire is cut, and as running
+        wires follow."""
+        out = [bits & ~(1 << self.stands + program) for program in self._startable(bits, here)]
+        for program in range(2):
+            stands, low = bits >> self.stands + program & 1, bits >> self.low + program & 1
+            other = 1 << self.stands + 1 - program
+            if not stands:
+                out.append(bits | 1 << self.stands + program)
+            if not self._works(bits, program):
+                continue
+            if stands and not low:
+                out.append(bits | 1 << self.low + program | other)
+            if not stands and low:
+                out.append(bits & ~(1 << self.low + program))
+            if self.gates or self.stuck or bits >> self.cut:  # one fault of the cell at a time
+                continue
+            cut = bits | 1 << self.cut + program | 1 << self.low + program
+            out.append(cut if low else cut | other)
+        return out
+
+    def _works(self, bits: int, program: int) -> bool:
+        """Whether the running wire of a program follows."""
+        return (
+            self.running is not None
+            and self.running[program] == "works"
+            and not bits >> self.cut + program & 1
+        )
+
+    def _startable(self, bits: int, here: _Here) -> list[int]:
+        """Programs that stand and may be started again: their stop has been seen, and gates are open."""
+        return [
+            program
+            for program in range(2)
+            if bits >> self.stands + program & 1
+            and self.table[here[program]] is not None
+            and not bits >> self.gone + program & 1
+            and (bits >> self.low + program & 1 or not self._works(bits, program))
+            and (not self.gates or here[4 + program])
+        ]
+
     def _stuck(self, bits: int, here: _Here, moved: list[_Step]) -> bool:
-        """Whether no program that has not come to its end can ever go on, though none has stopped."""
-        settled = all((bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1 == 0 for wire in range(self.wires))
-        return settled and not moved and not bits >> 3 * self.wires and bool(here[0] or here[1])
+        """Whether no program that has not come to its end can ever go on, though none has stopped for good
+        and no running wire is cut."""
+        if moved or bits >> self.gone & 3 or bits >> self.cut or not (here[0] or here[1]):
+            return False
+        if any((bits >> 3 * wire ^ bits >> 3 * wire + 1) & 1 for wire in range(self.wires)):
+            return False
+        if self.running is None:
+            return True
+        follows = any((bits >> self.stands + i ^ bits >> self.low + i) & 1 for i in range(2))
+        ends = any(not here[i] and not bits >> self.stands + i & 1 for i in range(2))
+        return not (self.stuck or follows or ends or self._startable(bits, here))
 
     def _unread(self, bits: int, here: _Here) -> bool:
         """Whether both programs are at their ends, and the last change of a wire was never seen."""
         unseen = any(bits >> 3 * wire & 4 for wire in range(self.wires))
-        return not (here[0] or here[1]) and not bits >> 3 * self.wires and unseen
+        return not (here[0] or here[1]) and not bits >> self.gone & 3 and unseen
 
     def _events(self, bits: int, here: _Here) -> list[_Step]:
         """Steps that the programs can do."""
         out: list[_Step] = []
         for program in range(2):
             action = self.table[here[program]]
-            if action is None or bits >> 3 * self.wires + program & 1:
+            if action is None or (bits >> self.gone | bits >> self.stands) >> program & 1:
                 continue
+            other = 1 - program
             shift = 3 * action.wire
             fault: FaultKind | None = None
             after = bits
@@ -241,9 +333,19 @@ class _Search:
                         after = bits & ~(4 << shift)  # the reader has seen the last change
                 case "go":
                     fault = None if here[2 + program] else "apart"
+                    if self.stuck and action.value:
+                        fault = "unwatched"
                 case "gate":
                     if self.gates and not here[4 + program]:
                         continue
+                case "look" if self.running is not None:
+                    if (bits >> self.low + other & 1) == action.value:
+                        continue
+                case "pause" if self.running is not None:
+                    after |= 1 << self.stands + program
+            fallen = bits >> self.stands + other & ~(bits >> self.low + other) & 1
+            if fallen and self._works(bits, other):
+                after |= 1 << self.low + other | 1 << self.stands + program  # its stop input has stopped it
             out.append((program, after, fault))
         return out
 
@@ -290,10 +392,10 @@ class _Search:
     def _at_fault(self, kind: FaultKind, total: int, row: _Row) -> Iterator[tuple[_State, int]]:
         """States at which the fault shows, with the program that does it; unstopped ones come first."""
         whole = self._whole(total, row)
-        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> 3 * self.wires):
-            stopped = bits >> 3 * self.wires
+        for (offset, bits), moved in sorted(whole.items(), key=lambda item: item[0][1] >> self.gone & 3):
+            stopped = bits >> self.gone & 3
             for program, _, fault in moved:
-                if fault == kind and (kind == "apart" or not stopped):
+                if fault == kind and (kind in _ALWAYS or not stopped):
                     yield (offset, bits), program
             if kind == "deadlock" and self._stuck(bits, self._here(total, offset), moved):
                 yield (offset, bits), 0

@@ -25,14 +25,15 @@ def readings(
     problem: Problem, steps: Mapping[str, Sequence[Step]], sections: Mapping[str, Sequence[Sections]]
 ) -> dict[str, Reading]:
     """What the programs of the arms in ``steps`` do with the wires between their controllers."""
-    kind = problem.cell.controller.handshake.kind
-    return handshake_text.read(list(steps), steps, sections, wiring(problem), kind)
+    own = problem.cell.controller.handshake
+    return handshake_text.read(list(steps), steps, sections, wiring(problem), own.kind, own.timeout)
 
 
 def wiring(problem: Problem) -> handshake_text.Wiring:
     """The wires between the controllers of the cell."""
     arms = [arm.name for arm in problem.cell.arms]
-    return handshake_text.Wiring.of(problem.cell.controller.handshake.wired(arms), arms)
+    own = problem.cell.controller.handshake
+    return handshake_text.Wiring.of(own.wired(arms), arms, own.wired_running(arms))
 
 
 def parts(found: Mapping[str, Reading], steps: Mapping[str, Sequence[Step]]) -> tuple[Part, ...]:

@@ -28,30 +28,40 @@ from planner.verify.words import letters
 
 Sections = Mapping[tuple[str, str], tuple[Step, ...]]
 _READY = "readytomeetarm"
+_START = "starttheprogramofarm"
 
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
     """Wires by number: those that an arm's outputs drive and those that its inputs read, by lower-case name;
-    a name that has several wires is in ``doubled``."""
+    a name that has several wires is in ``doubled``. ``running``: wires that say that a controller runs, with
+    the outputs that ``tells`` and the inputs that ``watches`` name, by arm, in lower case."""
 
     wires: tuple[SignalWire, ...]
     drives: Mapping[str, Mapping[str, int]]
     reads: Mapping[str, Mapping[str, int]]
     doubled: tuple[str, ...]
+    running: tuple[SignalWire, ...] = ()
+    tells: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
+    watches: Mapping[str, frozenset[str]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
-    def of(wires: Sequence[SignalWire], arms: Sequence[str]) -> Wiring:
+    def of(wires: Sequence[SignalWire], arms: Sequence[str], running: Sequence[SignalWire] = ()) -> Wiring:
         """The wiring of the controllers of ``arms``."""
         drives: dict[str, dict[str, int]] = {arm: {} for arm in arms}
         reads: dict[str, dict[str, int]] = {arm: {} for arm in arms}
-        doubled = []
-        for number, wire in enumerate(wires):
-            for table, arm, name in ((drives, wire.source, wire.output), (reads, wire.sink, wire.input)):
-                if name.lower() in table.setdefault(arm, {}):
+        doubled, used = [], set()
+        for number, wire in enumerate((*wires, *running)):
+            for arm, name in ((wire.source, wire.output), (wire.sink, wire.input)):
+                if (arm, name.lower()) in used:
                     doubled.append(f"{name} of arm {arm}")
-                table[arm][name.lower()] = number
-        return Wiring(tuple(wires), drives, reads, tuple(doubled))
+                used.add((arm, name.lower()))
+            if number < len(wires):
+                drives.setdefault(wire.source, {})[wire.output.lower()] = number
+                reads.setdefault(wire.sink, {})[wire.input.lower()] = number
+        tells = {arm: frozenset(w.output.lower() for w in running if w.source == arm) for arm in arms}
+        watches = {arm: frozenset(w.input.lower() for w in running if w.sink == arm) for arm in arms}
+        return Wiring(tuple(wires), drives, reads, tuple(doubled), tuple(running), tells, watches)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,26 +81,42 @@ def read(
     sections: Mapping[str, Sequence[Sections]],
     wiring: Wiring,
     kind: HandshakeKind,
+    longest: float,
 ) -> dict[str, Reading]:
     """The programs of ``arms``. ``sections``: for each arm the ERROR and the UNDO sections by (module,
-    procedure)."""
+    procedure). ``longest`` [s]: how long a program may wait until it sees the other one stand.
+
+    A program that is started because the other one's panel says so begins with a gate.
+    """
     readers = {
-        arm: _Reader(arm, steps[arm], sections[arm], wiring, kind, _asked(arm, steps, arms)) for arm in arms
+        arm: _Reader(arm, steps[arm], sections[arm], wiring, kind, _asked(arm, steps, arms), longest)
+        for arm in arms
     }
     for reader in readers.values():
         reader.run()
+    calls = {arm: _of(arm, arms, {name: readers[name].starts for name in arms}) for arm in arms}
     out = {}
     for arm, reader in readers.items():
-        others = [readers[name].ready for name in arms if name != arm]
-        place = next((other[letters(arm)] for other in others if letters(arm) in other), 0)
+        ahead = sum(call is not None for name, call in calls.items() if name != arm)
+        ready = _of(arm, arms, {name: readers[name].ready for name in arms})
+        place = 0 if ready is None else ready + ahead
         actions = [
             dataclasses.replace(action, value=place) if action.kind == "gate" else action
             for action in reader.actions
         ]
+        call = calls[arm]
+        if call is not None:
+            actions.insert(0, Action("gate", 0, call + ahead))
         out[arm] = Reading(
             tuple(actions), tuple(reader.interval), tuple(reader.protocol), tuple(reader.faults)
         )
     return out
+
+
+def _of(arm: str, arms: Sequence[str], places: Mapping[str, Mapping[str, int]]) -> int | None:
+    """The place at which another program's panel speaks of an arm, None where none does."""
+    found = [places[name][letters(arm)] for name in arms if name != arm and letters(arm) in places[name]]
+    return found[0] if found else None
 
 
 def _asked(arm: str, steps: Mapping[str, Sequence[Step]], arms: Sequence[str]) -> int | None:
@@ -137,9 +163,12 @@ class _Reader:
         wiring: Wiring,
         kind: HandshakeKind,
         gate: int | None,
+        longest: float,
     ) -> None:
         self.steps = steps
         self.drives, self.reads = wiring.drives[arm], wiring.reads[arm]
+        self.tells, self.watches = wiring.tells.get(arm, ()), wiring.watches.get(arm, ())
+        self.longest = longest
         self.kind = kind
         self.gate = gate
         self.actions: list[Action] = []
@@ -148,6 +177,12 @@ class _Reader:
         self.faults: list[tuple[str, Step]] = []
         self.ready: dict[str, int] = {}
         """Places at which the panel says so, by the letters of the arm that is to be met."""
+        self.starts: dict[str, int] = {}
+        """Places at which the panel says that another program is to be started, by the letters of its arm."""
+        self.left = 0
+        """Sets and waits of a meeting that the last look at the other one's running wire still stands for."""
+        self.limit: float | None = None
+        """Time limit of that look [s]."""
         self.sections = sections
         self.resets: dict[tuple[str, str], Levels] = {}
         self.levels: dict[int, int] = {}
@@ -161,6 +196,9 @@ class _Reader:
         for i, step in enumerate(self.steps):
             self.protocol.append(self._step(i, step))
             self.interval.append(self.count)
+        if self.count and self.last is not None:
+            what = "the arm is still at work when the other program may have come to its end, which stops it"
+            self._fault(f"{what}; let both meet once more behind it", self.last)
         self._rest()
 
     # ---- steps ----
@@ -171,26 +209,42 @@ class _Reader:
             case SignalStep() if step.signal.lower() in self.drives:
                 self._set(i, step)
                 return True
+            case WaitStep() if step.signal and step.signal.lower() in self.watches:
+                self._look(i, step)
+                return True
             case WaitStep() if step.signal:
                 self._wait(i, step)
                 return True
             case MessageStep() if i == self.gate:
                 self._rest()
+                if step.kind == "HALT":
+                    self._add("pause", 0, 0, i)
                 self._add("gate", 0, 0, i)
+                return True
+            case SettingStep() if step.stops:
+                self._rest()
+                self._add("pause", 0, 0, i)
                 return True
             case MessageStep() if not step.confirm:
                 said = _told(self.steps, i)
                 if _READY in said:
                     self._rest()
                     self.ready.setdefault(said.split(_READY, 1)[1], len(self.actions))
+                if _START in said:
+                    self.starts.setdefault(said.split(_START, 1)[1].split("now", 1)[0], len(self.actions))
             case SyncStep():
                 self._fault(f"{step.kind}: the tasks of two controllers cannot synchronise so", step)
             case MoveStep():
+                self._unmet(step, "the arm moves")
                 self._work(i)
                 self.last = step
             case SignalStep():
-                if step.signal.lower() in self.reads:
+                if step.signal.lower() in (*self.reads, *self.watches):
                     self._fault(f"{step.signal} is an input of this controller; it cannot be switched", step)
+                elif step.signal.lower() in self.tells:
+                    self._fault(f"{step.signal} says that the program runs; no program switches it", step)
+                elif step.value:
+                    self._unmet(step, f"{step.signal} is switched on")
                 self._work(i)
             case ChoiceStep():
                 self._aside(step)
@@ -198,6 +252,8 @@ class _Reader:
             case WaitStep() | MessageStep() | CarryStep() | LoadStep():
                 self.asked |= isinstance(step, MessageStep) and step.certain
                 self._work(i)
+                if isinstance(step, MessageStep) and step.kind == "HALT":
+                    self._add("pause", 0, 0, i)
             case _:
                 pass
         return False
@@ -216,6 +272,7 @@ class _Reader:
         if value != known and (value == 1 or (self.kind == "toggle" and known is not None)):
             self.count += 1
         self.levels[wire] = value
+        self._looked(step, value)
         self._add("set", wire, value, i)
 
     def _wait(self, i: int, step: WaitStep) -> None:
@@ -230,7 +287,46 @@ class _Reader:
             what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
             self._fault(what, step)
         self._rest()
+        limit = self.limit
+        self._looked(step, int(step.value == 1.0))
+        if limit is not None and step.seconds is not None and limit > step.seconds:
+            what = f"{limit:g} s for the other program to run, {step.seconds:g} s for the meeting itself"
+            self._fault(f"{what}; the look at the running wire may take no longer", step)
         self._add("wait", self.reads[step.signal.lower()], int(step.value == 1.0), i)
+
+    def _look(self, i: int, step: WaitStep) -> None:
+        """A look at the other one's running wire."""
+        if step.value not in (0.0, 1.0):
+            self._fault(f"it waits for {step.signal} to be neither 0 nor 1", step)
+        if step.flag and not self._stops(i, step):
+            what = f"when its time is over it goes on with {step.flag} set; it must stop and end the program"
+            self._fault(what, step)
+        if step.seconds is None:
+            self._fault(f"the wait for {step.signal} has no end; give it a time limit", step)
+        elif step.value == 0.0 and step.seconds > self.longest + 1e-6:
+            what = f"{step.seconds:g} s for the other program to stand; allowed: {self.longest:g} s"
+            self._fault(what, step)
+        if step.value == 0.0 and self.count:
+            self._fault(f"behind the first meeting it waits for {step.signal} to be 0", step)
+        self._rest()
+        running = step.value == 1.0
+        self.left = (4 if self.kind == "four_phase" else 2) if running else 0
+        self.limit = step.seconds if running else None
+        self._add("look", 0, int(running), i)
+
+    def _looked(self, step: Step, value: int) -> None:
+        """Every meeting begins with a look at the other one's running wire."""
+        if self.left:
+            self.left -= 1
+        elif self.count or value:
+            self._fault("nothing looks before this meeting whether the other program runs", step)
+        if not self.left:
+            self.limit = None
+
+    def _unmet(self, step: Step, what: str) -> None:
+        """Nothing happens before the first meeting, before which the running wires are checked."""
+        if not self.count:
+            self._fault(f"{what} before the first meeting, before which the running wires are checked", step)
 
     def _stops(self, i: int, step: WaitStep) -> bool:
         """Whether what follows a wait ends the program where its time was over, and does nothing before."""
@@ -251,6 +347,8 @@ class _Reader:
                 self._aside(inside)
             elif isinstance(inside, SignalStep) and inside.signal.lower() in self.drives:
                 self._fault(f"whether {inside.signal} is set is known at run time only", inside)
+            elif isinstance(inside, SignalStep) and inside.signal.lower() in self.tells:
+                self._fault(f"{inside.signal} says that the program runs; no program switches it", inside)
             elif isinstance(inside, WaitStep) and inside.signal:
                 self._fault(f"whether it waits for {inside.signal} is known at run time only", inside)
 
@@ -275,7 +373,7 @@ class _Reader:
 
     def _add(self, kind: str, wire: int, value: int, i: int) -> None:
         step = self.steps[i]
-        if kind in ("set", "wait") and not self.asked:
+        if kind in ("set", "wait", "look") and not self.asked:
             what = (
                 "nobody is asked before whether a program of an earlier run goes on at the other controller"
             )
@@ -287,11 +385,16 @@ class _Reader:
         """Levels that error handlers and UNDO of a step's procedure leave on the wires."""
         key = (step.module, step.procedure)
         if key not in self.resets:
+            signals = [
+                s for table in self.sections for s in _all(table.get(key, ())) if isinstance(s, SignalStep)
+            ]
+            for s in signals:
+                if s.signal.lower() in self.tells:
+                    self._fault(f"{s.signal} says that the program runs; no handler switches it", s)
             self.resets[key] = tuple(
                 (self.drives[s.signal.lower()], int(s.value == 1.0))
-                for table in self.sections
-                for s in _all(table.get(key, ()))
-                if isinstance(s, SignalStep) and s.signal.lower() in self.drives
+                for s in signals
+                if s.signal.lower() in self.drives
             )
         return self.resets[key]
 

@@ -30,7 +30,8 @@ class Words:
 
     def message(self, finding: Finding) -> str:
         """The fault and the shortest way to it."""
-        head = {"deadlock": self._deadlock, "lost_edge": self._lost, "apart": self._apart}[finding.kind]
+        heads = {"deadlock": self._deadlock, "lost_edge": self._lost, "apart": self._apart}
+        head = heads.get(finding.kind, self._unwatched)
         events = "; ".join(self.event(event) for event in finding.trace[-SHOWN:])
         way = f" The shortest way there, its last events of {finding.steps}: {events}" if events else ""
         return f"{head(finding)}.{way}"
@@ -68,6 +69,10 @@ class Words:
                 return f"has seen {wire.input} at {action.value} {at}"
             case "go":
                 return f"begins what stands behind meeting {action.value} {at}"
+            case "look":
+                return f"has seen that the other program {'runs' if action.value else 'stands'} {at}"
+            case "pause":
+                return f"stops by itself {at}"
             case "done":
                 return f"is through with what stands behind meeting {action.value}"
             case _:
@@ -89,6 +94,10 @@ class Words:
                 return f"{arm} is about to set {self.wires[action.wire].output} to {action.value} {at}"
             case "go":
                 return f"{arm} is at meeting {action.value} {at}"
+            case "look":
+                return f"{arm} waits until the other program {'runs' if action.value else 'stands'} {at}"
+            case "pause":
+                return f"{arm} is about to stop by itself {at}"
             case "done":
                 return f"{arm} is still at work behind meeting {action.value} {at}"
             case _:
@@ -115,4 +124,12 @@ class Words:
         return (
             f"{self.arms[finding.program]} goes on behind meeting {number} {at} while "
             f"{self._where(1 - finding.program, finding)}: the arms are more than one step apart"
+        )
+
+    def _unwatched(self, finding: Finding) -> str:
+        action = self._action(finding.program, finding.places[finding.program])
+        at = self._line(finding.program, action) if action is not None else ""
+        return (
+            f"{self.arms[finding.program]} goes on behind the first meeting {at} with a running wire that is "
+            "stuck, so that a stop would go unnoticed; each program must see it at 0 and then at 1 before"
         )

@@ -210,10 +210,11 @@ def krl_signals(problem: Problem, arm: Arm) -> Signals:
     """Names of the inputs and outputs of a KUKA controller by number, as the cell states them. A number that
     two names of one kind share has both for a name: which one is meant is not known."""
     controller = problem.cell.controller
-    reads = controller.handshake.of(arm.name).input.lower() if controller.sync == "handshake" else ""
+    own = controller.handshake.of(arm.name)
+    reads = (own.input.lower(), own.partner_running.lower()) if controller.sync == "handshake" else ()
     tables: tuple[dict[int, str], dict[int, str]] = ({}, {})
     for name, value in controller.io.get(arm.name, {}).items():
-        table = tables[name.lower() == reads]
+        table = tables[name.lower() in reads]
         table[value] = f"{table[value]} and {name}" if value in table else name
     return Signals(*tables)
 

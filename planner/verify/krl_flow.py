@@ -18,6 +18,7 @@ from planner.verify.krl_ast import (
     Call,
     DataList,
     Foot,
+    Halt,
     Joint,
     Listen,
     Output,
@@ -191,6 +192,8 @@ class Runner:
             case StopInterrupt():
                 what = "the interrupt of stop messages stands elsewhere than at the start"
                 self._misplaced(line, bool(self.steps) or self.depth > 0, what)
+            case Halt() if self.panel.dialect == "krc4":
+                self.steps.append(SettingStep(*where, "HALT", (), (), stops=True))
             case Foot():
                 self.steps.append(SettingStep(*where, "$ROBROOT", (), ()))
             case Output(number=number, value=on):

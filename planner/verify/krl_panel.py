@@ -24,6 +24,7 @@ from planner.verify.krl_ast import (
     Said,
     Statement,
 )
+from planner.verify.words import letters
 
 _PLC = "in automatic external a PLC that starts the program again answers it"
 
@@ -57,6 +58,8 @@ class Panel:
         self._prepared = False
         self._shown = ""
         self._waited = False
+        self._told = ""
+        """What was shown right before, in letters."""
 
     def check(self, statement: Statement | None, depth: int) -> None:
         """Raises `PanelError` where the statement, or the program's end, may not come next."""
@@ -75,10 +78,18 @@ class Panel:
 
     def halts(self, statement: Statement) -> bool:
         """Whether the program may halt at the statement without having asked anything."""
-        return isinstance(statement, Foot) or (isinstance(statement, NotExternal) and not self._open)
+        alone = isinstance(statement, Halt) and self.dialect == "krc4"
+        return alone or isinstance(statement, Foot) or (isinstance(statement, NotExternal) and not self._open)
 
     def take(self, statement: Statement, depth: int) -> Message | None:
         """What a statement shows. Raises `PanelError`."""
+        said = self._take(statement, depth)
+        if not isinstance(statement, Said):
+            self._told += letters(said.text) if said is not None and said.kind == "#NOTIFY" else ""
+            self._told = self._told if isinstance(statement, Notice) else ""
+        return said
+
+    def _take(self, statement: Statement, depth: int) -> Message | None:
         match statement:
             case Said(kind="question", text=text) if self.dialect == "krc2":
                 self._main(depth, "a question (;?)")
@@ -129,9 +140,12 @@ class Panel:
         if not self._prepared:
             raise PanelError(f"{what}, and tm_opt is not set before")
 
-    def _halt(self, depth: int) -> Message:
+    def _halt(self, depth: int) -> Message | None:
+        """A question of krc2; in krc4 the stop in which the program of another arm is started."""
         self._main(depth, "HALT")
         if self.dialect == "krc4":
+            if any(self._told.startswith(letters(krl_words.START.format(arm))) for arm in self.others):
+                return None
             raise PanelError(f"HALT is no question: {_PLC}; ask by a dialog")
         if not self._question:
             raise PanelError("HALT without a question (;?) above it")

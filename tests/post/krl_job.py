@@ -52,7 +52,14 @@ def synthetic_homes(work, job):
 def two(models=("kr10_r1100", "kr10_r1100"), kind="four_phase", every=1, actions=(), **controller):
     """Two arms on controllers of their own; returns (plan, problem)."""
     io = {
-        arm: {"doSpindle": 17, "doPartner": 1, "diPartner": 1}
+        arm: {
+            "doSpindle": 17,
+            "doPartner": 1,
+            "diPartner": 1,
+            "doRunning": 2,
+            "diPartnerRunning": 2,
+            "doMoveEnable": 3,
+        }
         for arm, model in zip(("left", "right"), models, strict=True)
         if model.startswith("kr")
     }

@@ -23,6 +23,7 @@ from tests.post.reading import programs
 
 KINDS = ("four_phase", "toggle")
 LABELS = ["mount", "approach", "approach", *["cut/front"] * 4, "retreat", "unmount"]
+RUNNING = "diPartnerRunning"
 FORM = re.compile(r"^(SetDO\\Sync,(\w+),([01])|WaitDI (\w+),([01])\\MaxTime:=([\d.]+));$")
 
 
@@ -43,12 +44,14 @@ def written(kind="four_phase", every=1, **fields):
 
 
 def run(files, arm):
-    """What a program does to the lines, its boxes and moves, in order."""
+    """What a program does to the lines, its boxes and moves, in order; looks at the running wire left out."""
     out = []
     for line in reading.flat(files, arm):
         signal = FORM.match(line)
         if signal and signal.group(2):
             out.append(("set", signal.group(2), int(signal.group(3))))
+        elif signal and signal.group(4) == RUNNING:
+            continue
         elif signal:
             out.append(("wait", signal.group(4), int(signal.group(5))))
         elif line.startswith(("Move", "UIMsgBox", "TPWrite")):

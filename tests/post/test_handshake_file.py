@@ -13,6 +13,13 @@ ARMS = ("left", "right")
 TWICE = {"output": "DIPARTNER"}
 
 
+def wire(source, output, sink, given):
+    return {"output": {"arm": source, "signal": output}, "input": {"arm": sink, "signal": given}}
+
+
+RUNNING = [wire(a, "doRunning", b, "diPartnerRunning") for a, b in (ARMS, ARMS[::-1])]
+
+
 def made(arms=ARMS, **fields):
     return controllers(ControllerFile.model_validate(fields), arms)
 
@@ -45,10 +52,16 @@ def test_outputs_drive_the_other_controllers_inputs_unless_stated():
     wires = [
         {"output": {"arm": "left", "signal": "DO_A"}, "input": {"arm": "right", "signal": "diPartner"}},
         {"output": {"arm": "right", "signal": "doPartner"}, "input": {"arm": "left", "signal": "DI_A"}},
+        *RUNNING,
     ]
     got = made(sync="handshake", handshake={"kind": "toggle", "signals": names, "wires": wires}).handshake
     assert got.wired(ARMS)[0] == SignalWire("left", "DO_A", "right", "diPartner")
     assert got.of("left").input == "DI_A" and got.of("right").input == "diPartner"
+    assert got.wired_running(ARMS) == got.running == made(sync="handshake").handshake.wired_running(ARMS)
+    assert got.running == (
+        SignalWire("left", "doRunning", "right", "diPartnerRunning"),
+        SignalWire("right", "doRunning", "left", "diPartnerRunning"),
+    )
 
 
 def test_wiring_that_does_not_join_the_signals_is_refused():
@@ -60,10 +73,35 @@ def test_wiring_that_does_not_join_the_signals_is_refused():
         "output": {"arm": "right", "signal": "doPartner"},
         "input": {"arm": "left", "signal": "diPartner"},
     }
-    assert made(sync="handshake", handshake={"wires": [there, back]}).handshake.wires
+    assert made(sync="handshake", handshake={"wires": [there, back, *RUNNING]}).handshake.wires
     for wires in ([there], [there, there], [there, {**back, "input": {"arm": "left", "signal": "diOther"}}]):
-        issue = refused(sync="handshake", handshake={"wires": wires})
+        issue = refused(sync="handshake", handshake={"wires": [*wires, *RUNNING]})
         assert issue.field == "controller.handshake.wires" and "from doPartner of right" in issue.message
+
+
+def test_wires_without_those_that_say_who_runs_are_refused():
+    """Without them a stop of one controller goes unnoticed at the other one."""
+    meet = [wire(a, "doPartner", b, "diPartner") for a, b in (ARMS, ARMS[::-1])]
+    own = wire("right", "doRunning", "right", "diPartnerRunning")
+    for wires in ([], RUNNING[:1], [RUNNING[0]] * 2, [RUNNING[0], own]):
+        issue = refused(sync="handshake", handshake={"wires": [*meet, *wires]})
+        assert (
+            issue.field == "controller.handshake.wires" and "no wire leads from doRunning of" in issue.message
+        )
+    shared = {"left": {"running": "doPartner"}}
+    assert (
+        refused(sync="handshake", handshake={"signals": shared}).field == "controller.handshake.signals.left"
+    )
+    with pytest.raises(ValidationError):
+        made(sync="handshake", handshake={"wires": [*meet, *RUNNING, RUNNING[0]]})
+
+
+def test_running_inputs_and_outputs_count_apart_too():
+    numbers = {"doPartner": 1, "diPartner": 1, "doRunning": 2, "diPartnerRunning": 2}
+    assert made(sync="handshake", io={"left": numbers}).number("left", "diPartnerRunning") == 2
+    for more in ({"diPartnerRunning": 1}, {"doRunning": 1}):
+        issue = refused(sync="handshake", io={"left": {**numbers, **more}})
+        assert issue.field == "controller.io.left" and "cannot be told apart" in issue.message
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from tests.post import test_handshake as rapid_side
 from tests.post.reading import programs
 
 KUKA, ABB = "kr10_r1100", "irb140"
-WAIT = re.compile(r"^WHILE \$IN\[1\]==(TRUE|FALSE)$")
+WAIT = re.compile(r"^WHILE \$IN\[([12])\]==(TRUE|FALSE)$")
 
 
 def run(files, arm, model):
@@ -27,7 +27,8 @@ def run(files, arm, model):
     for line in krl_job.folded(krl_job.flat(files, arm)):
         waiting = WAIT.match(line)
         if waiting:
-            out.append(("wait", "diPartner", 1 if waiting.group(1) == "FALSE" else 0))
+            if waiting.group(1) == "1":  # the other one is the running wire
+                out.append(("wait", "diPartner", 1 if waiting.group(2) == "FALSE" else 0))
             inside = True
         elif line == "ENDWHILE":
             inside = False
@@ -80,7 +81,7 @@ def test_every_meeting_behind_a_move_follows_an_exact_stop():
         assert len(calls) == 4
         assert all(lines[i - 1].startswith("SLIN") and lines[i - 1].endswith("}") for i in calls)
         body = krl_job.body(files[f"{arm}/test_meet.src"])
-        assert sum(line == "IF $TIMER[1]>30000 THEN" for line in body) == 2
+        assert sum(line == "IF $TIMER[1]>30000 THEN" for line in body) == 3
 
 
 def test_a_wait_that_is_over_its_time_halts_and_waits_again_without_a_change_of_the_lines():
@@ -154,11 +155,13 @@ def test_no_controller_moves_a_kuka_arm_with_another_one(models):
 
 
 def test_lines_of_the_handshake_need_numbers():
-    plan, problem = krl_job.two(io={"left": {"doPartner": 1}, "right": {"doPartner": 1, "diPartner": 2}})
-    found = refusals(problem, [operation.targets for operation in plan.operations])
-    assert [(issue.code, issue.arm, "diPartner" in issue.message) for issue in found] == [
-        ("post.signal", "left", True)
-    ]
+    whole = dict(krl_job.two()[1].cell.controller.io["right"])
+    for name in ("doPartner", "diPartner", "doRunning", "diPartnerRunning", "doMoveEnable"):
+        less = {word: number for word, number in whole.items() if word != name}
+        plan, problem = krl_job.two(io={"left": less, "right": whole})
+        found = refusals(problem, [operation.targets for operation in plan.operations])
+        assert [(issue.code, issue.arm) for issue in found] == [("post.signal", "left")]
+        assert f"is to use {name}, which" in found[0].message
 
 
 def test_two_arms_of_which_one_works_take_no_handshake():

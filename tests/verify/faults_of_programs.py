@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.post.partner import AwaitLine, SetLine
+from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, SetLine
 from tests.verify.planner_faults import Fault, always, fields, given, of, result
 
 
@@ -86,6 +86,15 @@ def _ids_off(old: Any) -> Any:
         ]
 
     return moves
+
+
+def _no_look(steps: Any) -> Any:
+    return [step for step in steps if not isinstance(step, AwaitRunning)]
+
+
+def _goes_on(steps: Any) -> Any:
+    """The lead asks without stopping."""
+    return [Ask(step.text) if isinstance(step, Halt) else step for step in steps]
 
 
 def _every_other_call(old: Any) -> Any:
@@ -257,6 +266,9 @@ HANDSHAKE: Final = (
         "dsif_handshake",
         {"post.handshake:meeting_rows": given(1, lambda every: 10 * every)},
     ),
+    Fault("running_not_looked_at", "handshake", {"post.partner:Partner.meeting": result(_no_look)}),
+    Fault("running_not_seen_at_0", "handshake", {"post.partner:Partner.start": result(_no_look)}),
+    Fault("running_lead_goes_on", "handshake", {"post.partner:Partner.start": result(_goes_on)}),
     Fault("handshake_meetings_lost", "handshake", {"post.rapid_handshake:call": _every_other_call}),
     Fault(
         "handshake_not_stretched",

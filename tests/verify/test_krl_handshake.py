@@ -59,11 +59,16 @@ def test_a_pair_of_two_brands_is_proven_by_every_rule(kind, every):
 def test_two_krl_programs_meet_as_often_as_the_mixed_pair(kind, every):
     ours, mixed = context(KUKAS, kind, every), context(MIXED, kind, every)
     assert rules_handshake.handshake(ours).issues == ()
-    assert rules_handshake.handshake(ours).where == rules_handshake.handshake(mixed).where
+    where = [rules_handshake.handshake(found).where.split(",")[0] for found in (ours, mixed)]
+    assert where[0] == where[1] and "meetings" in where[0]
     readings = ours.job.readings
     for arm in ("left", "right"):
-        wanted = [(a.kind, a.wire, a.value) for a in mixed.job.readings[arm].actions]
-        assert [(a.kind, a.wire, a.value) for a in readings[arm].actions] == wanted
+        # a question stops a KRL program, and a box no RAPID one; gates count places
+        a, b = (
+            [(x.kind, x.wire, x.value) for x in found[arm].actions if x.kind not in ("pause", "gate")]
+            for found in (readings, mixed.job.readings)
+        )
+        assert a == b
 
 
 def faults(rows, i):
