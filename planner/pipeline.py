@@ -135,10 +135,12 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
-            return program_text.decode(path.read_bytes())
+            return program_text.decode(path.read_bytes(), path.name)
         what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
     except OSError as error:
         what = f"cannot be read ({error})"
+    except UnicodeDecodeError as error:
+        what = f"is not text in UTF-8 ({error})"
     raise TandemError(Issue("verify.files", f"{path} {what}; take it away or plan again", file=str(path)))
 
 

@@ -16,8 +16,11 @@ _STRING = re.compile(r'"[^"\n]*"')
 _COMMENT = {".src": ";", ".dat": ";", ".sub": ";"}
 
 
-def decode(data: bytes) -> str:
-    """UTF-8 where the bytes are that, a mark at the start kept, else ISO 8859-1, which any bytes are."""
+def decode(data: bytes, file: str = "") -> str:
+    """UTF-8 where the bytes are that, a mark at the start kept, else ISO 8859-1, which any bytes are, unless
+    the controller that loads the ``file`` reads UTF-8 alone. Raises ``UnicodeDecodeError``."""
+    if _utf_8(file):
+        return data.decode("utf-8")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
@@ -32,7 +35,7 @@ def settled(file: str, text: str) -> tuple[str, tuple[Fault, ...]]:
     other lines than the readers, and :func:`strange` refuses the text.
     """
     notes = []
-    if text.startswith(MARK):
+    if text.startswith(MARK) and not _utf_8(file):
         text = text[1:]
         what = "the file begins with a byte order mark, which controllers do not expect; save it without"
         notes.append(Fault(1, 1, "text.encoding", what, file))
@@ -41,6 +44,11 @@ def settled(file: str, text: str) -> tuple[str, tuple[Fault, ...]]:
         what = "lines end with a lone carriage return; save the file with CR LF"
         notes.append(Fault(1, 1, "text.encoding", what, file))
     return text, tuple(notes)
+
+
+def _utf_8(file: str) -> bool:
+    """Whether a module is of RobotWare 7, which reads UTF-8 without a mark."""
+    return PurePosixPath(file).suffix.lower() in (".modx", ".sysx")
 
 
 def strange(file: str, text: str) -> list[Fault]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from planner.claims import StraightWire, WireJoins
 from planner.claims_milling import MillsAlong
 from planner.handshake import HandshakeKind
 from planner.issues import Issue
+from planner.verify import handshake_stages
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node, at_step
 from planner.verify.handshake_text import Reading
@@ -307,7 +308,8 @@ def _answers(context: Context) -> Iterator[Issue]:
         asks = _intervals(other, theirs, _asks)
         asks |= _intervals(other, theirs, _moves) - _intervals(task, mine, _moves)
         most = max(handshake.patience, handshake.timeout) + 1.0 + _busy(other)
-        for step, interval in _meetings(task, mine, handshake.kind):
+        watched = handshake_stages.wiring(context.problem).watches.get(task.name, frozenset())
+        for step, interval in _meetings(task, mine, handshake.kind, watched):
             least = handshake.patience if interval in asks else min(handshake.timeout, handshake.patience)
             if step.seconds is None:
                 what = f"{task.name} may wait for {step.signal} for ever; state a limit"
@@ -323,19 +325,30 @@ def _intervals(task: TaskText, reading: Reading, chosen: Callable[[Step], bool])
     return {n for n, step in zip(reading.interval, task.steps, strict=True) if chosen(step)}
 
 
-def _meetings(task: TaskText, reading: Reading, kind: HandshakeKind) -> Iterator[tuple[WaitStep, int | None]]:
+def _meetings(
+    task: TaskText, reading: Reading, kind: HandshakeKind, watched: Collection[str]
+) -> Iterator[tuple[WaitStep, int | None]]:
     """Waits of the protocol, each with the other program's interval that it may last: what that does before
-    it arrives. None where both have arrived, and at the lead's start, when the operator has seen to it."""
+    it arrives. None where both have arrived, and at the lead's start, when the operator has seen to it.
+
+    A look whether the other program runs (an input that is ``watched``) lasts as long as the meeting behind
+    it may; whether that stands is seen once, when it is started.
+    """
     before: SignalStep | None = None
+    looks: list[WaitStep] = []
     own = zip(reading.protocol, reading.interval, task.steps, strict=True)
     for step, number in [(step, number) for mine, number, step in own if mine]:
         if isinstance(step, SignalStep):
             before = step
+        elif isinstance(step, WaitStep) and step.signal.lower() in watched:
+            looks += [step] if step.value else []
         elif isinstance(step, WaitStep):
             leads = before is not None and before.value == step.value  # it asks, and waits for the answer
             met = kind == "four_phase" and not step.value
             late = number - 1 if leads else number
-            yield step, None if met or (leads and late <= 0) else late
+            interval = None if met or (leads and late <= 0) else late
+            yield from ((one, interval) for one in (*looks, step))
+            looks = []
 
 
 def _asks(step: Step) -> bool:
