@@ -124,6 +124,7 @@ CODES: Final[dict[str, str]] = {
     "post.signal": "a signal has no number on the controller of a KUKA arm",
     "post.turn_near_zero": "an axis is so near to zero that a KUKA controller may pass over its turn bit",
     "post.krl_turn": "a move turns so far that a KUKA controller may take another way between its ends",
+    "post.path": "a job that cannot go by spline blocks",
     "post.spline": "KRL programs have spline blocks, which were not seen on a controller",
     "post.spline_left": "moves that could not be put into spline blocks stay straight ones",
     "post.krl_size": "KRL programs are too long for some controllers",

@@ -15,13 +15,26 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.catalogue import robot
+from planner.claims import ConfirmedPower, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
+from planner.claims_milling import (
+    Engraves,
+    MillsAlong,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, Severity
 from planner.post.krl_curve import LEVER, Curve, curve
 from planner.post.krl_format import rotation
 from planner.post.krl_moves import FREE_TURN, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows
 from planner.post.text import short
+from planner.problem import Problem
 from planner.segments import Segment
+from planner.targets import Targets
 
 FloatArray = NDArray[np.float64]
 
@@ -42,6 +55,38 @@ ASSUMED: Final = (
     "Run them without process first, and compare the time of each block with its TIME_BLOCK END.",
 )
 """What programs with blocks rest on, for their headers."""
+
+
+KNOWN: Final = (
+    *(ContactOnlyIn, ConfirmedPower, FeedWindow, FollowsPoses, FollowsTable),
+    *(Engraves, MillsAlong, MillsFlank, MillsOver, MillsProgram, MillsSurface, SparesPart),
+)
+"""Claims that hold for the curve of a block as well, by the room that is left for it."""
+
+
+def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
+    """Why a job cannot go by spline blocks, however it is planned (``post.path``)."""
+    if problem.cell.controller.path != "spline":
+        return ()
+    hint = "set controller: {path: slin}"
+    issues = []
+    for arm in problem.cell.arms:
+        data = robot(arm.robot)
+        if data.family != "KUKA" or data.coupling is not None:
+            got = f"path: spline for {arm.name} ({arm.robot}); allowed: KUKA arms without parallel rods"
+            issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
+    kinds = dict.fromkeys(type(c).__name__ for t in made for c in t.claims if not isinstance(c, KNOWN))
+    if kinds:
+        got = f"path: spline for work that claims {', '.join(kinds)}, which is proven on straight moves alone"
+        issues.append(
+            Issue("post.path", f"{got}; allowed: milling and poses", field="controller.path", hint=hint)
+        )
+    if any((targets.feed_min > 0.0).any() for targets in made):
+        got = "path: spline where there is a least feed, and how slow a curve is is not known"
+        issues.append(
+            Issue("post.path", f"{got}; allowed: no least feed", field="controller.path", hint=hint)
+        )
+    return tuple(issues)
 
 
 class Run(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import controller, handshake_drift, krl, krl_notes, languages, names, rapid
+from planner.post import controller, handshake_drift, krl, krl_notes, krl_spline, languages, names, rapid
 from planner.post.handshake import refusals as refused
 from planner.post.program import Job
 from planner.post.steps import build
@@ -30,6 +30,7 @@ def refusals(problem: Problem, targets: Sequence[Targets]) -> tuple[Issue, ...]:
     alone = problem.cell.controller.sync == "handshake"
     return (
         *languages.refusals(problem, targets),
+        *krl_spline.refusals(problem, targets),
         *names.refusals(problem, targets),
         *(refused(problem, targets) if alone else ()),
     )

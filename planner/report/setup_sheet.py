@@ -108,7 +108,8 @@ def _controllers(problem: Problem) -> list[tuple[object, object]]:
     for arm in krl:
         numbers = controller.io.get(arm, {})
         listed = "".join(f"; {signal} is number {number}" for signal, number in numbers.items())
-        out.append((f"KRL of {arm}", f"{dialect}; $ROBROOT zero{listed}"))
+        blocks = "; spline blocks, not seen on a controller" if controller.path == "spline" else ""
+        out.append((f"KRL of {arm}", f"{dialect}; $ROBROOT zero{listed}{blocks}"))
     return out
 
 

@@ -39,7 +39,9 @@ MOST: Final = 0.1e-3
 FASTER: Final = 1.15
 """Between two points a tool may be faster by this factor than on the fastest way of the segment near them."""
 VARIES: Final = 1.25
-"""Joints per way vary by less than this factor between what they are at the two ends of a segment."""
+"""Joints per way are less than so many times what they are at ends and middle of a segment."""
+DIFFERS: Final = 1.5
+"""They may differ so much between these."""
 BULK: Final = 0.4
 """Bodies of an arm reach no farther [m] from the line through its joints and its tool's tip."""
 NOT_SEEN: Final = "not seen on a controller"
@@ -182,7 +184,7 @@ def _refused(context: Context, found: list[Block]) -> list[Issue]:
 
 def _near(block: Block, bounds: Bounds) -> list[Issue]:
     """Segments on which curves may be too far off."""
-    far = np.flatnonzero(bounds.off > MOST)
+    far = np.flatnonzero(~(bounds.off <= MOST))
     return [
         at_step(
             CODE,
@@ -205,7 +207,7 @@ def _paced(context: Context, block: Block, bounds: Bounds) -> list[Issue]:
     turning = np.linalg.norm(step[:, 3:], axis=1) / LEVER / block.duration
     near = _nearby(context, block, mean)
     for i, move in enumerate(block.moves):
-        if bounds.speed[i] > limit:
+        if not bounds.speed[i] <= limit:
             what = f"the tool may move at {mm(bounds.speed[i]):.2f} mm/s; allowed: {mm(limit):g}"
             issues.append(at_step(CODE, what, task, move))
         elif context.feeds and bounds.speed[i] > FASTER * near[i] + 1e-9:
@@ -259,25 +261,31 @@ def _joints(context: Context, block: Block, bounds: Bounds) -> tuple[Allowance, 
         ],
         axis=1,
     )
-    per_way, rate = np.zeros((2, len(off), 6))
-    for rows in (before, at):
-        jacobian = _jacobian(machine, q[rows], block.tool, base)
-        back = np.linalg.inv(jacobian)
-        per_way = np.maximum(per_way, VARIES * np.linalg.norm(back, axis=2))
-        rate = np.maximum(rate, VARIES * np.abs(np.einsum("nij,nj->ni", back, twist)))
+    places = [
+        _inverse(_jacobian(machine, q[rows], block.tool, base)) for rows in (before, (before + at) // 2, at)
+    ]
+    ways = np.array([np.linalg.norm(back, axis=2) for back in places])
+    per_way = VARIES * ways.max(axis=0)
+    rate = VARIES * np.max([np.abs(np.einsum("nij,nj->ni", back, twist)) for back in places], axis=0)
     shift = per_way * off[:, None]
     rate = rate + per_way * bounds.change[:, None]
     issues = []
     for i, move in enumerate(block.moves):
+        if not (ways[:, i].max(axis=0) <= DIFFERS * ways[:, i].min(axis=0)).all():
+            what = (
+                "the joints change so much before this point that a curve is not bounded by what they are; "
+            )
+            what += "put points nearer to each other, or keep farther off singular postures"
+            issues.append(at_step(CODE, what, task, move))
         some = q[before[i] : at[i] + 1]
         room = np.minimum(some.min(axis=0) - data.lower, data.upper - some.max(axis=0)) - shift[i]
         axis = int(np.argmin(room))
-        if room[axis] < 0.0:
+        if not room[axis] >= 0.0:
             what = f"a curve may take axis {axis + 1} {np.rad2deg(-room[axis]):.3f} deg beyond its limit"
             issues.append(at_step(CODE, what, task, move))
         share = rate[i] / data.velocity
         axis = int(np.argmax(share))
-        if share[axis] > 1.0:
+        if not share[axis] <= 1.0:
             what = (
                 f"a curve may need {100 * share[axis]:.0f} % of the speed of axis {axis + 1}; allowed: 100 %"
             )
@@ -304,6 +312,14 @@ def _rounded(block: Block) -> tuple[FloatArray, FloatArray]:
         corner = np.minimum(np.linalg.norm(change[:, some], axis=1) / scale, most)
         out.append(np.maximum(np.append(corner, 0.0), np.append(0.0, corner)))
     return out[0], out[1]
+
+
+def _inverse(jacobian: FloatArray) -> FloatArray:
+    """Inverses (N, 6, 6); out of all bounds where there is none."""
+    known = np.linalg.cond(jacobian) < 1.0 / np.finfo(np.float64).eps
+    out = np.full_like(jacobian, 1e9)
+    out[known] = np.linalg.inv(jacobian[known])
+    return out
 
 
 def _jacobian(machine: machines.Machine, q: FloatArray, tool: FloatArray, base: FloatArray) -> FloatArray:

@@ -11,9 +11,10 @@ import pytest
 from planner import pipeline, processes
 from planner.controller_file import ControllerFile, controllers
 from planner.issues import TandemError
-from planner.post import write
+from planner.post import krl_spline, write
 from planner.verify import prove
-from tests.verify import spline_job
+from tests import small_problem
+from tests.verify import spline_job, straight_job
 from tests.verify.spline_job import MAIN, MOVES, broken
 from tests.verify.spline_mutants import MUTATORS, REWRITES, instances, made
 
@@ -70,6 +71,26 @@ def test_splines_are_refused_where_they_cannot_be(tmp_path, fields):
     assert any("controller" in (issue.field or "") for issue in caught.value.issues)
 
 
+def refused(problem):
+    return [issue for issue in pipeline.check(problem) if issue.code == "post.path"]
+
+
+def with_splines(problem):
+    controller = dataclasses.replace(problem.cell.controller, path="spline")
+    return dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
+
+
+def test_work_that_is_proven_on_straight_moves_alone_is_refused_by_check(tmp_path):
+    """ABB's arms, and claims of hot wires."""
+    (issue,) = refused(with_splines(pipeline.load(small_problem.write(tmp_path))))
+    assert issue.field == "controller.path" and "irb140" in issue.message
+    assert not refused(spline_job.job()[0])
+    targets = spline_job.job()[1].operations[0].targets
+    wire = dataclasses.replace(targets, claims=straight_job.claims()[next(iter(straight_job.claims()))])
+    (issue, *_) = krl_spline.refusals(spline_job.job()[0], [wire])
+    assert "StraightWire" in issue.message and "path: slin" in issue.hint
+
+
 def test_two_arms_have_no_splines():
     spec = ControllerFile.model_validate({"path": "spline", "sync": "handshake"})
     with pytest.raises(TandemError) as caught:
@@ -104,10 +125,7 @@ def test_all_harmless_rewrites_pass(name, seed):
 
 @pytest.mark.long
 def test_a_bundled_job_of_milling_is_proven_in_blocks():
-    problem = pipeline.load("flank_wall")
-    controller = dataclasses.replace(problem.cell.controller, path="spline")
-    problem = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    outcome = pipeline.plan(problem)
+    outcome = pipeline.plan(with_splines(pipeline.load("flank_wall")))
     assert outcome.verified, outcome.issues
     assert outcome.programs["robot/flank_wall_1.src"].count("\r\nSPLINE\r\n") == 5
     rules = {rule.code: rule for rule in outcome.proof.rules}
