@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 
 from planner.claims import ContactOnlyIn
+from planner.post import write
+from planner.targets import Action
+from planner.verify import rules_leaving, rules_waits
+from planner.verify.context import Context
 from planner.verify.prove import Prover
 from tests.verify import handshake_job, krl_job, small_job, straight_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
@@ -196,3 +200,41 @@ def test_a_time_that_the_problem_does_not_state_is_not_allowed():
     proof = Prover(small_job.problem(), short).prove(small_job.programs(12), last="verify.power_idle")
     (issue,) = [issue for issue in proof.issues if issue.code == "verify.power_idle"]
     assert (issue.value, issue.limit, issue.unit) == (10.0, pytest.approx(2.7), "s")
+
+
+def powered():
+    """The job of two controllers with a wire's power on the leading one, which heats for two seconds: its
+    rules on time, and its texts."""
+    whole = handshake_job.plan(2)
+    last = whole.operations[0].targets.count - 1
+    actions = (
+        Action(0, "confirm", text="Is the block in place?"),
+        Action(0, "on", signal=small_job.SIGNAL),
+        Action(0, "wait", seconds=2.0),
+        Action(last, "off", signal=small_job.SIGNAL),
+    )
+    targets = dataclasses.replace(whole.operations[0].targets, actions=actions)
+    plan = dataclasses.replace(whole, operations=(dataclasses.replace(whole.operations[0], targets=targets),))
+    problem = handshake_job.problem(*SHAKEN_FORM)
+    claims = {"panel": (ContactOnlyIn(("cut",), small_job.SIGNAL, 2.0),)}
+
+    def found(texts):
+        context = Context(problem, claims, texts)
+        rules = (rules_waits.meeting_time, rules_waits.power_idle, rules_leaving.undo)
+        return [issue.message for rule in rules for issue in rule(context).issues]
+
+    return found, write.programs(plan, problem)
+
+
+def test_a_controller_of_its_own_switches_its_power_off_by_the_side():
+    found, texts = powered()
+    assert found(texts) == []
+    left, right = "left/TandemMain_1.mod", "right/TandemMain_2.mod"
+    assert "  UNDO\n" in texts[left]
+    assert "SyncMoveUndo" not in texts[left]
+    assert "UNDO" not in texts[right]
+    comment = "    ! Meeting: what this stop asks for is done"
+    for what in ("WaitTime 60;", 'UIMsgBox "Well?"\\Buttons:=btnOK\\Icon:=iconInfo;'):
+        late = edit(texts, right, comment, f"    {what}\n{comment}")
+        assert any("is on" in message for message in found(late)), what
+    assert found(edit(texts, left, "    WaitTime 2;", "    WaitTime 2.4;")) == []
