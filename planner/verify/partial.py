@@ -25,6 +25,7 @@ from planner.verify.motion import Motion
 from planner.verify.moves import chosen, flange_at
 from planner.verify.partial_read import KINDS, Gap, Read
 from planner.verify.prove import Prover
+from planner.verify.replay import LONGEST
 from planner.verify.rules_cell import REACH, accepted
 from planner.verify.rules_motion import JUMP, TCP_SLACK
 from planner.verify.steps import MoveStep
@@ -34,7 +35,8 @@ FloatArray = NDArray[np.float64]
 CODE = "verify.unread"
 _STRIDE = 0.005
 """Looks at clearance are so far apart [m] that no point of an arm moves farther between them."""
-_MOST_LOOKS = 20_000
+_MOST_LOOKS = 200_000
+"""As many looks are taken in all; what is left then is not proven."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +73,7 @@ class _Count:
     proven: dict[tuple[str, int], bool] = dataclasses.field(default_factory=dict)
     why: dict[tuple[str, int], str] = dataclasses.field(default_factory=dict)
     sums: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
+    looks: int = 0
 
     def no(self, key: tuple[str, int], why: str) -> None:
         """A move that is not proven."""
@@ -204,6 +207,10 @@ def _prove(
 ) -> None:
     """Replays a stretch and counts its moves."""
     keys = [_key(one, move) for move in run]
+    if count.looks > _MOST_LOOKS or count.sums[2] > LONGEST:
+        for key in keys:
+            count.no(key, "the programs are too long to be proven here as a whole")
+        return
     arms = [arm for arm in problem.cell.arms if arm.name != one.arm.name]
     own = dataclasses.replace(one.arm, home=start)
     tasks = [
@@ -220,7 +227,7 @@ def _prove(
         for key in keys:
             count.no(key, error.issues[0].message)
         return
-    bad = _bad(problem, context, prover, one.arm.name, one.arm.robot, motion, run)
+    bad = _bad(problem, context, prover, one.arm.name, one.arm.robot, motion, run, count)
     way = np.zeros(len(run))
     places = motion.tcp[one.arm.name][np.arange(len(motion.time))][:, :3, 3]
     np.add.at(way, motion.node[1:], np.nan_to_num(np.linalg.norm(np.diff(places, axis=0), axis=1)))
@@ -242,6 +249,7 @@ def _bad(
     model: str,
     motion: Motion,
     run: Sequence[MoveStep],
+    count: _Count,
 ) -> dict[int, str]:
     """Moves of a stretch, by number, that are not as they have to be, and why."""
     machine, q, settings = machines.of(model), motion.q[arm], problem.settings
@@ -267,19 +275,30 @@ def _bad(
     mark(jump, "an axis jumps to another solution")
     fast = np.any(np.abs(motion.speed(arm)) > machine.data.velocity, axis=1)
     mark(np.asarray(fast), "an axis is too slow for its time")
-    straight = np.asarray(np.all(np.isfinite(motion.node_conf_q[arm]), axis=1))[motion.node]
+    joint = np.array([move.by_joints for move in run])
     near = singularity_distance(machine, q) < settings.singularity_margin - np.deg2rad(0.05)
-    mark(near & straight, "the arm comes too near to a singular posture")
+    mark(near & ~joint[motion.node], "the arm comes too near to a singular posture")
     places = motion.tcp[arm][np.arange(len(motion.time))][:, :3, 3]
     step = np.linalg.norm(np.diff(places, axis=0, prepend=places[:1]), axis=1)
     spent = np.maximum(np.diff(motion.time, prepend=motion.time[0] - 1.0), 1e-6)
     too_fast = "the tool moves faster than the problem allows"
-    joint = np.array([move.by_joints for move in run])
     mark((step / spent > TCP_SLACK * settings.tcp_speed) & ~joint[motion.node], too_fast)
     for i in np.flatnonzero(joint).tolist():  # what such a move states counts
-        if run[i].speed.axes is None and not run[i].speed.tcp <= 1.001 * settings.tcp_speed:
+        stated = run[i].speed.tcp if run[i].velocity is None else run[i].velocity
+        if run[i].speed.axes is None and not (stated or 0.0) <= 1.001 * settings.tcp_speed:
             out.setdefault(i, too_fast)
-    rows, apart = _clearance(problem, context, prover, arm, machine.data.reach, q)
+    way = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1)) * 1.5 * machine.data.reach
+    looks = int(way[-1] / _STRIDE) + 1
+    count.looks += looks
+    if looks > _MOST_LOOKS:
+        mark(np.ones(len(q), dtype=bool), "the stretch is too long to be proven here")
+        return out
+    rows = np.unique(np.clip(np.searchsorted(way, np.linspace(0.0, way[-1], looks + 1)), 0, len(q) - 1))
+    try:
+        rows, apart = _clearance(problem, context, prover, arm, rows, q)
+    except TandemError as error:  # too many looks are in doubt
+        mark(np.ones(len(q), dtype=bool), error.issues[0].message)
+        return out
     wrong = np.zeros(len(q), dtype=bool)
     wrong[rows[~(apart >= accepted(settings.clearance))]] = True
     mark(wrong, "bodies of the cell come too near to each other")
@@ -287,12 +306,9 @@ def _bad(
 
 
 def _clearance(
-    problem: Problem, context: Context, prover: Prover, arm: str, reach: float, q: FloatArray
+    problem: Problem, context: Context, prover: Prover, arm: str, rows: NDArray[np.int64], q: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Samples at which clearance is looked at, and the least distance [m] there."""
-    way = np.cumsum(np.abs(np.diff(q, axis=0, prepend=q[:1])).sum(axis=1)) * 1.5 * reach
-    count = min(max(int(way[-1] / _STRIDE) + 1, 1), _MOST_LOOKS)
-    rows = np.unique(np.clip(np.searchsorted(way, np.linspace(0.0, way[-1], count + 1)), 0, len(q) - 1))
+    """The least distance [m] of bodies at samples, of those of ``rows`` that were looked at."""
     joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}
     joints[arm] = q[rows]
     limit = accepted(problem.settings.clearance)

@@ -19,6 +19,12 @@ from planner.verify.steps import MoveStep
 
 _RAPID = re.compile(r"\[\s*\[([^\[\]]*)\]\s*,\s*\[([^\[\]]*)\]\s*,\s*\[[^\[\]]*\]\s*,\s*\[[^\[\]]*\]\s*\]")
 _KRL = re.compile(r"\{X ([^,}]*),Y ([^,}]*),Z ([^,}]*),A ([^,}]*),B ([^,}]*),C ([^,}]*)")
+_INLINE = re.compile(
+    r"[PFL]DAT_ACT|\$BWDSTART|#(?:PTP|CP)_(?:PARAMS|DAT)|\b(?:S?PTP|S?LIN)\s+X\w+"
+    r"|DECL\s+(?:FDAT|[PL]DAT)\b",
+    re.IGNORECASE,
+)
+"""What KUKA's inline forms leave in programs and data lists."""
 _MM, _DIGITS = 2, 6
 _KRL_MM, _KRL_DEG = 4, 5
 _MOST = 0.5
@@ -84,6 +90,14 @@ def told(found: Marks, issue: Issue) -> Issue:
     what = "was" if len(causes) == 1 else "were"
     hint = f"likely cause: {names} {what} changed on the pendant, as the digits tell; plan again"
     return dataclasses.replace(issue, hint=f"{hint}; {issue.hint}" if issue.hint else hint)
+
+
+def of_form(issue: Issue) -> Issue:
+    """The issue about a line that an inline form has written with that as its likely cause."""
+    if _INLINE.search(issue.message) is None:
+        return issue
+    hint = "likely cause: changed on the pendant by an inline form; plan again"
+    return dataclasses.replace(issue, hint=hint)
 
 
 def _causes(found: Marks, issue: Issue) -> list[Changed]:

@@ -341,7 +341,8 @@ class _Run:
     def add(self, code: str, outcome: Outcome) -> None:
         at_moves = code not in _OF_TEXT
         self.issues += [
-            pendant.told(self._changed, told(issue)) if at_moves else told(issue) for issue in outcome.issues
+            pendant.told(self._changed, told(issue)) if at_moves else pendant.of_form(told(issue))
+            for issue in outcome.issues
         ]
         passed, measure = not has_errors(outcome.issues), (outcome.worst, outcome.limit, outcome.unit)
         self.results[code] = RuleResult(code, TITLES[code], passed, *measure, outcome.where)

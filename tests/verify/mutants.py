@@ -233,37 +233,38 @@ def huge(rng, texts):
     return put(texts, task, rows)
 
 
-def numeral(rng, texts, new):
-    """Texts with one number of a target rewritten by ``new``, a function of it as written."""
+def numeral(rng, texts, new, parts=(0, 2)):
+    """Texts with one number of a target rewritten by ``new``, a function of it as written; ``parts``: of its
+    place."""
     task, k = one(rng), int(rng.integers(len(moves(texts, 1))))
     place = field(texts, task, k, "pos").split(",")
-    i = pick(rng, [0, 2])
+    i = pick(rng, parts)
     place[i] = new(place[i])
     return change(texts, task, k, pos=",".join(place))
 
 
-@mutator("verify.syntax")
+@mutator("verify.names")
 def number_of_another_base(rng, texts):
-    new = pick(rng, ["0x{}", "0b{}", "0o{}", "16#{}", "0D{}", "{}h"])
+    new = pick(rng, ["0x{}", "0b{}", "0o{}", "0D{}", "{}h"])
     return numeral(rng, texts, lambda old: new.format(int(abs(float(old)))))
 
 
 @mutator("verify.syntax")
 def number_parted(rng, texts):
-    new = pick(rng, ["{} 5", "{}E", "{}.5", "{}mm", "{}+0.1", "1/({})", "{}e+", "({})*1.1", "[{}]", "{}!5"])
+    new = pick(rng, ["{} 5", "{}+0.1", "1/({})", "({})*1.1", "{}!5", "{};", "{}-1E-9", "{} E2"])
     return numeral(rng, texts, new.format)
 
 
 @mutator("verify.decimals")
 def number_of_no_float(rng, texts):
-    new = pick(rng, ["1E39", "-4E+38", "9" * 60, "1E999", "3.5E38"])
-    return numeral(rng, texts, lambda old: new)
+    new = pick(rng, ["1E39", "-4E+38", "9" * 60, "1E999", "3.5E38", "{}E", "{}.5", "{}e+"])
+    return numeral(rng, texts, lambda old: new.format(old.lstrip("-")))
 
 
-@mutator("verify.wire_length")
+@mutator("verify.speed_data")
 def exponent_turned(rng, texts):
     """An exponent that has lost its sign, or got one."""
-    return numeral(rng, texts, lambda old: f"{float(old):.6E}".replace("E+", "E-"))
+    return numeral(rng, texts, lambda old: f"{float(old):.6E}".replace("E+", "E-"), (0,))
 
 
 @mutator("verify.decimals")

@@ -67,7 +67,7 @@ def test_faults_are_caught_by_their_rule(wall: Job, fault: str) -> None:
 
 
 def test_files_are_read_as_a_controller_reads_them(tmp_path: Path, wall: Job) -> None:
-    """A lone carriage return would end a comment there, and letters beyond ASCII may be anything."""
-    for strange in ("; x\r$OUT[17]=TRUE", "; caf\u00e9", "; \u2028$OUT[17]=TRUE"):
+    """A lone carriage return would end a comment there; beyond ASCII a letter in code may be anything."""
+    for strange in ("; x\r$OUT[17]=TRUE", "HALT\u00e9", "; \u2028$OUT[17]=TRUE"):
         text = wall.programs[MAIN].replace("HALT\r\n", f"HALT\r\n{strange}\r\n", 1)
         assert "verify.syntax" in wall.broken({**wall.programs, MAIN: text})

@@ -92,3 +92,24 @@ def test_a_taught_pose_of_krl_is_named():
     assert not proof.ok
     where = f"likely cause: p_1_start ({file}, line {at + 1}) was changed on the pendant"
     assert any((issue.hint or "").startswith(where) for issue in proof.issues), proof.issues
+
+
+FORM = """;FOLD PTP P1 Vel=100 % PDAT1 Tool[1] Base[0];%{PE}
+$BWDSTART=FALSE
+PDAT_ACT=PPDAT1
+FDAT_ACT=FP1
+BAS(#PTP_PARAMS,100.0)
+PTP XP1
+;ENDFOLD
+"""
+
+
+def test_what_an_inline_form_leaves_is_named():
+    texts = krl_job.programs()
+    file = "left/straight.src"
+    rows = texts[file].split("\r\n")
+    at = rows.index("straight_1()")
+    rows[at:at] = FORM.splitlines()
+    proof = krl_prover().prove({**texts, file: "\r\n".join(rows)}, last="verify.syntax")
+    found = [issue for issue in proof.issues if issue.file == file]
+    assert found and all("changed on the pendant" in (issue.hint or "") for issue in found)
