@@ -114,6 +114,7 @@ class ProgramFile:
     skip: tuple[str, ...]
     tool: int | None
     chord_tol_mm: float
+    dwell: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)

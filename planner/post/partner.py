@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from planner import dialogue
 from planner.handshake import Handshake
 from planner.post.program import Job, TaskProgram
 
@@ -102,14 +103,14 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"Does no program of an earlier run go on at the controller of arm {self.other}? {ok}"
+        earlier = f"{dialogue.KRL_EARLIER.say(other=self.other)} {ok}"
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0)]
         wait = self.handshake.timeout if self.lead else self.handshake.patience
         if self.lead:
-            ready = f"Does the panel of arm {self.other} say that it is ready to meet arm {self.arm}?"
-            out += [Ask(f"{ready} {ask}"), AwaitLine(0, wait)]
+            ready = dialogue.PARTNER_READY.say(other=self.other, arm=self.arm, start=ask)
+            out += [Ask(ready), AwaitLine(0, wait)]
         else:
-            out += [AwaitLine(0, wait), Tell(f"Ready to meet arm {self.other}.")]
+            out += [AwaitLine(0, wait), Tell(dialogue.READY_TO_MEET.say(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def end(self) -> list[PartnerStep]:
@@ -121,7 +122,7 @@ class Partner:
     @property
     def unanswered(self) -> str:
         """What is said of a wait that was over its time."""
-        return f"Arm {self.other} did not answer in time."
+        return dialogue.UNANSWERED.say(other=self.other)
 
     def header(self) -> tuple[str, str]:
         """Sentences on the signals, and on the wires between the controllers."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from planner.dialogue import HEADER
 from planner.post.partner import Ask, AwaitLine, Note, Partner, PartnerStep, SetLine, Tell
 from planner.post.program import TaskProgram
 from planner.post.rapid_format import box, comment, identifier, write_lines
@@ -51,7 +52,7 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
         case AwaitLine(value, seconds):
             return [f"WaitDI {identifier(own.input)},{value}\\MaxTime:={short(seconds, 3)};"]
         case Ask(text):
-            return box("Tandem", text)
+            return box(HEADER, text)
         case Tell(text):
             return write_lines(text)
         case Note(text):

@@ -54,7 +54,8 @@ class Lines:
     What holds on each: ``motion`` 0 to 3, ``normal`` of the plane by its axis, ``unit`` [m], ``absolute``,
     ``absolute_centre``, ``shift`` (L, 3) [m], ``feed_mode``, ``feed`` [m/min] or [m/turn] or, where the line
     has its own, [1/min]; ``spindle`` [1/min], below zero counterclockwise; ``wanted``: of the tool whose
-    moves are asked for; ``pause``: the program waits behind it. NaN is what nobody says.
+    moves are asked for; ``pause``: the program waits behind it; ``dwell`` [s]: so long, by itself. NaN is
+    what nobody says.
     """
 
     line: IntArray
@@ -70,6 +71,7 @@ class Lines:
     spindle: FloatArray
     wanted: BoolArray
     pause: BoolArray
+    dwell: FloatArray
 
     def has(self, letters: str) -> BoolArray:
         """Whether a line (L,) has any of these words."""
@@ -121,7 +123,16 @@ def lines(words: Words, stated: ProgramFile) -> Lines:
         spindle=spindle,
         wanted=np.ones(count, dtype=bool) if stated.tool is None else tool == stated.tool,
         pause=np.isin(others["stop"], [0.0, 10.0]),
+        dwell=_dwell(word["P"], np.isfinite(set_by["dwell"]), stated, numbers),
     )
+
+
+def _dwell(asked: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: IntArray) -> FloatArray:
+    """How long (L,) [s] the program waits on each line, NaN for nothing."""
+    unit = {"s": 1.0, "ms": 1e-3}.get(stated.dwell or "", np.nan)
+    out = np.where(waits, asked * unit, np.nan)
+    refuse(waits & ~(out >= 0.0), numbers, "a wait whose length is not known")
+    return np.asarray(out)
 
 
 def held(given: FloatArray, before: float) -> FloatArray:

@@ -54,7 +54,8 @@ OVER = math.cos(math.radians(179.0))
 class Way:
     """N places, in the stock's frame: ``tip`` (N, 3) [m], ``axis`` (N, 3) from tip to spindle; of the move to
     each the ``feed`` (N,) [m/s], infinite for rapid ones, whether it ``cuts`` (N,), the ``spindle`` (N,)
-    [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits."""
+    [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the operator
+    goes on; ``waits``: ([s], places before it) where the program does by itself."""
 
     tip: FloatArray
     axis: FloatArray
@@ -63,6 +64,7 @@ class Way:
     spindle: FloatArray
     line: IntArray
     pauses: tuple[tuple[int, int], ...]
+    waits: tuple[tuple[float, int], ...] = ()
 
 
 def read(stated: ProgramFile, chord: float) -> Way:
@@ -107,8 +109,14 @@ def read(stated: ProgramFile, chord: float) -> Way:
     axis = _axes(angles, stated, own.line[row[to]])
     frame = Rotation.from_euler("xyz", stated.rpy_deg, degrees=True)
     ends = np.cumsum(pieces)
-    before = np.searchsorted(row, np.flatnonzero(own.pause & own.wanted), side="right")
-    waits = np.where(before > 0, ends[np.maximum(before, 1) - 1], 0)
+    pauses, dwells = own.pause & own.wanted, np.isfinite(own.dwell) & own.wanted
+
+    def places(lines: BoolArray) -> list[int]:
+        """How many places come before some lines."""
+        before = np.searchsorted(row, np.flatnonzero(lines), side="right")
+        counts: list[int] = np.where(before > 0, ends[np.maximum(before, 1) - 1], 0).tolist()
+        return counts
+
     return Way(
         frame.apply(tips) + np.array(stated.xyz_mm) * MILLIMETRE,
         frame.apply(axis),
@@ -116,7 +124,8 @@ def read(stated: ProgramFile, chord: float) -> Way:
         (own.motion[row] != 0.0)[to],
         own.spindle[row[to]],
         own.line[row[to]],
-        tuple(zip(own.line[own.pause & own.wanted].tolist(), waits.tolist(), strict=True)),
+        tuple(zip(own.line[pauses].tolist(), places(pauses), strict=True)),
+        tuple(zip(own.dwell[dwells].tolist(), places(dwells), strict=True)),
     )
 
 
