@@ -25,7 +25,7 @@ from planner.verify.findings import at_step
 from planner.verify.job import TaskText
 from planner.verify.rules_straight import guide_normals, off_guide
 from planner.verify.speed import local
-from planner.verify.steps import ChoiceStep, MessageStep, Step, WaitStep
+from planner.verify.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
@@ -282,8 +282,8 @@ def _aside(context: Context, task: TaskText) -> Iterator[Issue]:
             if isinstance(step, MessageStep):
                 yield at_step(CODE, f"UNDO shows {step.text!r}; nobody is told anything there", task, step)
     allowed = dialogue_wanted.aside(context, task)
-    for step in _inside(task.steps):
-        if isinstance(step, MessageStep) and not any(_says(step, *one) for one in allowed):
+    for step, ends in _inside(task.steps):
+        if isinstance(step, MessageStep) and not (ends and any(_says(step, *one) for one in allowed)):
             what = f"{step.kind} {step.text!r} is shown or not, as the program decides at run time"
             yield at_step(CODE, what, task, step, "show it in any case, or take it out")
         elif isinstance(step, WaitStep) and (step.signal or step.pause or step.seconds is None):
@@ -334,11 +334,13 @@ def _handler_line(step: MessageStep, sentence: Sentence) -> str:
     return ""
 
 
-def _inside(steps: Sequence[Step]) -> Iterator[Step]:
-    """Steps of branches and loops that are decided at run time."""
+def _inside(steps: Sequence[Step]) -> Iterator[tuple[Step, bool]]:
+    """Steps of branches and loops that are decided at run time, and whether their branch ends the program."""
     for step in steps:
         if isinstance(step, ChoiceStep):
-            yield from (own for own in step.steps if not isinstance(own, ChoiceStep))
+            last = step.steps[-1] if step.steps else None
+            ends = isinstance(last, SettingStep) and last.kind == "EXIT"
+            yield from ((own, ends) for own in step.steps if not isinstance(own, ChoiceStep))
             yield from _inside(step.steps)
 
 

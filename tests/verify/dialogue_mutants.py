@@ -419,6 +419,7 @@ def krl_moved(rng, texts):
     own = rows[i : i + 2] if rows[i + 1] == "HALT" else rows[i : i + 1]
     rest = rows[:i] + rows[i + len(own) :]
     calls = r"(PTP|straight_\d\(\)|\$OUT)"
-    places = [k for k, row in enumerate(rest) if re.match(calls, row) and not i - 1 <= k <= i]
-    at = pick(rng, places) + 1
+    places = [k for k, row in enumerate(rest) if re.match(calls, row)]
+    here = max((k for k in places if k < i), default=-1)  # behind it the line stands already
+    at = pick(rng, [k for k in places if k != here]) + 1
     return _krl_put(texts, [*rest[:at], *own, *rest[at:]])

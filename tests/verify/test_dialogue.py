@@ -8,12 +8,16 @@ import re
 
 import numpy as np
 import pytest
+import yaml
 
-from planner import dialogue
-from planner.post import krl_format, rapid_format
+import planner
+from planner import dialogue, processes
+from planner.motion import solve
+from planner.post import krl_format, rapid_format, write
 from planner.verify.dialogue_text import fit, on_panel
 from planner.verify.prove import Prover
-from tests.verify import dialogue_job, handshake_job, small_job, straight_job
+from tests.milling import small_mill
+from tests.verify import dialogue_job, handshake_job, planner_jobs, small_job, straight_job
 from tests.verify.dialogue_mutants import KRL, LIES, RAPID, main_of
 from tests.verify.test_krl_reader import MAIN as MAIN_KRL
 from tests.verify.test_krl_reader import WAIT, read
@@ -195,7 +199,8 @@ def test_two_controllers_say_what_they_should(old, new):
 
 @pytest.mark.parametrize(
     ("job", "old", "new"),
-    [("bent", r"Clamps (\d)(\d\d\.\d) mm", r"Clamps 2\2 mm"), ("bent", r"wire at (\d)", r"wire at -\1"),
+    [("bent", r"Clamps (\d)(\d\d\.\d) mm", r"Clamps 2\2 mm"),
+     pytest.param("bent", r"wire at (\d)", r"wire at -\1", marks=pytest.mark.long),
      ("bow", r"spacers of 1\.2", "spacers of 12.0")],
 )  # fmt: skip
 def test_figures_of_the_motion_are_held_against_it(job, old, new):
@@ -215,6 +220,103 @@ def test_figures_of_the_motion_are_proven():
 @pytest.mark.parametrize("job", JOBS)
 def test_the_jobs_are_proven_whole(job):
     assert prover(job).prove(JOBS[job][2]()).ok
+
+
+# ---- whole jobs ----
+
+FILE = """G21 G90 G17 G94
+M3 S6000
+G0 X-40 Y-10 Z10
+G1 Z1 F600
+X-20 F1200
+G4 P500
+X20 Y-5
+G4 P250
+G0 Z10
+S9000
+G4 P700
+G0 X-30 Y0
+M0
+G1 Z1 F600
+X10
+G4 P1500
+G0 Z10
+M5
+"""
+"""Waits in cuts, a wait above the block, which is passed over, another speed and a stop."""
+
+
+@pytest.fixture(scope="module")
+def milled(tmp_path_factory):
+    """A file's job, its programs, and a proof up to the rule."""
+    folder = tmp_path_factory.mktemp("milled")
+    (folder / "job.nc").write_text(FILE)
+    own = {"file": "job.nc", "origin": {"xyz_mm": [5, 3, 30]}, "dwell": "ms"}
+    cuts = [{"name": "prog", "gcode": own}]
+    path = small_mill.write(folder, small_mill.PANEL, small_mill.BALL, cuts=cuts, part=None)
+    problem = planner.load(path)
+    targets = [job.targets() for job in processes.jobs(problem)]
+    programs = dict(write.programs(solve.solve(problem, targets), problem))
+    held = Prover(problem, processes.claims(problem))
+    return programs, lambda texts: held.prove(texts, last=CODE).issues
+
+
+def test_what_a_file_asks_and_waits_for_is_proven(milled):
+    programs, issues = milled
+    text = programs[main_of(programs)]
+    assert re.findall(r"WaitTime ([\d.]+)", text) == ["1", "0.5", "0.25", "1", "1", "1.5", "1"]
+    assert "Go on: line 13 of the file, spindle at 9000 1/min?" in text
+    assert issues(programs) == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("WaitTime 0.5;", ""), ("WaitTime 0.5;", "WaitTime 500;"), ("WaitTime 0.25;", "WaitTime 0.5;"),
+     ("9000 1/min", "19000 1/min"), ("line 13", "line 12"), ("12000 1/min", "1200 1/min"),
+     ("ball mill of 6", "ball mill of 60"), ("Block 120 x 80", "Block 80 x 120"),
+     ("stands, take", "runs, take")],
+)  # fmt: skip
+def test_what_a_file_asks_and_waits_for_is_held_against_it(milled, old, new):
+    programs, issues = milled
+    assert {issue.code for issue in issues(edit(programs, old, new, main_of(programs)))} == {CODE}
+
+
+def test_a_wait_at_another_place_is_refused(milled):
+    """The two waits of the first pass change places."""
+    programs, issues = milled
+    file = main_of(programs)
+    calls = re.findall(r"(?m)^    (mill_prog_1\w*);$", programs[file])
+    text = programs[file].replace("    WaitTime 0.5;\n", "", 1)
+    text = text.replace("    WaitTime 0.25;\n", "    WaitTime 0.5;\n    WaitTime 0.25;\n", 1)
+    assert len(calls) >= 2 and any(
+        "at another place" in issue.message for issue in issues({**programs, file: text})
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("heat", [{}, {"power_w": None, "kerf_mm": 2.0}])
+def test_spacers_are_as_thick_as_the_slot(tmp_path, heat):
+    """Of a tapered face, one end of which is cut half as fast as the other."""
+    path = planner_jobs.tapered(tmp_path)
+    data = yaml.safe_load(path.read_text())
+    data["operations"][0] |= {
+        "spacers": True,
+        "wire_material": "nichrome",
+        "kerf_range_mm": [0.5, 3.0],
+        **heat,
+    }
+    path.write_text(yaml.safe_dump(data))
+    problem = planner.load(path)
+    targets = [job.targets() for job in processes.jobs(problem)]
+    programs = dict(write.programs(solve.solve(problem, targets), problem))
+    held = Prover(problem, processes.claims(problem))
+    assert held.prove(programs).ok
+    file = main_of(programs)
+    for change in (0.7, 1.4):
+        wrong = re.sub(
+            r"spacers of ([\d.]+)", lambda m, k=change: f"spacers of {k * float(m[1]):.1f}", programs[file]
+        )
+        assert held.prove({**programs, file: wrong}, last="verify.dialogue_figures").issues
 
 
 # ---- the same, written in other ways ----
@@ -249,6 +351,9 @@ REWRITES = {
     "no icon": lambda text: text.replace("\\Icon:=iconInfo", ""),
     "decimals": lambda text: re.sub(r"WaitTime (\d+);", r"WaitTime \1.000;", text),
     "spaces in words": _spaces,
+    "lines by their numbers": lambda text: re.sub(
+        r"(\\MsgLine2:=[^\n]*)\n *(\\MsgLine3:=[^\n]*)", r"\2\n        \1", text
+    ),
     "a wait of nothing": lambda text: text.replace("    WaitTime", "    WaitTime\\InPos,0;\n    WaitTime"),
 }
 
@@ -310,3 +415,25 @@ def test_a_users_own_sentence_fits_as_both_languages_write_it(text):
 
 def test_panels_have_no_accents():
     assert on_panel("  Größe\tund  so ") == "Gro?e und so"
+
+
+# ---- on ways that are decided at run time ----
+
+WAIT_DI = r"WaitDI (\w+),(\d)\\MaxTime:=(\d+);"
+
+
+def flagged(end, text="Arm right did not answer in time."):
+    """The programs for two controllers, with a flag and a branch behind one wait in place of an error."""
+    programs = JOBS["handshake"][2]()
+    file = next(file for file in programs if file.startswith("left") and "Main" in file)
+    branch = f'    IF late THEN\n      TPWrite "{text}";\n      {end}\n    ENDIF'
+    own = re.sub(WAIT_DI, rf"WaitDI \1,\2\\MaxTime:=\3\\TimeFlag:=late;\n{branch}", programs[file], count=1)
+    assert own != programs[file]
+    head, line, rest = own.partition("\n")
+    return {**programs, file: f"{head}{line}  VAR bool late;\n{rest}"}
+
+
+def test_a_partner_that_does_not_answer_may_be_told_where_that_ends_the_program():
+    assert faults("handshake", flagged("EXIT;")) == ()
+    assert faults("handshake", flagged("EXIT;", LIES[0]))
+    assert faults("handshake", flagged("", "Arm right did not answer in time."))
