@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.claims_dialogue import OperatorDialogue
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
@@ -202,22 +203,6 @@ class ContactOnlyIn:
 
 
 @dataclasses.dataclass(frozen=True)
-class ConfirmedPower:
-    """``signal`` goes on once for each of ``asked``, and the operator has confirmed these questions first,
-    while it was off.
-
-    Before the first time ``told`` is shown, behind the last one ``done`` is asked. No question is asked until
-    ``signal`` has been off for ``rest`` [s].
-    """
-
-    signal: str
-    told: str
-    asked: tuple[tuple[str, ...], ...]
-    done: str
-    rest: float
-
-
-@dataclasses.dataclass(frozen=True)
 class FeedWindow:
     """While the edge is inside the stock its fastest point there moves between ``lower`` and ``upper``
     [m/s].
@@ -289,7 +274,7 @@ Claim = (
     | LeadsFrom
     | HoldsStock
     | ContactOnlyIn
-    | ConfirmedPower
+    | OperatorDialogue
     | FeedWindow
     | FollowsPoses
     | FollowsTable

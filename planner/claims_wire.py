@@ -65,6 +65,12 @@ def stiffness(
     return Stiffness(young * soft, young * stiff, shear * twist, weight, 2.0 * strain / thick, thick)
 
 
+def cold_length(material: WireMaterial, length: float, hot: float) -> float:
+    """The length [m] at 20 C of a wire that is ``length`` [m] long at the temperature ``hot`` [C]: the table
+    gives the mean expansion from 20 C on."""
+    return length / (1.0 + _at(material.expansion_table, hot) * (hot - REFERENCE_TEMPERATURE))
+
+
 def rectangle_torsion(width: float, thickness: float) -> float:
     """Torsion constant [m^4] of a rectangle, ``width`` >= ``thickness`` [m]."""
     odd = 2.0 * np.arange(TERMS) + 1.0

@@ -170,6 +170,8 @@ CODES: Final[dict[str, str]] = {
     "verify.move_time": "moves that run together have no time or different times",
     "verify.duration": "the programs take longer than what the proof replays",
     "verify.setup": "a setup is not told, not confirmed once and in order, or an arm moves before it is",
+    "verify.dialogue": "the operator is told or asked something else than what follows from the problem",
+    "verify.dialogue_figures": "a figure that the operator is told is not that of the motion",
     "verify.signals": "a signal other than a wire's is switched, or not in one plain way",
     "verify.held_frame": "work on a held block is not in the frame that its holder carries",
     "verify.load": "the controller does not know the load of a held block, or still counts with one",

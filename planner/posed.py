@@ -17,6 +17,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from planner import claims as claimed
 from planner.claims import Claim
+from planner.claims_dialogue import OperatorDialogue
 from planner.files import is_file
 from planner.geometry.rigid import from_parts, from_quaternion
 from planner.issues import Issue, TandemError
@@ -179,7 +180,10 @@ class PosedJob(Job[Posed]):
         feed = None if op.feed_mm_s is None else op.feed_mm_s * MM
         tolerance = (op.position_tol_mm * MM, op.angle_tol_deg * DEG)
         least = (op.feed_min_mm_s * MM, op.run_up_mm * MM)
-        return (claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed, *least),)
+        return (
+            claimed.FollowsTable(op.name, op.arms, op.frame, free, *tolerance, feed, *least),
+            OperatorDialogue(op.arms, joined=op.coupled),
+        )
 
 
 def _travel(poses: Mapping[str, FloatArray]) -> FloatArray:

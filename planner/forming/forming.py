@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import dialogue
 from planner.arrays import read_only
 from planner.claims import Claim
 from planner.forming import forming_claims, holder, part_claim
@@ -69,7 +70,8 @@ class FormingJob(Job[Forming]):
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
         whole = part_claim.wanted(self.operation, self.setup, self.part)
-        return (whole, *forming_claims.claims(self.made))
+        spoken = part_claim.dialogue(self.operation, self.setup, whole, holder.claim(self.made))
+        return (whole, spoken, *forming_claims.claims(self.made))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -133,13 +135,14 @@ def _actions(
 ) -> tuple[Action, ...]:
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
-    sheet = f"Sheet {size[0]:g} x {size[1]:g} x {size[2]:g} mm, {made.sheet.metal.name}"
+    metal = made.sheet.metal.name
+    sheet = dialogue.SHEET.say(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if holder.sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", f"Blank holder {high:.2f} mm above its end, flat sheet on the die?"))
-    out.append(Action(0, "confirm", "Sheet clamped and greased, nobody in the cell?"))
+        out.append(Action(0, "confirm", dialogue.RIM.say(high_mm=high)))
+    out.append(Action(0, "confirm", dialogue.SHEET_READY.say()))
     first = route.segment.index(segment(one).at("in"))
     out += holder.actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", "Tools off the sheet, take the part out?"))
+    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.say()))

@@ -3,7 +3,11 @@ its passes are held against it."""
 
 from __future__ import annotations
 
-from planner.claims_forming import FormsPart
+import numpy as np
+
+from planner import dialogue as words
+from planner.claims_dialogue import DialogueStop, OperatorDialogue, asked, powered, told, unpowered
+from planner.claims_forming import FormsPart, SinksHolder
 from planner.forming.operation import Forming
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
@@ -55,3 +59,21 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         male=die is not None and die.kind == "male",
         sinking=(die.signal, (step or 0.0) * MM) if die is not None and sinks else None,
     )
+
+
+def dialogue(
+    operation: Forming, setup: Setup, wanted: FormsPart, sinks: SinksHolder | None
+) -> OperatorDialogue:
+    """The sheet is told and clamped, for a clamp that sinks as high above its end as the part is deep; then
+    come its pulses, any number: they are counted by the claim ``sinks``."""
+    sheet = setup.stock.sheet
+    x, y, z = (float(size) for size in setup.stock.size / MM)
+    first = [told(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)]
+    if wanted.sinking is not None:
+        first.append(asked(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+    first.append(asked(words.SHEET_READY))
+    stops: tuple[DialogueStop, ...] = ()
+    if sinks is not None:
+        pulse = (*powered(sinks.signal, sinks.pulse), *unpowered(sinks.signal, sinks.pulse))
+        stops = (DialogueStop(sinks.segment, "in", pulse, repeats=True),)
+    return OperatorDialogue(operation.arms, tuple(first), (asked(words.FORMED),), stops)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import dialogue
 from planner.claims import Claim, KerfCurve
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.hotwire import elastic_claims, elastic_kerf
@@ -268,17 +269,17 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", f"Mount wire: {wire.cold_length(op.wire.length_mm):.1f} mm cold between clamps"),
+        Action(0, "message", dialogue.MOUNT.say(cold_mm=wire.cold_length(op.wire.length_mm))),
         Action(
             0,
             "message",
-            f"Clamps {chord * 1e3:.1f} mm apart, wire at {angles[0]:.1f} and {angles[1]:.1f} deg",
+            dialogue.CLAMPS.say(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
         ),
-        Action(0, "confirm", "Wire clamped, slide free, block fixed, nobody in the cell?"),
+        Action(0, "confirm", dialogue.CLAMPED.say()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", f"Slide taken up to {op.wire.length_mm:.1f} mm hot and locked?"),
+        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=op.wire.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", "Wire cold and taken off?"),
+        Action(last, "confirm", dialogue.TAKEN_OFF.say()),
     )

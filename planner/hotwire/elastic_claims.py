@@ -3,9 +3,11 @@ makes targets, and which uses nothing that does."""
 
 from __future__ import annotations
 
+from planner import dialogue
 from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfWithin, WireJoins
+from planner.claims_dialogue import OperatorDialogue, asked, powered, told, unpowered
 from planner.claims_kerf import slot
-from planner.claims_wire import stiffness
+from planner.claims_wire import cold_length, stiffness
 from planner.hotwire.operation import ElasticWire
 from planner.issues import Issue, TandemError
 from planner.materials import wire_material
@@ -39,6 +41,7 @@ def claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...
             end_error=op.end_error_mm * MM,
         ),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
+        _dialogue(op),
     ]
     for name in op.faces:
         segment, face = Segment("cut", name), _face(op, name, part)
@@ -50,6 +53,25 @@ def claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...
             low, high = op.kerf_range_mm
             out.append(KerfWithin(segment, kerf, low * MM, high * MM))
     return tuple(out)
+
+
+def _dialogue(op: ElasticWire) -> OperatorDialogue:
+    """The wire is mounted cold and locked hot; how far its clamps are apart then, and how it leaves them, is
+    where the arms stand."""
+    own = op.wire
+    cold = cold_length(wire_material(own.material), own.length_mm * MM, own.temperature_c)
+    return OperatorDialogue(
+        op.arms,
+        (
+            told(dialogue.MOUNT, cold_mm=cold / MM),
+            told(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            asked(dialogue.CLAMPED),
+            *powered(op.signal, op.heat_up_s),
+            asked(dialogue.LOCKED, hot_mm=own.length_mm),
+        ),
+        (*unpowered(op.signal, op.cool_down_s), asked(dialogue.TAKEN_OFF)),
+        joined=True,
+    )
 
 
 def _face(op: ElasticWire, name: str, part: Part | None) -> Mesh:

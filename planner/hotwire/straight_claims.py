@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import dialogue
 from planner.claims import (
     Claim,
     ContactOnlyIn,
@@ -21,6 +22,7 @@ from planner.claims import (
     SlitsAllowed,
     StraightWire,
 )
+from planner.claims_dialogue import DialogueStop, Figure, OperatorDialogue, asked, powered, told, unpowered
 from planner.claims_kerf import slot
 from planner.geometry.rulings import tessellate
 from planner.hotwire.straight_claimed import Claimed, claimed
@@ -32,6 +34,10 @@ from planner.units import MM
 
 FloatArray = NDArray[np.float64]
 
+RESTS: Final = 0.7
+"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
+NEARLY: Final = 0.01
+"""Leans are told apart by more than this: nearer to `RESTS`, spacers may be asked for or not."""
 SURFACE_CHORD: Final = 2e-5
 """[m] the triangles of a wanted surface are as near to it as this."""
 
@@ -50,6 +56,7 @@ def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
     ]
     cuts, tolerance = claimed(op, stock, part, span), op.shape_tol_mm * MM
+    out.append(_dialogue(op, bow, setup, cuts))
     for cut in cuts:
         mesh = tessellate(cut.ruled, SURFACE_CHORD)
         out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
@@ -66,6 +73,40 @@ def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
         middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
         out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
     return (*out, *_leads(cuts, tolerance), *_slits(cuts, part, stock.box))
+
+
+def _dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]) -> OperatorDialogue:
+    """The wire's size and heat are told; where spacers are wanted hands come near it, so that it is off and
+    cold meanwhile."""
+    material = f" {op.wire_material}" if op.wire_material.strip() else ""
+    wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
+    if op.power_w is not None:
+        mounted = told(dialogue.BOW_POWER, **wire, power_w=op.power_w)
+    else:
+        mounted = told(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+    on, off = powered(op.signal, op.heat_up_s), unpowered(op.signal, op.cool_down_s)
+    spaced = (*off, told(dialogue.SPACERS, kerf_mm=op.kerf_mm), asked(dialogue.SPACED), *on)
+    stops = []
+    for cut in cuts if op.spacers and setup.stock.held_by is None else ():
+        lean = 0.0 if cut.ruled.closed else abs(float(_normal(cut.ruled) @ setup.stock.gravity))
+        if lean > RESTS - NEARLY:
+            optional = lean < RESTS + NEARLY
+            stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
+    return OperatorDialogue(
+        op.arms,
+        (mounted, asked(dialogue.TAUT), *on),
+        (*off, asked(dialogue.COLD)),
+        tuple(stops),
+    )
+
+
+def _normal(ruled: Ruled) -> FloatArray:
+    """The mean unit normal (3,) of a ruled surface, not itself of length 1 where that is bent."""
+    move = 0.5 * (np.diff(ruled.start, axis=0) + np.diff(ruled.end, axis=0))
+    along = ruled.end - ruled.start
+    normal = np.cross(move, along[1:] + along[:-1])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray((normal / np.maximum(size, 1e-12))[size[:, 0] > 1e-12].mean(axis=0))
 
 
 def _bow(op: Straight, setup: Setup) -> Bow:

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from planner import dialogue
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_route import Route
@@ -22,12 +23,15 @@ LEVEL: Final = 0.7
 
 def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route) -> tuple[Action, ...]:
     """The operator's steps and the wire's power, by target."""
-    wire = f"{2.0 * bow.radius / MM:g} mm {op.wire_material}".strip()
-    heat = f"{op.power_w:g} W" if op.power_w is not None else f"heat for a slot of {op.kerf_mm:g} mm"
+    diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
+    if op.power_w is not None:
+        mounted = dialogue.BOW_POWER.say(diameter_mm=diameter, material=material, power_w=op.power_w)
+    else:
+        mounted = dialogue.BOW_SLOT.say(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
     last = len(route.segment) - 1
     out = [
-        Action(0, "message", f"Wire {wire}, {heat}"),
-        Action(0, "confirm", "Wire taut, block fixed, nobody in the cell?"),
+        Action(0, "message", mounted),
+        Action(0, "confirm", dialogue.TAUT.say()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
     ]
@@ -38,7 +42,7 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
         *out,
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", "Wire cold, hands may come near?"),
+        Action(last, "confirm", dialogue.COLD.say()),
     )
 
 
@@ -76,8 +80,8 @@ def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
     return [
         Action(at, "off", signal=op.signal),
         Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", f"Put spacers of {kerf / MM:.1f} mm into the slot"),
-        Action(at, "confirm", "Spacers in the slot, nobody in the cell?"),
+        Action(at, "message", dialogue.SPACERS.say(kerf_mm=kerf / MM)),
+        Action(at, "confirm", dialogue.SPACED.say()),
         Action(at, "on", signal=op.signal),
         Action(at, "wait", seconds=op.heat_up_s),
     ]

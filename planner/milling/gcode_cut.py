@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import dialogue
 from planner.issues import Issue, TandemError
 from planner.milling import gcode
 from planner.milling.gcode_file import GCodeCut
@@ -116,12 +117,13 @@ def _questions(
     """What the operator is asked before a pass, with the spindle standing; empty for nothing."""
     first, last = stretches[number]
     since = stretches[number - 1][1] if number else -1
-    asked = [f"line {e.line} of the file" for e in events if e.kind == "pause" and since < e.at - 1 <= first]
+    pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
+    asked = [dialogue.FILE_LINE.say(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != before:
-        way = "" if speed > 0 else " counterclockwise (M4)"
-        asked.append(f"spindle at {abs(speed) * 30.0 / np.pi:.0f} 1/min{way}")
-    return f"Go on: {', '.join(asked)}?" if asked else ""
+        way = dialogue.SPEED if speed > 0 else dialogue.SPEED_BACK
+        asked.append(way.say(rpm=abs(speed) * 30.0 / np.pi))
+    return dialogue.GO_ON.say(asked=", ".join(asked)) if asked else ""
 
 
 def _run(

@@ -8,7 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ConfirmedPower, ContactOnlyIn, FeedWindow
+from planner import dialogue
+from planner.claims import Claim, ContactOnlyIn, FeedWindow
+from planner.claims_dialogue import OperatorDialogue, asked, powered, told, unpowered
 from planner.claims_milling import (
     DrawnCurve,
     Engraves,
@@ -20,7 +22,6 @@ from planner.claims_milling import (
     SafeWays,
     SparesPart,
 )
-from planner.milling import spoken
 from planner.milling.flank_cut import surface
 from planner.milling.gcode_file import GCodeCut, GCodeFile
 from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
@@ -48,7 +49,7 @@ def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
     that all of them spare."""
     op = work.operation
     out: list[Claim] = [ContactOnlyIn(("mill",), op.signal, op.spin_up_s)]
-    out.append(ConfirmedPower(op.signal, spoken.told(work), ((spoken.READY,),), spoken.DONE, op.spin_down_s))
+    out.append(_dialogue(work))
     for number, one in enumerate(work.cuts):
         if isinstance(one.cut, GCodeCut):
             out.append(_program(work, one, one.cut, number == 0))
@@ -66,6 +67,23 @@ def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
             mesh = (face.mesh.vertices, face.mesh.faces)
             out.append(SparesPart(segments, op.arms[0], work.cutter, *mesh, deep, one.tolerance))
     return tuple(out)
+
+
+def _dialogue(work: Work) -> OperatorDialogue:
+    """The block, the cutter and its spindle's speed are told; what files ask for besides, the proof reads
+    there."""
+    op, size = work.operation, np.ptp(work.box, axis=0) / MM
+    block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
+    cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
+    return OperatorDialogue(
+        op.arms,
+        (
+            told(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm)),
+            asked(dialogue.BLOCK_READY),
+            *powered(op.signal, op.spin_up_s),
+        ),
+        (*unpowered(op.signal, op.spin_down_s), asked(dialogue.STANDS)),
+    )
 
 
 def program_file(own: GCodeFile) -> ProgramFile:

@@ -13,10 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import dialogue
 from planner.arrays import read_only
 from planner.claims import Claim
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.milling import mill_claims, spoken
+from planner.milling import mill_claims
 from planner.milling.frames import poses, spin
 from planner.milling.mill_check import check
 from planner.milling.mill_exhibits import exhibits
@@ -24,6 +25,7 @@ from planner.milling.operation import Milling
 from planner.milling.route import Route, lay_out
 from planner.milling.work import Work, work
 from planner.targets import Action, Job, Targets
+from planner.units import MM
 
 FloatArray = NDArray[np.float64]
 
@@ -92,14 +94,28 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     op = made.operation
     last = len(route.segment) - 1
     return (
-        Action(0, "message", spoken.told(made)),
-        *(Action(0, "confirm", question) for question in spoken.asked(made)[0]),
+        Action(0, "message", _told(made)),
+        *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
+        Action(0, "confirm", dialogue.BLOCK_READY.say()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", spoken.DONE),
+        Action(last, "confirm", dialogue.STANDS.say()),
+    )
+
+
+def _told(made: Work) -> str:
+    """The block, the cutter, and the speed that its spindle is set to by hand."""
+    size, op = (made.box[1] - made.box[0]) / MM, made.operation
+    return dialogue.BLOCK.say(
+        x_mm=size[0],
+        y_mm=size[1],
+        z_mm=size[2],
+        kind=made.cutter.kind,
+        diameter_mm=2e3 * made.cutter.radius,
+        rpm=op.spindle_rpm,
     )
 
 

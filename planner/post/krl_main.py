@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Final
 
 import numpy as np
 
+from planner import dialogue
 from planner.post import krl_handshake, krl_panel
 from planner.post.krl_data import Data
 from planner.post.krl_format import comment, mark
@@ -33,9 +33,6 @@ from planner.post.program import (
 from planner.post.text import short
 from planner.problem import Problem
 from planner.targets import Action
-
-_READY: Final = "Is the stock in place and the way of the arm clear?"
-_CLEAR: Final = "Is the way of the arm to its home clear, and nobody in the cell?"
 
 
 class Main:
@@ -66,7 +63,7 @@ class Main:
         out = [*krl_panel.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out += [*krl_panel.prepared(self.dialect), *krl_panel.foot(self.task.arm.name, self.dialect)]
-        clear = _CLEAR if self.problem.setups[0].steps else _READY
+        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).say()
         if self.partner is None:
             out += krl_panel.asked(clear, self.dialect)
         else:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue import robot
-from planner.claims import ConfirmedPower, ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
+from planner.claims import ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
+from planner.claims_dialogue import OperatorDialogue
 from planner.claims_milling import (
     Engraves,
     MillsAlong,
@@ -58,7 +59,7 @@ ASSUMED: Final = (
 
 
 KNOWN: Final = (
-    *(ContactOnlyIn, ConfirmedPower, FeedWindow, FollowsPoses, FollowsTable),
+    *(ContactOnlyIn, OperatorDialogue, FeedWindow, FollowsPoses, FollowsTable),
     *(Engraves, MillsAlong, MillsFlank, MillsOver, MillsProgram, MillsSurface, SparesPart),
 )
 """Claims that hold for the curve of a block as well, by the room that is left for it."""
@@ -86,7 +87,21 @@ def refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
         issues.append(
             Issue("post.path", f"{got}; allowed: no least feed", field="controller.path", hint=hint)
         )
+    if changing := [str(segment) for targets in made for segment in _changing(targets)]:
+        got = f"path: spline in {changing[0]}, whose feed changes in the G-code file"
+        issues.append(Issue("post.path", f"{got}; allowed: one feed", field="controller.path", hint=hint))
     return tuple(issues)
+
+
+def _changing(targets: Targets) -> Iterator[Segment]:
+    """Segments of G-code files with more than one feed, moves from and to rest left out."""
+    if not any(isinstance(claim, MillsProgram) for claim in targets.claims):
+        return
+    moving = ~(targets.stop | np.append(True, targets.stop[:-1]))
+    for segment in dict.fromkeys(segment for segment in targets.segment if segment.works):
+        feed = targets.feed[moving & np.array([own == segment for own in targets.segment])]
+        if len(feed) and float(np.ptp(feed)) > 1e-9:
+            yield segment
 
 
 class Run(NamedTuple):

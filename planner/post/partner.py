@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from planner import dialogue
 from planner.handshake import Handshake
 from planner.post import running
 from planner.post.program import Job, TaskProgram
@@ -123,15 +124,15 @@ class Partner:
 
         ``ask``: the lead's question to the operator; ``ok``: how the other question is confirmed.
         """
-        earlier = f"Does no program of an earlier run go on at the controller of arm {self.other}? {ok}"
+        earlier = f"{dialogue.KRL_EARLIER.say(other=self.other)} {ok}"
         limit = self.handshake.timeout
         out: list[PartnerStep] = [Ask(earlier.strip()), SetLine(0), AwaitRunning(0, limit)]
         wait = limit if self.lead else self.handshake.patience
         if self.lead:
-            ready = f"Does the panel of arm {self.other} say that it is ready to meet arm {self.arm}?"
-            out += [Tell(running.START.format(other=self.other)), Halt(f"{ready} {ask}"), AwaitLine(0, wait)]
+            ready = dialogue.PARTNER_READY.say(other=self.other, arm=self.arm, start=ask)
+            out += [Tell(dialogue.START_PARTNER.say(other=self.other)), Halt(ready), AwaitLine(0, wait)]
         else:
-            out += [AwaitLine(0, wait), Tell(f"Ready to meet arm {self.other}.")]
+            out += [AwaitLine(0, wait), Tell(dialogue.READY_TO_MEET.say(other=self.other))]
         return [*out, Note("First meeting: both programs run."), *self.meeting(1, wait)]
 
     def end(self) -> list[PartnerStep]:
@@ -143,7 +144,7 @@ class Partner:
     @property
     def unanswered(self) -> str:
         """What is said of a wait that was over its time."""
-        return f"Arm {self.other} did not answer in time."
+        return dialogue.UNANSWERED.say(other=self.other)
 
     def not_as_wanted(self, value: int) -> str:
         """What is said when the other one's running wire did not come to this level in time."""

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import __version__
+from planner import __version__, dialogue
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake_drift, rapid_check, rapid_handshake
@@ -51,12 +51,6 @@ LINE_END: Final = "\r\n"
 _INDENT = "  "
 _PROC_BYTES = 1500
 _CALL_BYTES = 20
-_NO_WIRE = (
-    "Is there NO wire between the arms? Each arm now goes alone to home and to its first position. "
-    "Take off what joins them, see that their ways are clear, then press OK."
-)
-_READY = "Is the stock in place and the way of each arm clear? Press OK to start."
-_CLEAR = "Is the way of each arm to its home clear, and nobody in the cell? Press OK to start."
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -219,7 +213,7 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = [f"{rapid_check.CALL};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        clear = _CLEAR if self.problem.setups[0].steps else _READY
+        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).say()
         if self.partner is not None:
             body += [
                 *self._power_off(),
@@ -228,7 +222,7 @@ class _Task:
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box("Tandem", _NO_WIRE if self.job.coupled else clear)
+            body += box(dialogue.HEADER, dialogue.NO_WIRE.say() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else rapid_handshake.lines(self.partner, self.partner.end())
@@ -310,13 +304,9 @@ class _Task:
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (
-            "The arms may be joined: move neither alone."
-            if self.job.coupled
-            else "Check the arm before it moves."
-        )
+        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).say()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"Tandem: error in {name}, number ")
+        note = quoted(f"{dialogue.FAILED.say(procedure=name)} ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",

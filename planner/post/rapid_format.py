@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.dialogue import HEADER
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.post.text import number, plain, short
@@ -97,7 +98,7 @@ def action_lines(action: Action) -> list[str]:
         case "message":
             return write_lines(action.text)
         case "confirm":
-            return box("Tandem", action.text)
+            return box(HEADER, action.text)
         case "on":
             return [f"SetDO {identifier(action.signal)},1;"]
         case "off":

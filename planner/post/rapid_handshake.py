@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planner.post import running
+from planner.dialogue import HEADER, UNANSWERED
 from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, Note, Partner, PartnerStep, SetLine, Tell
 from planner.post.program import TaskProgram
 from planner.post.rapid_format import box, comment, identifier, write_lines
@@ -29,7 +29,7 @@ def procedures(partner: Partner, task: TaskProgram) -> dict[str, list[str]]:
 
 def unanswered(partner: Partner) -> list[str]:
     """What an error handler says of a wait that was over its time."""
-    text = write_lines(running.RAPID.format(other=partner.other))
+    text = write_lines(UNANSWERED.say(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
 
 
@@ -54,9 +54,9 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
         case AwaitRunning(value, seconds):
             return [f"WaitDI {identifier(own.partner_running)},{value}\\MaxTime:={short(seconds, 3)};"]
         case Halt(text):
-            return ["Stop;", *box("Tandem", text)]
+            return ["Stop;", *box(HEADER, text)]
         case Ask(text):
-            return box("Tandem", text)
+            return box(HEADER, text)
         case Tell(text):
             return write_lines(text)
         case Note(text):

@@ -14,13 +14,8 @@ from planner.post.languages import speaks_krl
 from planner.post.rapid_format import identifier
 from planner.problem import Arm, Controller, Problem
 
-START: Final = "Start the program of arm {other} now. When its panel says that it is ready, press Start here."
-RAPID: Final = "Arm {other} did not answer in time, or its running wire is not as it should be."
 STANDS: Final = "The program of arm {other} does not run: {input} is 0."
 RUNS: Final = "Stop the program of arm {other}: {input} is 1. If it stands, the wire is stuck."
-TEXTS: Final = (START, RAPID, STANDS, RUNS)
-"""All that the operator reads of the running wire."""
-
 CYCLE: Final = "soCycleOn"
 MOTORS: Final = "soMotOn"
 """System outputs of an ABB controller that the lines below use; declare them once."""

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import unicodedata
-from typing import Final
 
-_SPELT: Final = str.maketrans(
-    {"ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "ł": "l", "Ł": "L", "đ": "d"}
-    | {"–": "-", "—": "-", "’": "'", "‘": "'", "“": '"', "”": '"', "„": '"', "°": " deg", "×": "x"}
-)
-"""Letters and signs that do not come apart into ASCII and accents."""
+from planner.dialogue import SPELT
 
 
 def number(value: float, decimals: int) -> str:
@@ -27,6 +22,6 @@ def short(value: float, decimals: int = 6) -> str:
 def plain(text: str) -> str:
     """Text in printable ASCII on one line: accents are dropped, letters such as ß spelt, other foreign
     characters become "?"."""
-    flat = unicodedata.normalize("NFKD", " ".join(text.translate(_SPELT).split()))
+    flat = unicodedata.normalize("NFKD", " ".join(text.translate(SPELT).split()))
     kept = "".join(c for c in flat if not unicodedata.combining(c))
     return "".join(c if 32 <= ord(c) < 127 else "?" for c in kept)

@@ -54,8 +54,8 @@ class Lines:
     What holds on each: ``motion`` 0 to 3, ``normal`` of the plane by its axis, ``unit`` [m], ``absolute``,
     ``absolute_centre``, ``shift`` (L, 3) [m], ``feed_mode``, ``feed`` [m/min] or [m/turn] or, where the line
     has its own, [1/min]; ``spindle`` [1/min], below zero counterclockwise; ``wanted``: of the tool whose
-    moves are asked for; ``pause``: the program waits for somebody behind it; ``dwell`` [s]: it waits so long.
-    NaN is what nobody says.
+    moves are asked for; ``pause``: the program waits for somebody behind it; ``dwell`` [s]: so long, by
+    itself. NaN is what nobody says.
     """
 
     line: IntArray
@@ -123,14 +123,16 @@ def lines(words: Words, stated: ProgramFile) -> Lines:
         spindle=spindle,
         wanted=np.ones(count, dtype=bool) if stated.tool is None else tool == stated.tool,
         pause=np.isin(others["stop"], [0.0, 10.0]),
-        dwell=_dwells(set_by["dwell"], word["P"], stated),
+        dwell=_dwell(word["P"], np.isfinite(set_by["dwell"]), stated, numbers),
     )
 
 
-def _dwells(coded: FloatArray, given: FloatArray, stated: ProgramFile) -> FloatArray:
-    """How long (L,) [s] lines wait: P where a line says G4, in the unit that the problem states."""
-    unit = 1e-3 if stated.dwell == "ms" else 1.0
-    return np.where(np.isfinite(coded) & np.isfinite(given), given, 0.0) * unit
+def _dwell(asked: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: IntArray) -> FloatArray:
+    """How long (L,) [s] the program waits on each line, NaN for nothing."""
+    unit = {"s": 1.0, "ms": 1e-3}.get(stated.dwell or "", np.nan)
+    out = np.where(waits, asked * unit, np.nan)
+    refuse(waits & ~(out >= 0.0), numbers, "a wait whose length is not known")
+    return np.asarray(out)
 
 
 def held(given: FloatArray, before: float) -> FloatArray:

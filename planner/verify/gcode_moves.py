@@ -55,7 +55,7 @@ class Way:
     """N places, in the stock's frame: ``tip`` (N, 3) [m], ``axis`` (N, 3) from tip to spindle; of the move to
     each the ``feed`` (N,) [m/s], infinite for rapid ones, whether it ``cuts`` (N,), the ``spindle`` (N,)
     [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits for somebody;
-    ``dwell`` (N,) [s]: how long it waits by itself at each place."""
+    ``waits``: ([s], places before it) where it does by itself; ``dwell`` (N,) [s]: so long at each place."""
 
     tip: FloatArray
     axis: FloatArray
@@ -65,6 +65,7 @@ class Way:
     line: IntArray
     pauses: tuple[tuple[int, int], ...]
     dwell: FloatArray
+    waits: tuple[tuple[float, int], ...] = ()
 
 
 def read(stated: ProgramFile, chord: float) -> Way:
@@ -109,8 +110,14 @@ def read(stated: ProgramFile, chord: float) -> Way:
     axis = _axes(angles, stated, own.line[row[to]])
     frame = Rotation.from_euler("xyz", stated.rpy_deg, degrees=True)
     ends = np.cumsum(pieces)
-    before = np.searchsorted(row, np.flatnonzero(own.pause & own.wanted), side="right")
-    waits = np.where(before > 0, ends[np.maximum(before, 1) - 1], 0)
+    pauses, dwells = own.pause & own.wanted, np.isfinite(own.dwell) & own.wanted
+
+    def places(lines: BoolArray) -> list[int]:
+        """How many places come before some lines."""
+        before = np.searchsorted(row, np.flatnonzero(lines), side="right")
+        counts: list[int] = np.where(before > 0, ends[np.maximum(before, 1) - 1], 0).tolist()
+        return counts
+
     return Way(
         frame.apply(tips) + np.array(stated.xyz_mm) * MILLIMETRE,
         frame.apply(axis),
@@ -118,8 +125,9 @@ def read(stated: ProgramFile, chord: float) -> Way:
         (own.motion[row] != 0.0)[to],
         own.spindle[row[to]],
         own.line[row[to]],
-        tuple(zip(own.line[own.pause & own.wanted].tolist(), waits.tolist(), strict=True)),
+        tuple(zip(own.line[pauses].tolist(), places(pauses), strict=True)),
         _dwell(own, row, ends),
+        tuple(zip(own.dwell[dwells].tolist(), places(dwells), strict=True)),
     )
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from planner import claims, claims_forming, claims_milling
+from planner import claims, claims_dialogue, claims_forming, claims_milling
 from planner.claims import Claim
 from planner.issues import Issue
 
@@ -20,7 +20,7 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims.LeadsFrom: ("verify.slit",),
     claims.HoldsStock: ("verify.load", "verify.held_frame"),
     claims.ContactOnlyIn: ("verify.contact", "verify.wire_power", "verify.spindle"),
-    claims.ConfirmedPower: ("verify.signals", "verify.wire_power", "verify.spindle"),
+    claims_dialogue.OperatorDialogue: ("verify.dialogue", "verify.dialogue_figures"),
     claims.FeedWindow: ("verify.feed", "verify.order", "verify.mill_feed"),
     claims.FollowsPoses: ("verify.follows",),
     claims.FollowsTable: ("verify.follows",),

@@ -215,6 +215,8 @@ class Reader:
         found: list[re.Match[str]] = []
         for pattern in _GUARD[1:]:
             while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
+                if self.rows[self.at].strip().startswith((";*", ";?")):
+                    self.fault(self.at + 1, "syntax", "a guarded wait tells and asks nothing of its own")
                 self.at += 1
             code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
             match = pattern.fullmatch(code)

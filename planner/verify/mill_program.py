@@ -9,7 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.claims import Claim, ConfirmedPower, FeedWindow
+from planner import dialogue
+from planner.claims import Claim, FeedWindow
+from planner.claims_dialogue import DialogueStep, DialogueStop, OperatorDialogue, asked
 from planner.claims_milling import MillsAlong, MillsProgram
 from planner.segments import Segment
 from planner.verify import gcode_moves
@@ -29,11 +31,13 @@ LEVER = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Pass:
-    """A stretch of cuts between rapid moves: its number from 1, its places, and the question before it."""
+    """A stretch of cuts between rapid moves: its number from 1, its places, the question before it, and where
+    (3,) [m] and how long [s] the tool waits in it."""
 
     number: int
     way: Way
     question: str
+    waits: tuple[tuple[FloatArray, float], ...] = ()
 
 
 def passes(program: MillsProgram) -> tuple[Pass, ...]:
@@ -48,14 +52,16 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
     for number, (first, last) in enumerate(
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
-        asked = [f"line {line} of the file" for line, at in way.pauses if before < at - 1 <= first]
+        pauses = [line for line, at in way.pauses if before < at - 1 <= first]
+        spoken = [dialogue.FILE_LINE.say(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            asked.append(f"spindle at {abs(own):.0f} 1/min{'' if own > 0.0 else ' counterclockwise (M4)'}")
-        question = f"Go on: {', '.join(asked)}?" if asked else ""
+            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).say(rpm=abs(own)))
+        question = dialogue.GO_ON.say(asked=", ".join(spoken)) if spoken else ""
+        waits = tuple((way.tip[at - 1], seconds) for seconds, at in way.waits if first < at - 1 <= last)
         rows = slice(first, last + 1)
         if _extent(way, rows) > STILL:
-            out.append(Pass(number, _part(way, rows), question))
+            out.append(Pass(number, _part(way, rows), question, waits))
         speed, before = own, last
     return tuple(out)
 
@@ -78,17 +84,25 @@ def _part(way: Way, rows: slice) -> Way:
     return Way(tip, axis, feed, cuts, way.spindle[rows], way.line[rows], (), way.dwell[rows])
 
 
-def asked(
-    claim: ConfirmedPower, programs: Sequence[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
-) -> tuple[tuple[str, ...], ...]:
-    """The questions before each time that the spindle goes on: that before the very first pass comes with
-    what is asked in any case."""
-    questions = [one.question for program in programs for one in known[program.name]]
-    begins = programs[0].first and bool(questions)
-    first, *others = claim.asked
-    if begins and questions[0]:
-        first = (questions[0], *first)
-    return (first, *others, *((q,) for q in questions[1 if begins else 0 :] if q))
+def spoken(
+    claim: OperatorDialogue, programs: Sequence[MillsProgram], known: Mapping[str, tuple[Pass, ...]]
+) -> OperatorDialogue:
+    """The dialogue with what files ask: before the very first pass together with what is asked in any case,
+    before others on the safe plane with the spindle standing; and with their waits."""
+    first, stops = claim.first, list[DialogueStop]()
+    off, on = claim.last[:2], claim.first[-2:]
+    for program in programs:
+        for number, one in enumerate(known[program.name]):
+            segment = Segment(MILL, f"{program.name}_{one.number}")
+            question = asked(dialogue.PLAIN, text=one.question)
+            if one.question and program.first and number == 0:
+                first = (*first[:1], question, *first[1:])
+            elif one.question:
+                stops.append(DialogueStop(segment.at("in"), "before", (*off, question, *on)))
+            for place, seconds in one.waits:
+                wait = (DialogueStep("wait", seconds=seconds),)
+                stops.append(DialogueStop(segment, "in", wait, place, program.tolerance))
+    return dataclasses.replace(claim, first=first, stops=tuple(stops))
 
 
 def segments(program: MillsProgram, own: Pass) -> Iterator[Claim]:

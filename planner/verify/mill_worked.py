@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 
-from planner.claims import Claim, ConfirmedPower
+from planner.claims import Claim
+from planner.claims_dialogue import OperatorDialogue
 from planner.claims_milling import Engraves, MillsProgram, SparesPart
 from planner.issues import Issue
 from planner.segments import Segment
@@ -42,8 +43,8 @@ def _group(group: tuple[Claim, ...], issues: list[Issue]) -> Iterator[Claim]:
                 issues.append(Issue(CODE, what, field=claim.name))
         elif isinstance(claim, SparesPart) and known:
             yield dataclasses.replace(claim, segments=tuple(_each(claim.segments, known)))
-        elif isinstance(claim, ConfirmedPower) and known:
-            yield dataclasses.replace(claim, asked=mill_program.asked(claim, programs, known))
+        elif isinstance(claim, OperatorDialogue) and known:
+            yield mill_program.spoken(claim, programs, known)
         else:
             yield claim
 

@@ -29,6 +29,7 @@ from planner.verify import (
     rules_check,
     rules_controller,
     rules_data,
+    rules_dialogue,
     rules_entry,
     rules_file,
     rules_follow,
@@ -96,6 +97,7 @@ TASKS: _RuleTable = (
 )
 STAGES: _RuleTable = (
     ("verify.setup", rules_setup.setup),
+    ("verify.dialogue", rules_dialogue.told_and_asked),
     ("verify.move_count", rules_sync.move_count),
     ("verify.move_ids", rules_sync.move_ids),
     ("verify.zone_kind", rules_sync.zone_kind),
@@ -139,6 +141,7 @@ WIRE: tuple[tuple[str, Callable[[Context, tuple[Wire, ...]], Outcome]], ...] = (
     ("verify.contact", rules_wire.contact),
     ("verify.stop_in_foam", rules_wire.stop_in_foam),
     ("verify.wire_power", rules_power.wire_power),
+    ("verify.dialogue_figures", rules_dialogue.told_figures),
     ("verify.feed", rules_wire.feed),
     ("verify.bow", rules_straight.bow),
     ("verify.rulings", rules_straight.rulings),

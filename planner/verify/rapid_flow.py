@@ -248,8 +248,11 @@ class Runner(Evaluator):
     def _message(self, statement: Instruction, options: dict[str, Expr | None]) -> None:
         name, arguments = statement.name, statement.arguments
         shown = [value for value in (options.get("header"), *arguments) if value is not None]
+        # shown by their numbers, in whatever order they are written
         shown += [
-            value for key, value in options.items() if key.startswith(("msgline", "rl")) and value is not None
+            value
+            for key, value in sorted(options.items())
+            if key.startswith(("msgline", "rl")) and value is not None
         ]
         if name == "TPReadFK":
             self._assign(arguments[0], UNKNOWN)
@@ -267,7 +270,15 @@ class Runner(Evaluator):
         panel: Literal["line", "clear", ""] = (
             "line" if name == "TPWrite" else "clear" if name == "TPErase" else ""
         )
-        self.steps.append(MessageStep(*self._where(statement), name, lines, asks, text, certain, panel))
+        header = lines[0] if options.get("header") is not None else ""
+        others = tuple(
+            (key, "" if value is None else _text(value))
+            for key, value in options.items()
+            if key != "header" and not key.startswith("msgline")
+        )
+        self.steps.append(
+            MessageStep(*self._where(statement), name, lines, asks, text, certain, panel, header, others)
+        )
 
     # ---- branches and loops ----
 

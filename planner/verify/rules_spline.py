@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import claims, claims_milling
+from planner import claims, claims_dialogue, claims_milling
 from planner.claims import Claim
 from planner.claims_milling import SafeWays, SparesPart
 from planner.geometry.rigid import log_rotation
@@ -49,7 +49,7 @@ NOT_SEEN: Final = "not seen on a controller"
 _NOTHING: Final[tuple[str, ...]] = ()
 _TOLERANCES: Final[Mapping[type, tuple[str, ...]]] = {
     claims.ContactOnlyIn: _NOTHING,
-    claims.ConfirmedPower: _NOTHING,
+    claims_dialogue.OperatorDialogue: _NOTHING,
     claims.FollowsPoses: _NOTHING,
     claims.FollowsTable: _NOTHING,
     claims.FeedWindow: _NOTHING,

@@ -149,7 +149,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             points, speed, rows = between(wire.points, speed, rows)
             normal = guide_normals(claim)
             for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):
-                off, half = _off_guide(points, speed, guide, side, claim)
+                off, half = off_guide(points, speed, guide, side, claim)
                 k = int(np.argmax(off))
                 if limit is None or off[k] > worst:
                     worst, limit, where = float(off[k]), mm(claim.tolerance), str(claim.segment)
@@ -211,7 +211,7 @@ def _outside(
     return np.asarray(dots(out, here + normal[past]) >= -1e-12)
 
 
-def _off_guide(
+def off_guide(
     points: FloatArray, speed: FloatArray, guide: FloatArray, normal: FloatArray, claim: FollowsRulings
 ) -> tuple[FloatArray, FloatArray]:
     """How far (T,) [m] the wire's line is off half its kerf from a guide line (M, 3), on the side that

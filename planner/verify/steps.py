@@ -90,8 +90,9 @@ class MessageStep(Step):
     """`confirm`: waits for the operator; `panel`: it shows a "line" on the operator's panel or does "clear"
     it, "" for anything else.
 
-    `text`: what is shown without a box's header; `certain`: goes on only when the operator has pressed OK,
-    the one button, not by a time limit or another button.
+    `text`: what is shown without a box's `header`; `certain`: goes on only when the operator has pressed OK,
+    the one button, not by a time limit or another button. `options`: what else is shown or done, by the
+    option's name, with the name that stands behind it where one does.
     """
 
     kind: str
@@ -100,6 +101,8 @@ class MessageStep(Step):
     text: str = ""
     certain: bool = False
     panel: Literal["line", "clear", ""] = ""
+    header: str = ""
+    options: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 
 from planner.cell.robots import forward
+from planner.claims_dialogue import OperatorDialogue, powered, unpowered
 from planner.geometry.rigid import inverse
 from planner.plans import OperationPlan
 from planner.segments import Segment
@@ -27,6 +28,11 @@ class Operation:
     def leaves(self, stock):
         """The block as the next one finds it."""
         return dataclasses.replace(stock, oversize=np.zeros((2, 3))) if self.trims else stock
+
+
+def dialogue(arms, signal):
+    """What programs of `operation_plan` switch and wait for; they tell nothing."""
+    return OperatorDialogue(arms, powered(signal, 5.0), unpowered(signal, 2.0))
 
 
 def joints(arm, tcp):

@@ -13,6 +13,12 @@ from planner.targets import Action, ScrewFreedom, Targets
 from tests.verify.planner_faults import Fault, always, fields, given, of, result, value
 
 
+def _nearer(figures: Any) -> Any:
+    """Clamps are told to be 2 mm nearer to each other than they are."""
+    chord, angles = figures
+    return chord - 0.002, angles
+
+
 def _scaled(share: float) -> Any:
     return lambda old: share * old
 
@@ -250,6 +256,8 @@ ELASTIC: Final = (
     Fault("elastic_power_late", "elastic", {"hotwire.elastic:_actions": result(_late)}),
     Fault("elastic_signal_other", "elastic", {"hotwire.elastic:_actions": result(_renamed)}),
     Fault("elastic_not_asked", "elastic", {"hotwire.elastic:_actions": result(_without("confirm"))}),
+    Fault("elastic_told_too_long", "elastic", {"hotwire.wire:Wire.cold_length": result(_scaled(1.01))}),
+    Fault("elastic_told_too_near", "elastic", {"hotwire.elastic:mount_figures": result(_nearer)}),
     Fault("elastic_section_lost", "elastic", {"hotwire.elastic_path:cut_places": result(_thin_out)}),
     Fault("elastic_length_longer", "elastic", {"hotwire.elastic_wires:from_states": given(2, _scaled(1.02))}),
 )

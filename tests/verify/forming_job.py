@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.claims_dialogue import OperatorDialogue, asked
 from planner.claims_forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
+from planner.dialogue import Sentence
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.handshake import Handshake
 from planner.plans import Plan
@@ -159,6 +161,8 @@ def claims(more=(), **changes):
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),
     )
+    spoken = OperatorDialogue(ARMS, (asked(Sentence("Sheet clamped, nobody in the cell?")),))
+    made = (*made, spoken)
     return {
         "dish": tuple(dataclasses.replace(c, **changes.get(type(c).__name__, {})) for c in (*made, *more))
     }

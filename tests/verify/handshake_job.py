@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+from planner.claims_dialogue import DialogueStep, OperatorDialogue, asked
+from planner.dialogue import Sentence
 from planner.handshake import Handshake
 from planner.post import write
 from planner.problem import Controller
@@ -37,8 +39,9 @@ def plan(count=8):
 
 
 def claims():
-    """Nothing is claimed but what always has to hold."""
-    return {"panel": ()}
+    """Nothing is claimed but what the operator is asked, and what always has to hold."""
+    first = (asked(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
+    return {"panel": (OperatorDialogue(ARMS, first),)}
 
 
 @functools.cache

@@ -29,7 +29,7 @@ from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, St
 from planner.segments import Segment
 from planner.tooling import bow, gripper_plate
 from tests import line_ends
-from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
+from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
 from tests.verify.straight_job import AIR, FEED, KERF, MARGIN, SIGNAL, SIZE, TOLERANCE
 
 DIGEST = "ef56" * 16
@@ -162,6 +162,7 @@ def claims():
         out[name] = (
             StraightWire("left", np.array([-HALF, 0, 0]), np.array([HALF, 0, 0]), 0.0002, MARGIN),
             ContactOnlyIn(("cut",), SIGNAL, 5.0),
+            dialogue(("left", "right") if k == 0 else ("left",), SIGNAL),
             CutsSurface(segment, np.concatenate([start, end]), strip(u), KERF, TOLERANCE),
             FollowsRulings(segment, start, end, KERF, TOLERANCE),
             KerfWithin(segment, KERF, 0.0008, 0.0016),

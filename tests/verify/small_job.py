@@ -22,6 +22,8 @@ from planner.claims import (
     KerfCurve,
     WireJoins,
 )
+from planner.claims_dialogue import OperatorDialogue, asked, powered, told, unpowered
+from planner.dialogue import Sentence
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write
@@ -127,7 +129,19 @@ def claims():
         for name, low in (("front", False), ("back", True))
     ]
     feeds = [FeedWindow(Segment.read(f"cut/{name}"), 0.003, 0.012) for name in ("front", "back")]
-    return {"panel": (wire, *faces, ContactOnlyIn(("cut",), SIGNAL, 10.0), *feeds)}
+    return {"panel": (wire, *faces, ContactOnlyIn(("cut",), SIGNAL, 10.0), *feeds, dialogue())}
+
+
+def dialogue():
+    """What the operator is told and asked."""
+    first = (
+        told(Sentence("Mount a wire of 495 mm, cold.")),
+        asked(Sentence("Press OK when the wire is mounted.")),
+        *powered(SIGNAL, 10.0),
+        asked(Sentence("Take up the slack at the slide, then press OK.")),
+    )
+    last = (*unpowered(SIGNAL, 5.0), asked(Sentence("Take the wire off, then press OK.")))
+    return OperatorDialogue(("left", "right"), first, last, joined=True)
 
 
 def way(count=24):

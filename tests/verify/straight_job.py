@@ -29,7 +29,7 @@ from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, St
 from planner.segments import Segment
 from planner.tooling import bow
 from tests import line_ends
-from tests.verify.by_hand import Operation, frames, home_of, operation_plan, strip, way_of
+from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of
 
 TOLERANCE = 0.0003
 MARGIN = 0.02
@@ -127,6 +127,7 @@ def claims(margin=MARGIN, kerf=KERF):
         out[name] = (
             StraightWire("left", np.array([-half, 0, 0]), np.array([half, 0, 0]), 0.0002, margin),
             ContactOnlyIn(("cut",), SIGNAL, 5.0),
+            dialogue(("left",), SIGNAL),
             CutsSurface(segment, *face(k), kerf, TOLERANCE),
             FollowsRulings(segment, *guides(k, u), kerf, TOLERANCE),
             KerfWithin(segment, kerf, 0.0008, 0.0016),

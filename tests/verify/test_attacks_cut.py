@@ -12,7 +12,7 @@ import pytest
 from planner.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
 from planner.segments import Segment
 from planner.verify.prove import Prover
-from planner.verify.rules_straight import _off_guide, between, guide_normals
+from planner.verify.rules_straight import between, guide_normals, off_guide
 from planner.verify.walls import walls
 from tests.verify import small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of
@@ -136,7 +136,7 @@ def off(claim, points):
     speed = np.full(points.shape[:2], 0.005)
     points, speed, _ = between(points, speed, np.arange(len(points)))
     normals = guide_normals(claim)
-    return _off_guide(points, speed, claim.start, normals[0], claim)[0]
+    return off_guide(points, speed, claim.start, normals[0], claim)[0]
 
 
 @pytest.mark.parametrize("inner", [False, True])

@@ -17,7 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims import ConfirmedPower, ContactOnlyIn
+from planner.claims import ContactOnlyIn
+from planner.claims_dialogue import OperatorDialogue
 from planner.claims_milling import MillsAlong
 from planner.issues import TandemError
 from planner.milling import (
@@ -35,8 +36,8 @@ from planner.milling.mill_claims import program_file
 from planner.milling.values import ToolPath
 from planner.motion import solve
 from planner.post import write
+from planner.verify import dialogue_text, mill_program, mill_worked
 from planner.verify import gcode_moves as second
-from planner.verify import mill_program, mill_worked
 from planner.verify.gcode_words import UnreadableError, words
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
@@ -199,12 +200,16 @@ def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     job = Job(tmp_path)
     own = job.problem()
     (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
-    (power,) = [claim for claim in group if isinstance(claim, ConfirmedPower)]
-    ready = "Block and cutter clamped, nobody in the cell?"
-    assert power.asked == (
-        ("Go on: spindle at 6000 1/min?", ready),
-        ("Go on: line 13 of the file, spindle at 9000 1/min?",),
-    )
+    (spoken,) = [claim for claim in group if isinstance(claim, OperatorDialogue)]
+    (stop,) = spoken.stops
+    assert [dialogue_text.spoken(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"] == [
+        "Go on: spindle at 6000 1/min?",
+        "Block and cutter clamped, nobody in the cell?",
+    ]
+    assert [s.kind for s in stop.steps] == ["off", "wait", "asked", "on", "wait"]
+    question = "Go on: line 13 of the file, spindle at 9000 1/min?"
+    assert dialogue_text.spoken(stop.steps[2].sentence, stop.steps[2].figures) == question
+    assert (stop.where, str(stop.segment)) == ("before", "mill/prog_2_in")
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [str(way.segment) for way in ways] == [
         f"mill/prog_{k}{way}" for k in (1, 2) for way in ("", "_in", "_out")

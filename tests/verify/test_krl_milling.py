@@ -22,15 +22,15 @@ DONE = BLOCK.format(text="Spindle st")
 
 FAULTS: dict[str, tuple[str, str, str, str]] = {
     "nobody is asked before the arm moves": ("verify.setup", MAIN, BLOCK.format(text="Is the stock"), ""),
-    "nobody is asked before the spindle": ("verify.spindle", MAIN, TOLD, ""),
+    "nobody is asked before the spindle": ("verify.dialogue", MAIN, TOLD, ""),
     "a text to be read that no question follows": ("verify.syntax", MAIN, READY, ""),
-    "something else is asked": ("verify.spindle", MAIN, r'"Block and cutter[^"]*"', '"Coffee?"'),
-    "asked when it runs already": ("verify.spindle", MAIN, rf"({TOLD})(\$OUT\[17\]=TRUE.*\r\n)", r"\2\1"),
-    "another speed is told": ("verify.spindle", MAIN, "12000 1/min", "22000 1/min"),
-    "another cutter is told": ("verify.spindle", MAIN, "mill of 12 mm", "mill of 10 mm"),
-    "nothing is told": ("verify.spindle", MAIN, BLOCK.format(text="1/min"), ""),
-    "hands come near while it runs down": ("verify.spindle", MAIN, rf"WAIT SEC 1\r\n({DONE})", r"\1"),
-    "nobody says that it stands": ("verify.spindle", MAIN, DONE, ""),
+    "something else is asked": ("verify.dialogue", MAIN, r'"Block and cutter[^"]*"', '"Coffee?"'),
+    "asked when it runs already": ("verify.dialogue", MAIN, rf"({TOLD})(\$OUT\[17\]=TRUE.*\r\n)", r"\2\1"),
+    "another speed is told": ("verify.dialogue", MAIN, "12000 1/min", "22000 1/min"),
+    "another cutter is told": ("verify.dialogue", MAIN, "mill of 12 mm", "mill of 10 mm"),
+    "nothing is told": ("verify.dialogue", MAIN, BLOCK.format(text="1/min"), ""),
+    "hands come near while it runs down": ("verify.dialogue", MAIN, rf"WAIT SEC 1\r\n({DONE})", r"\1"),
+    "nobody says that it stands": ("verify.dialogue", MAIN, DONE, ""),
     "a PLC says that the block is clamped": (
         "verify.syntax",
         MAIN,

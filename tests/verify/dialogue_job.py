@@ -1,0 +1,138 @@
+"""Jobs whose operators are told and asked what processes say: the bent wire of ``small_job``, and the bow of
+``straight_job``, which leaves spacers in its first slot. The figures are worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from planner import dialogue
+from planner.claims import ContactOnlyIn
+from planner.claims_dialogue import DialogueStop, OperatorDialogue, asked, powered, told, unpowered
+from planner.post import write
+from planner.segments import Segment
+from planner.targets import Action
+from tests.verify import small_job, straight_job
+from tests.verify.small_job import AWAY, LENGTH, SIGNAL
+
+COLD_MM = 493.2
+SLOT_MM = 1.2
+POWER_W = 78.0
+
+
+def clamps():
+    """Distance of the clamps [mm] and angles of the wire [deg] at the mount: those of a circular arc."""
+    angle = float(small_job.half_angle(AWAY))
+    return LENGTH / angle * np.sin(angle) * 1e3, np.rad2deg(angle), -np.rad2deg(angle)
+
+
+def bent(count=12):
+    """The plan of the bent wire, with all that its operator is told and asked."""
+    whole = small_job.plan(count)
+    (operation,) = whole.operations
+    last = operation.targets.count - 1
+    apart, start, end = clamps()
+    actions = (
+        Action(0, "message", dialogue.MOUNT.say(cold_mm=COLD_MM)),
+        Action(0, "message", dialogue.CLAMPS.say(apart_mm=apart, start_deg=start, end_deg=end)),
+        Action(0, "confirm", dialogue.CLAMPED.say()),
+        Action(0, "on", signal=SIGNAL),
+        Action(0, "wait", seconds=10.0),
+        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=1e3 * LENGTH)),
+        Action(last, "off", signal=SIGNAL),
+        Action(last, "wait", seconds=30.0),
+        Action(last, "confirm", dialogue.TAKEN_OFF.say()),
+    )
+    targets = dataclasses.replace(operation.targets, actions=actions)
+    return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
+
+
+def bent_claims():
+    """What its process claims."""
+    spoken = OperatorDialogue(
+        ("left", "right"),
+        (
+            told(dialogue.MOUNT, cold_mm=COLD_MM),
+            told(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            asked(dialogue.CLAMPED),
+            *powered(SIGNAL, 10.0),
+            asked(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
+        ),
+        (*unpowered(SIGNAL, 30.0), asked(dialogue.TAKEN_OFF)),
+        joined=True,
+    )
+    return {"panel": _with(small_job.claims()["panel"], spoken)}
+
+
+def bow(model="irb140", count=12):
+    """The plan of the bow: told, asked, powered in both operations, spacers behind the first cut."""
+    whole = straight_job.plan(count, model=model)
+    operations = []
+    for number, operation in enumerate(whole.operations):
+        targets = operation.targets
+        ends = [i for i, segment in enumerate(targets.segment) if segment.phase == "out"]
+        last = targets.count - 1
+        wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
+        actions = [
+            Action(0, "message", dialogue.BOW_POWER.say(**wire)),
+            Action(0, "confirm", dialogue.TAUT.say()),
+            Action(0, "on", signal=SIGNAL),
+            Action(0, "wait", seconds=5.0),
+        ]
+        stop = targets.stop.copy()
+        if number == 0:
+            stop[ends[-1]] = True
+            actions += [
+                Action(ends[-1], "off", signal=SIGNAL),
+                Action(ends[-1], "wait", seconds=10.0),
+                Action(ends[-1], "message", dialogue.SPACERS.say(kerf_mm=SLOT_MM)),
+                Action(ends[-1], "confirm", dialogue.SPACED.say()),
+                Action(ends[-1], "on", signal=SIGNAL),
+                Action(ends[-1], "wait", seconds=5.0),
+            ]
+        actions += [
+            Action(last, "off", signal=SIGNAL),
+            Action(last, "wait", seconds=10.0),
+            Action(last, "confirm", dialogue.COLD.say()),
+        ]
+        targets = dataclasses.replace(targets, actions=tuple(actions), stop=stop)
+        operations.append(dataclasses.replace(operation, targets=targets))
+    return dataclasses.replace(whole, operations=tuple(operations))
+
+
+def bow_claims():
+    """What its process claims."""
+    on, off = powered(SIGNAL, 5.0), unpowered(SIGNAL, 10.0)
+    wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
+    out = {}
+    for number, (name, group) in enumerate(straight_job.claims().items()):
+        segment = Segment("cut", straight_job.NAMES[number]).at("out")
+        steps = (*off, told(dialogue.SPACERS, kerf_mm=None), asked(dialogue.SPACED), *on)
+        spoken = OperatorDialogue(
+            ("left",),
+            (told(dialogue.BOW_POWER, **wire), asked(dialogue.TAUT), *on),
+            (*off, asked(dialogue.COLD)),
+            (DialogueStop(segment, "behind", steps),) if number == 0 else (),
+        )
+        out[name] = _with(group, spoken)
+    return out
+
+
+def _with(group, spoken):
+    """Claims with another dialogue."""
+    assert any(isinstance(claim, ContactOnlyIn) for claim in group)
+    return (*(claim for claim in group if not isinstance(claim, OperatorDialogue)), spoken)
+
+
+@functools.cache
+def bent_programs():
+    """The texts of the bent wire as the planner writes them."""
+    return write.programs(bent(), small_job.problem())
+
+
+@functools.cache
+def bow_programs(model="irb140"):
+    """The texts of the bow as the planner writes them."""
+    return write.programs(bow(model), straight_job.problem(model))
