@@ -36,6 +36,10 @@ MODULE TandemCheck_1
     TPWrite "The arms may be joined: move neither alone.";
     Stop\AllMoveTasks;
     EXIT;
+  UNDO
+    ! the program pointer was moved away
+    SetDO doWirePower,0;
+    SyncMoveUndo;
   ENDPROC
 
   ! a turn is small here: twice the distance of the quaternions, in degrees
