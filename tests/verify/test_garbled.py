@@ -86,6 +86,8 @@ def test_a_few_hundred_garbled_texts_are_read():
         read(which, [1, seed])
     for which, seed in itertools.product(("straight", "krl"), range(15)):
         read(which, [2, seed])
+    for seed in (11972, 26481):  # an empty file
+        read("short", [3, seed])
 
 
 @pytest.mark.long
