@@ -110,7 +110,7 @@ class Reader:
 
     def fault(self, line: int, kind: str, message: str) -> None:
         """Note a fault of the line."""
-        self.faults.append(Fault(line, 1, f"krl.{kind}", message, self.file))
+        self.faults.append(Fault(max(line, 1), 1, f"krl.{kind}", message, self.file))
 
     # ---- .src ----
 

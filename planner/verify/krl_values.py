@@ -109,6 +109,8 @@ def _read(kind: str, text: str) -> dict[str, Any]:
         name, at = found["name"].upper(), found.end()
         if name in out:
             raise KrlValueError("type", f"{name} stands twice in {text:.40}")
+        if (found["open"] is not None) != (kind == "load" and name in ("CM", "J")):
+            raise KrlValueError("type", f"{name} of a {kind.upper()} is not written so; got {text:.40}")
         if found["open"]:
             end = inside.find("}", at)
             if end < 0:

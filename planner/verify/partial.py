@@ -54,8 +54,8 @@ class Share:
     def __str__(self) -> str:
         way = f"{self.way_proven:.3f} of {self.way:.3f} m of way"
         time = f"{self.time_proven:.1f} of {self.time:.1f} s"
-        part = 100.0 * self.moves_proven / self.moves if self.moves else 0.0
-        return f"{self.moves_proven} of {self.moves} moves ({part:.0f} %), {way} and {time}"
+        part = 100 * self.moves_proven // max(self.moves, 1)  # 100 only where all are
+        return f"{self.moves_proven} of {self.moves} moves ({part} %), {way} and {time}"
 
 
 @dataclasses.dataclass(frozen=True)

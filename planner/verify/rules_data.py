@@ -13,6 +13,7 @@ from planner.verify import rules_krl
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_step
 from planner.verify.rapid_ast import Module
+from planner.verify.rapid_values import UNUSED_AXIS
 from planner.verify.rules_leaving import powers
 from planner.verify.rules_sync import straight_way
 from planner.verify.steps import (
@@ -78,7 +79,8 @@ def move_kinds(context: Context) -> Outcome:
             for switch in step.switches:
                 if switch in _REFUSED:
                     issues += [at_step("verify.move_kinds", _REFUSED[switch], task, step)]
-            if isinstance(step.target, RobTarget | JointTarget) and (step.target.external < 8.9e9).any():
+            used = np.abs(step.target.external - UNUSED_AXIS) > 1e3  # in single precision 9E9 is off by 512
+            if isinstance(step.target, RobTarget | JointTarget) and used.any():
                 issues.append(at_step("verify.move_kinds", "the target moves an external axis", task, step))
             if step.kind == "MoveL" and (state != wanted or not stated):
                 message = (

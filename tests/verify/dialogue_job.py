@@ -133,6 +133,13 @@ def bent_programs():
 
 
 @functools.cache
-def bow_programs(model="irb140"):
+def bow_problem(model="irb140", dialect="krc4"):
+    """The problem of the bow, for a KUKA controller of a dialect."""
+    made = straight_job.problem(model)
+    controller = dataclasses.replace(made.cell.controller, dialect=dialect)
+    return dataclasses.replace(made, cell=dataclasses.replace(made.cell, controller=controller))
+
+
+def bow_programs(model="irb140", dialect="krc4"):
     """The texts of the bow as the planner writes them."""
-    return write.programs(bow(model), straight_job.problem(model))
+    return write.programs(bow(model), bow_problem(model, dialect))

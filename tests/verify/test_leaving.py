@@ -17,9 +17,10 @@ from planner.targets import Action
 from planner.verify import rules_leaving, rules_waits
 from planner.verify.context import Context
 from planner.verify.prove import Prover
+from tests import line_ends
 from tests.verify import handshake_job, krl_job, small_job, straight_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
-from tests.verify.mutants import edit, lines, name, put
+from tests.verify.mutants import edit, lines, put
 
 SAMPLE = 1
 FULL = 12
@@ -108,36 +109,13 @@ def slower_first_move(texts):
     return everywhere(texts, "j_home\\NoEOffs,v_entry", "j_home\\NoEOffs,v_entry\\V:=80")
 
 
-def heats_in_two_parts(texts):
-    return everywhere(texts, "    WaitTime 10;", "    WaitTime 4;\n    WaitTime 6.2;")
-
-
 def resets(texts):
-    return everywhere(texts, f"SetDO {small_job.SIGNAL},0;", f"Reset {small_job.SIGNAL};")
-
-
-def undo_says_so(texts):
-    return everywhere(texts, "    SyncMoveUndo;", '    SyncMoveUndo;\n    TPWrite "Left by the side.";')
+    modules = {file: text for file, text in texts.items() if file.endswith(".mod")}
+    return {**texts, **everywhere(modules, f"SetDO {small_job.SIGNAL},0;", f"Reset {small_job.SIGNAL};")}
 
 
 def other_stop(texts):
     return everywhere(texts, "StopMove\\Quick;", "StopMove;")
-
-
-def waits_without_power(texts):
-    """The other task is late where nothing is hot, and nothing moves."""
-    row = "    WaitSyncTask meet_1,"
-    return edit(texts, name("Main", 2), row, f"    WaitTime 90;\n{row}")
-
-
-def waits_while_cold(texts):
-    return everywhere(texts, "    WaitTime 5;", "    WaitTime 300;")
-
-
-def looks_on(texts):
-    """A word to the operator, as a lamp says."""
-    row = "    approach;"
-    return edit(texts, name("Main", 1), row, f'    IF TestDI(diLamp) TPWrite "Lit.";\n{row}')
 
 
 def other_zones(texts):
@@ -151,13 +129,8 @@ def other_zones(texts):
 SAME = (
     slow_entry,
     slower_first_move,
-    heats_in_two_parts,
     resets,
-    undo_says_so,
     other_stop,
-    waits_without_power,
-    waits_while_cold,
-    looks_on,
     other_zones,
 )
 
@@ -187,16 +160,23 @@ def test_krl_may_be_slower():
 
 def test_two_controllers_may_wait_longer_than_they_have_to():
     texts = handshake_job.programs(*SHAKEN_FORM, 2)
-    longer = {file: text.replace("MaxTime:=30;", "MaxTime:=120;") for file, text in texts.items()}
+    # but for a look whether the other one stands, which it does when it is started
+    waits = re.compile(r"(WaitDI (?!\w+Running,0)\w+,[01]\\MaxTime:=)30;")
+    longer = {file: waits.sub(r"\g<1>120;", text) for file, text in texts.items()}
     assert longer != texts
     assert not broken("shaken", longer, "verify.undo")
 
 
 def test_a_time_that_the_problem_does_not_state_is_not_allowed():
     """What may be hot for ten seconds may not be so for as long where the problem says two."""
-    (wire, *faces, contact, front, back) = small_job.claims()["panel"]
-    assert isinstance(contact, ContactOnlyIn)
-    short = {"panel": (wire, *faces, dataclasses.replace(contact, heat_up=2.0), front, back)}
+    own = small_job.claims()["panel"]
+    assert sum(isinstance(claim, ContactOnlyIn) for claim in own) == 1
+    short = {
+        "panel": tuple(
+            dataclasses.replace(claim, heat_up=2.0) if isinstance(claim, ContactOnlyIn) else claim
+            for claim in own
+        )
+    }
     proof = Prover(small_job.problem(), short).prove(small_job.programs(12), last="verify.power_idle")
     (issue,) = [issue for issue in proof.issues if issue.code == "verify.power_idle"]
     assert (issue.value, issue.limit, issue.unit) == (10.0, pytest.approx(2.7), "s")
@@ -223,7 +203,7 @@ def powered():
         rules = (rules_waits.meeting_time, rules_waits.power_idle, rules_leaving.undo)
         return [issue.message for rule in rules for issue in rule(context).issues]
 
-    return found, write.programs(plan, problem)
+    return found, line_ends.bare(write.programs(plan, problem))
 
 
 def test_a_controller_of_its_own_switches_its_power_off_by_the_side():

@@ -227,3 +227,10 @@ def test_files_are_read_in_their_own_coding(tmp_path, coding):
     (tmp_path / "programs").mkdir()
     (tmp_path / "programs" / "T_ROB1.mod").write_bytes(text.encode(coding))
     assert pipeline.read_programs(tmp_path)["T_ROB1.mod"].removeprefix(program_text.MARK) == text
+
+
+@pytest.mark.parametrize("number", ["999E9", "9E8", "0", "9.1E9"])
+def test_axes_that_are_not_there_are_9e9(number):
+    """Any other number is a place of an axis, however large."""
+    texts = rewritten(r"\[9E9,9E9(?=[^;]*T:=)", f"[9E9,{number}")
+    assert not prover().prove(texts, last="verify.move_kinds").rule("verify.move_kinds").passed

@@ -166,9 +166,11 @@ def test_sizes_are_limited() -> None:
     assert module is None and [fault.code for fault in wrong] == ["rapid.file_size"]
 
 
-def test_text_that_is_not_text() -> None:
+def test_bytes_are_utf8_or_iso_8859_1() -> None:
     module, wrong = read_module(b"MODULE a\xff\xfe\nENDMODULE")
-    assert module is None and wrong[0].code == "rapid.encoding"
+    assert module is not None and [fault.code for fault in wrong] == ["rapid.syntax"]
+    assert read_module(b"\xef\xbb\xbfMODULE a ! \xff\nENDMODULE")[1] != ()  # a mark and no UTF-8
+    assert read_module(b"MODULE a ! \xe4\nENDMODULE")[1] == ()
     assert read_module(FULL.encode())[1] == ()
 
 
