@@ -135,8 +135,12 @@ def read_programs(folder: str | Path, bare: bool = False) -> dict[str, str]:
 def _text(path: Path) -> str:
     try:
         if path.stat().st_size <= MAX_PROGRAM_BYTES:
-            return program_text.decode(path.read_bytes(), path.name)
-        what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
+            text = program_text.decode(path.read_bytes(), path.name)
+            if "\0" not in text:
+                return text
+            what = "is no text (it holds the byte 0)"
+        else:
+            what = f"is over {MAX_PROGRAM_BYTES // 1_000_000} MB, which no module of a controller is"
     except OSError as error:
         what = f"cannot be read ({error})"
     except UnicodeDecodeError as error:

@@ -154,13 +154,13 @@ class Targets:
     stop: NDArray[np.bool_]
     segment: tuple[Segment, ...]
     coupled: bool = False
-    apart: float = 0.0
-    run_up: float | None = None
     edge: Edge | None = None
     actions: tuple[Action, ...] = ()
     claims: tuple[Claim, ...] = ()
     exhibits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     issues: tuple[Issue, ...] = ()
+    apart: float = 0.0
+    run_up: float | None = None
 
     @property
     def count(self) -> int:

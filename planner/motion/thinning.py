@@ -18,6 +18,7 @@ from planner.geometry.rigid import interpolate, log_rotation
 from planner.geometry.vectors import lengths
 from planner.issues import Issue, Severity
 from planner.motion.subset import subset
+from planner.motion.timing import SHORTEST
 from planner.targets import Targets
 from planner.units import MM
 
@@ -76,8 +77,8 @@ def joined(targets: Targets, values: FloatArray, time: FloatArray, kept: IntArra
 
 
 def picked(targets: Targets, kept: IntArray) -> Targets:
-    """The targets with the rows ``kept`` (K,) alone; feeds and ways of joined moves are those of their parts
-    together."""
+    """The targets with the rows ``kept`` (K,) alone. Ways of joined moves are those of their parts together;
+    they are no faster than any part may be."""
     place = np.zeros(targets.count, dtype=np.intp)
     place[kept] = np.arange(len(kept))
     starts = np.append(0, kept[:-1] + 1)
@@ -92,9 +93,11 @@ def picked(targets: Targets, kept: IntArray) -> Targets:
     alone = np.diff(kept, prepend=-1) == 1
     slow = np.minimum.reduceat(targets.feed, starts)  # of moves from and to rest, which are faster in between
     rest = targets.stop[kept] | np.append(True, targets.stop[kept][:-1])
+    free = _times(targets.travel, targets.feed) <= 1.01 * SHORTEST  # their feeds say how short a move may be
+    slowest_feed = np.minimum.reduceat(np.where(free, np.inf, targets.feed), starts)
     with np.errstate(divide="ignore", invalid="ignore"):
         feed = np.where(alone | (fastest <= 0.0), targets.feed[kept], travel / fastest)
-    feed = np.where(rest & ~alone, slow, feed)
+    feed = np.where(alone, feed, np.where(rest, slow, np.minimum(feed, slowest_feed)))
     with np.errstate(divide="ignore", invalid="ignore"):
         least = np.where(alone, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
     return dataclasses.replace(

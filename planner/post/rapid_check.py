@@ -66,7 +66,7 @@ def helpers(together: bool) -> list[str]:
     along = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in range(1, 5))
     return [
         "! a turn is small here: twice the distance of the quaternions, in degrees",
-        "LOCAL PROC check_pose(string what,pose got,pose wanted)",
+        "PROC check_pose(string what,pose got,pose wanted)",
         "  VAR num off_sign:=1;",
         "  VAR num off_turn;",
         f"  IF {along}<0 THEN",
@@ -82,7 +82,7 @@ def helpers(together: bool) -> list[str]:
         "  ENDIF",
         "ENDPROC",
         "",
-        "LOCAL PROC check_true(string what,bool same)",
+        "PROC check_true(string what,bool same)",
         "  IF NOT same THEN",
         "    TPWrite what;",
         f"    TPWrite {quoted(said.NOT_AS_PLANNED)};",
@@ -91,7 +91,7 @@ def helpers(together: bool) -> list[str]:
         "ENDPROC",
         "",
         "! a start does not lead out of here",
-        "LOCAL PROC check_stop()",
+        "PROC check_stop()",
         *(f"  TPWrite {quoted(line)};" for line in said.NOTHING_MOVES),
         "  WHILE TRUE DO",
         "    Stop\\AllMoveTasks;" if together else "    Stop;",

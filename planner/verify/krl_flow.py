@@ -166,9 +166,9 @@ class Runner:
 
     def _say(self, statement: Statement) -> None:
         """A step for what a statement shows."""
+        said = self.panel.take(statement, self.depth)
         if self.on and self.panel.halts(statement):
             self._fail(statement.line, f"the program may halt while $OUT[{min(self.on)}] is on")
-        said = self.panel.take(statement, self.depth)
         if said is not None:
             where = (self.program.file.rpartition("/")[2], self.procedure, statement.line, "")
             lines = (said.text,)

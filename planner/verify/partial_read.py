@@ -75,7 +75,7 @@ class Read:
 def read(problem: Problem, programs: Mapping[str, str]) -> tuple[tuple[Read, ...], tuple[str, ...]]:
     """What each arm's programs say, and files that belong to no arm. Where one arm alone has programs, all
     files of its language are its own."""
-    texts = {path: settled(path, text)[0] for path, text in programs.items()}
+    texts = {path: settled(path, text)[0] for path, text in programs.items() if not job.beside(path)}
     files, strays = job.task_files(problem, texts)
     names = job.task_names(problem)
     arms = dict(zip(names, problem.cell.arms, strict=False))

@@ -36,7 +36,7 @@ __all__ = [
 CHECK = re.compile(r"(?i)TandemCheck_\w+\.(modx?)$")
 """Names of the modules that compare the cell with the plan, which a rule of their own reads."""
 _COMPARES = re.compile(
-    r"(?is)(?<=PROC check_cell\(\)).*?(?=^\s*ERROR\b)|^\s*LOCAL PROC\b.*(?=^\s*ENDMODULE)", re.M
+    r"(?is)(?<=PROC check_cell\(\)).*?(?=^\s*ERROR\b)|^\s*PROC check_pose\b.*(?=^\s*ENDMODULE)", re.M
 )
 
 

@@ -175,7 +175,7 @@ def _helpers(together: bool) -> str:
     stop = "Stop\\AllMoveTasks" if together else "Stop"
     said_last = "".join(f'TPWrite "{line}";' for line in said.NOTHING_MOVES)
     return f"""
-    LOCAL PROC check_pose(string what, pose got, pose wanted)
+    PROC check_pose(string what, pose got, pose wanted)
       VAR num off_sign:=1; VAR num off_turn;
       IF {dot}<0 THEN off_sign:=-1; ENDIF
       off_turn:=114.591559*Sqrt({squares});
@@ -184,10 +184,10 @@ def _helpers(together: bool) -> str:
         TPWrite "{said.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
       ENDIF
     ENDPROC
-    LOCAL PROC check_true(string what, bool same)
+    PROC check_true(string what, bool same)
       IF NOT same THEN TPWrite what; TPWrite "{said.NOT_AS_PLANNED}"; check_stop; ENDIF
     ENDPROC
-    LOCAL PROC check_stop()
+    PROC check_stop()
       {said_last} WHILE TRUE DO {stop}; ENDWHILE
     ENDPROC
     """

@@ -14,6 +14,7 @@ from scipy.spatial import Delaunay
 
 from planner import pipeline, processes
 from planner.claims import Claim
+from planner.claims_dialogue import OperatorDialogue
 from planner.claims_forming import (
     FollowsOpposite,
     FormingFeed,
@@ -135,6 +136,7 @@ def test_targets_of_every_mode(tmp_path: Path, mode: str) -> None:
     assert targets.stop[[0, -1]].all()
     assert {type(claim) for claim in targets.claims} == {
         FormsPart,
+        OperatorDialogue,
         FormsInOrder,
         SheetState,
         FormingFeed,

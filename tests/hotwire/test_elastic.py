@@ -11,6 +11,7 @@ from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
 from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.claims_dialogue import OperatorDialogue
 from planner.geometry.rigid import interpolate, inverse
 from planner.hotwire import elastic
 from planner.hotwire.elastic_wires import Wires, driven
@@ -187,6 +188,7 @@ def test_claims_come_from_the_problem_alone(arch: Targets) -> None:
     assert [type(c) for c in claims] == [
         WireJoins,
         ContactOnlyIn,
+        OperatorDialogue,
         CutsSurface,
         FeedWindow,
         CutsSurface,

@@ -16,6 +16,7 @@ from planner.claims import (
     KerfWithin,
     StraightWire,
 )
+from planner.claims_dialogue import OperatorDialogue
 from planner.geometry.rigid import exp_twist, from_rpy, interpolate, inverse, transform
 from planner.hotwire import straight
 from planner.hotwire.straight_lines import distance_to_polyline
@@ -307,6 +308,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     kinds = [
         StraightWire,
         ContactOnlyIn,
+        OperatorDialogue,
         CutsSurface,
         FollowsRulings,
         KerfWithin,
@@ -314,7 +316,7 @@ def test_claims_come_from_the_problem_alone() -> None:
         HoldsStock,
     ]
     assert [type(c) for c in claims] == kinds
-    wire, contact, surface, rulings, kerf, *feeds, holds = claims
+    wire, contact, _, surface, rulings, kerf, *feeds, holds = claims
     np.testing.assert_allclose(wire.end - wire.start, [SPAN, 0.0, 0.0])
     assert contact.kinds == ("cut",)
     corners = surface.vertices[surface.faces]

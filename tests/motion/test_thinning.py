@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_dense_targets_are_joined_and_none_is_farther_off_than_a_corner_may_be()
     assert off < corners.DEVIATION
 
 
-def test_feeds_and_ways_of_joined_moves_are_those_of_their_parts_together():
+def test_joined_moves_are_as_long_as_their_parts_and_no_faster_than_any_of_them():
     rng = np.random.default_rng(5)
     feed = rng.uniform(0.05, 0.2, 400)
     _, targets = s_targets(400, feed=feed, feed_min=feed / 3.0)
@@ -57,11 +58,11 @@ def test_feeds_and_ways_of_joined_moves_are_those_of_their_parts_together():
     fewer = thinning.picked(targets, kept)
     assert 2 < fewer.count < 400
     assert fewer.travel.sum() == pytest.approx(targets.travel.sum(), rel=1e-12)
+    for row, (first, last) in enumerate(itertools.pairwise(kept.tolist()), 1):
+        assert fewer.feed[row] == pytest.approx(feed[first + 1 : last + 1].min(), rel=1e-12)
     rest = np.append(True, targets.stop[kept][:-1]) | targets.stop[kept]
     took = np.diff(time[kept], prepend=0.0)
-    np.testing.assert_allclose((fewer.travel / fewer.feed)[~rest], took[~rest], rtol=1e-9)
     np.testing.assert_allclose((fewer.travel / fewer.feed_min)[~rest], 3.0 * took[~rest], rtol=1e-9)
-    assert (fewer.feed[rest] <= FEED * 2.0).all()
 
 
 def test_stops_actions_and_ends_of_segments_stay():

@@ -416,7 +416,7 @@ NO_WAY = {
     ),
     "the interrupt once more": ("main", "WAIT SEC 2.5", "INTERRUPT ON 3", "elsewhere"),
     "a question among moves": ("moves", "WAIT SEC 0.25", dialog("Sure?"), "elsewhere"),
-    "a look among moves": ("moves", "WAIT SEC 0.25", FOOT, "may halt while"),
+    "a look among moves": ("moves", "WAIT SEC 0.25", FOOT, "elsewhere"),
     "a state that is not cleared": ("main", "WAIT SEC 2.5", STATE, "which is not so"),
     "a state of nothing": ("main", "WAIT SEC 2.5", STATE + CLEARED, "none of waiting"),
     "a state that is taken back twice": ("main", "WAIT SEC 2.5", CLEARED, "not shown"),

@@ -69,8 +69,8 @@ HARMLESS = {
     "lines of Windows": lambda: {f: t.replace("\n", "\r\n") for f, t in programs().items()},
     "lines of an old Mac": lambda: {f: t.replace("\n", "\r") for f, t in programs().items()},
     "a byte order mark": lambda: (
-        {f: program_text.MARK + t for f, t in programs().items() if "pgf" not in f}
-        | {f: t for f, t in programs().items() if "pgf" in f}
+        {f: program_text.MARK + t for f, t in programs().items() if f.endswith(".mod")}
+        | {f: t for f, t in programs().items() if not f.endswith(".mod")}
     ),
     "letters in comments": lambda: rewritten(r"(?m)^( *!.*)$", "\\1 gr\xf6\xdfer \u2192 \u041f\u0443 \x93"),
     "Latin letters": lambda: {

@@ -43,7 +43,7 @@ MODULE TandemCheck_1
   ENDPROC
 
   ! a turn is small here: twice the distance of the quaternions, in degrees
-  LOCAL PROC check_pose(string what,pose got,pose wanted)
+  PROC check_pose(string what,pose got,pose wanted)
     VAR num off_sign:=1;
     VAR num off_turn;
     IF got.rot.q1*wanted.rot.q1+got.rot.q2*wanted.rot.q2+got.rot.q3*wanted.rot.q3+got.rot.q4*wanted.rot.q4<0 THEN
@@ -59,7 +59,7 @@ MODULE TandemCheck_1
     ENDIF
   ENDPROC
 
-  LOCAL PROC check_true(string what,bool same)
+  PROC check_true(string what,bool same)
     IF NOT same THEN
       TPWrite what;
       TPWrite "is not as it was planned.";
@@ -68,7 +68,7 @@ MODULE TandemCheck_1
   ENDPROC
 
   ! a start does not lead out of here
-  LOCAL PROC check_stop()
+  PROC check_stop()
     TPWrite "Nothing moves. Put it right,";
     TPWrite "then PP to main in all tasks.";
     WHILE TRUE DO
