@@ -98,6 +98,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`cell.controller`", "", controller_file.ControllerFile),
     ("`cell.controller.interlock`", "", controller_file.InterlockFile),
     ("`outputs` of `interlock`, by request", "", controller_file.PowerOutputFile),
+    ("`places` of `interlock`, by arm and signal", "", controller_file.DevicePlaceFile),
     ("`cell.controller.handshake`", "", controller_file.HandshakeFile),
     ("`signals` of `handshake`, by arm", "", controller_file.SignalsFile),
     ("`wires` of `handshake`, each", "", controller_file.SignalWireFile),

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from planner.handshake import Handshake, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
-from planner.problem import Controller, Interlock, PowerOutput
+from planner.problem import Controller, DevicePlace, Interlock, PowerOutput
 from planner.schema import Name, Strict
 
 SignalNumber = Annotated[int, Field(ge=1, le=4096)]
@@ -89,6 +89,13 @@ class PowerOutputFile(Strict):
     device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
 
 
+class DevicePlaceFile(Strict):
+    """Where an end of a running wire is at an ABB controller."""
+
+    device: Annotated[Name, Field(description="I/O device")]
+    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+
+
 class InterlockFile(Strict):
     """What the power hangs on besides the program."""
 
@@ -100,6 +107,13 @@ class InterlockFile(Strict):
     motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
         "soMotorsOn"
     )
+    places: Annotated[
+        dict[Name, dict[Name, DevicePlaceFile]],
+        Field(
+            default_factory=dict,
+            description="of `running` and `partner_running` at ABB controllers, by arm and signal",
+        ),
+    ]
 
 
 class ControllerFile(Strict):
@@ -213,7 +227,11 @@ def _interlock(spec: InterlockFile) -> Interlock:
         request: PowerOutput(item.signal or f"{request}Out", item.device or "", item.device_map)
         for request, item in spec.outputs.items()
     }
-    return Interlock(outputs, spec.cycle_signal, spec.motors_signal)
+    places = {
+        arm: {signal: DevicePlace(item.device, item.device_map) for signal, item in items.items()}
+        for arm, items in spec.places.items()
+    }
+    return Interlock(outputs, spec.cycle_signal, spec.motors_signal, places)
 
 
 def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:

@@ -3,7 +3,7 @@ fit, options that are there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from planner.catalogue import robot
@@ -22,7 +22,7 @@ def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
     """Signals that two uses share, names that are too long (both ``problem.field``), and options that are
     missing (``post.option``), each with its field in the problem file."""
     used = [(f"operations.{index}", operation) for index, operation in enumerate(operations)]
-    return [*_signals(cell, used), *_options(cell.controller, cell, operations)]
+    return [*_signals(cell, used), *_places(cell), *_options(cell.controller, cell, operations)]
 
 
 def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
@@ -66,6 +66,58 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             hint = "give each output a bit of its own (device_map)"
             issues.append(Issue("problem.field", got, field=f"{place}.outputs.{request}", hint=hint))
         wired[key] = output.signal
+    if controller.sync == "handshake":
+        issues += _running(cell, operations, uses)
+    return issues
+
+
+def _running(cell: Cell, operations: Sequence[tuple[str, Operation]], uses: Mapping[str, str]) -> list[Issue]:
+    """Ends of the running wires have names of their own at their controller, and ABB's bits of their own."""
+    lock, order = cell.controller.interlock, [arm.name for arm in cell.arms]
+    issues = []
+    for arm in cell.arms:
+        own = cell.controller.handshake.of(arm.name)
+        field = f"cell.controller.handshake.signals.{arm.name}"
+        for name in (own.running, own.partner_running, own.lost):
+            if name.lower() in uses:
+                got = f"{name} is to be {uses[name.lower()]} and an end of a running wire"
+                got += "; a signal has one use"
+                issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
+        taken: dict[tuple[str, int], str] = {}
+        for _, operation in operations:
+            signal = getattr(operation, "signal", None)
+            if isinstance(signal, str) and min(operation.arms, key=order.index) == arm.name:
+                output = lock.of(signal)
+                taken |= {(output.device.lower(), output.bit): output.signal} if output.device else {}
+        place = lock.place(arm.name, own.running)
+        if place is not None and (place.device.lower(), place.bit) in taken:
+            other = taken[place.device.lower(), place.bit]
+            got = f"{other} and {own.running} are both bit {place.bit} of {place.device}"
+            hint = "give each output a bit of its own (device_map)"
+            field = f"cell.controller.interlock.places.{arm.name}"
+            issues.append(Issue("problem.field", got, field=field, hint=hint))
+    return issues
+
+
+def _places(cell: Cell) -> list[Issue]:
+    """Places are stated of the running wires' ends at ABB controllers that have them."""
+    controller, issues = cell.controller, []
+    ends = {
+        arm.name: [own.running, own.partner_running]
+        for arm in cell.arms
+        for own in [controller.handshake.of(arm.name)]
+        if controller.sync == "handshake" and robot(arm.robot).family == "ABB"
+    }
+    for arm, places in controller.interlock.places.items():
+        known = [name.lower() for name in ends.get(arm, ())]
+        for signal in places:
+            if signal.lower() not in known:
+                got = f"arm {arm} has no end {signal} of a running wire at an ABB controller"
+                may = "; ".join(f"{name}: {', '.join(names)}" for name, names in ends.items()) or "none"
+                field = f"cell.controller.interlock.places.{arm}"
+                issues.append(
+                    Issue("problem.field", f"{got}; allowed: {may}", field=field, hint="take it out")
+                )
     return issues
 
 

@@ -25,6 +25,11 @@ class PartnerSignals:
     partner_running: str = "diPartnerRunning"
     move_enable: str = "doMoveEnable"
 
+    @property
+    def lost(self) -> str:
+        """Of an ABB controller, what ``partner_running`` is not: its rise stops the program."""
+        return f"{self.partner_running}_lost"
+
 
 @dataclasses.dataclass(frozen=True)
 class SignalWire:

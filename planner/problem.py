@@ -77,18 +77,34 @@ class PowerOutput:
 
 
 @dataclasses.dataclass(frozen=True)
+class DevicePlace:
+    """Where a signal of an ABB controller is wired: bit ``bit`` of ``device``."""
+
+    device: str
+    bit: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
 class Interlock:
     """What power hangs on besides the program: ``outputs`` by the signal that the program sets, which is a
-    request, and the system outputs of an ABB controller that say that a program runs and motors are on."""
+    request, and the system outputs of an ABB controller that say that a program runs and motors are on.
+    ``places`` {arm: {signal: place}} of the running wires' ends at ABB controllers."""
 
     outputs: Mapping[str, PowerOutput] = dataclasses.field(default_factory=dict)
     cycle: str = "soCycleOn"
     motors: str = "soMotorsOn"
+    places: Mapping[str, Mapping[str, DevicePlace]] = dataclasses.field(default_factory=dict)
 
     def of(self, request: str) -> PowerOutput:
         """The output that a request drives; unless stated, one with the request's name and ``Out``."""
         found = {name.lower(): output for name, output in self.outputs.items()}
         return found.get(request.lower(), PowerOutput(f"{request}Out"))
+
+    def place(self, arm: str, signal: str) -> DevicePlace | None:
+        """Where an end of a running wire is wired at the controller of an arm; None if the cell states it
+        not."""
+        found = {name.lower(): place for name, place in self.places.get(arm, {}).items()}
+        return found.get(signal.lower())
 
 
 @dataclasses.dataclass(frozen=True)

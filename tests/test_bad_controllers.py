@@ -21,6 +21,9 @@ FIELD = "cell.controller"
 LOCK = FIELD + ".interlock"
 OUT = LOCK + ".outputs"
 SIGNAL = "operations.0.signal"
+SIGNALS = FIELD + ".handshake.signals."
+PLACES = LOCK + ".places."
+PLACE = {"device": "D1", "device_map": 3}
 
 WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, {"robotware": 5}, "problem.field", FIELD + ".robotware"),
@@ -68,6 +71,23 @@ WRONG: list[tuple[str, Any, str, str]] = [
     (SIGNAL, "x" * 33, "problem.field", SIGNAL),
     (FIELD, HANDSHAKE | {"wire_signal": "doX", "handshake": {"signals": {"left": {"output": "doWirePower"}}}},
      "problem.field", SIGNAL),
+    (FIELD, HANDSHAKE | {"interlock": {"cycle_signal": "doRunning"}}, "problem.field", SIGNALS + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"motors_signal": "diPartnerRunning_lost"}},
+     "problem.field", SIGNALS + "right"),
+    (FIELD, HANDSHAKE | {"handshake": {"signals": {"right": {"partner_running": "doWirePowerOut"}}}},
+     "problem.field", SIGNALS + "right"),
+    (FIELD, {"interlock": {"places": {"left": {"doRunning": PLACE}}}}, "problem.field", PLACES + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"middle": {"doRunning": PLACE}}}},
+     "problem.field", PLACES + "middle"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doPartner": PLACE}}}},
+     "problem.field", PLACES + "left"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doRunning": {"device": "D", "device_map": -1}}}}},
+     "problem.field", PLACES + "left.doRunning.device_map"),
+    (FIELD, HANDSHAKE | {"interlock": {"places": {"left": {"doRunning": {"device_map": 1}}}}},
+     "problem.field", PLACES + "left.doRunning.device"),
+    (FIELD, HANDSHAKE | {"interlock": {"outputs": {"doWirePower": {"device": "d1", "device_map": 3}},
+                                       "places": {"left": {"doRunning": PLACE}}}},
+     "problem.field", PLACES + "left"),
 ]  # fmt: skip
 
 
@@ -93,6 +113,22 @@ def test_what_controllers_cannot_do_is_refused_by_field_and_line(
         {"robotware": 7, "options": ["3102-1 MultiMove Coordinated"]},
         {"interlock": {"outputs": {"doWirePower": {"signal": "doX", "device": "D1", "device_map": 4095}}}},
         {"robots": ["rob1", "rob2"]},
+        HANDSHAKE
+        | {
+            "interlock": {
+                "outputs": {"doWirePower": {"device": "D1", "device_map": 4}},
+                "places": {"left": {"DORUNNING": PLACE, "diPartnerRunning": PLACE}},
+            }
+        },
+        HANDSHAKE
+        | {
+            "handshake": {
+                "signals": {
+                    "left": {"running": "wireA", "partner_running": "wireB"},
+                    "right": {"running": "wireB", "partner_running": "wireA"},
+                }
+            }
+        },
     ],
 )
 def test_what_controllers_can_do_is_taken(tmp_path: Path, value: Any) -> None:

@@ -9,28 +9,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from planner.handshake import SignalWire
+from planner.post import running
 from planner.problem import Controller
 
 FLAG: Final = "TANDEM_CUT"
-_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
 
 
-def files(controller: Controller, arm: str, signals: Sequence[str]) -> dict[str, str]:
-    """The files, by name, for the controller of ``arm`` whose program switches ``signals``."""
+def files(
+    controller: Controller, arm: str, signals: Sequence[str], wires: Sequence[SignalWire] = ()
+) -> dict[str, str]:
+    """The files, by name, for the controller of ``arm`` whose program switches ``signals``; ``wires``: the
+    running wires between it and another controller."""
+    runs = running.KRL_RUNS + (f" AND {running.krl_term(controller, arm)}" if wires else "")
     numbers = [(signal, controller.number(arm, signal)) for signal in signals]
     taken = [line for _, number in numbers for line in _taken(number)]
-    submit = [f"IF NOT ({_RUNS}) THEN", *taken, "ENDIF"]
+    submit = running.submit(controller, arm) if wires else []
+    submit += [f"IF NOT ({runs}) THEN", *taken, "ENDIF"] if taken else []
     for signal, number in numbers:
         real = controller.number(arm, controller.interlock.of(signal).signal)
         if real is not None:
-            submit.append(f"$OUT[{real}]=$OUT[{number}] AND {_RUNS}")
-    submit += [f"IF {FLAG} THEN", "$OV_PRO=0", "ENDIF"]
-    return {
-        "config_user.dat": _text([f"DECL BOOL {FLAG}=FALSE"]),
+            submit.append(f"$OUT[{real}]=$OUT[{number}] AND {runs}")
+    submit += [f"IF {FLAG} THEN", "$OV_PRO=0", "ENDIF"] if taken else []
+    variables = ([FLAG] if taken else []) + ([running.SEEN] if wires else [])
+    out = {
+        "config_user.dat": _text([f"DECL BOOL {name}=FALSE" for name in variables]),
         "sps_user.sub": _text(submit),
-        "ir_stopm_user.src": _text(taken),
-        "README.txt": _readme(controller, arm, signals),
     }
+    out |= {"ir_stopm_user.src": _text(taken)} if taken else {}
+    return out | {"README.txt": _readme(controller, arm, signals, wires)}
 
 
 def _taken(number: int | None) -> list[str]:
@@ -42,22 +49,46 @@ def _text(lines: Sequence[str]) -> str:
     return "".join(f"{line}\n" for line in ["; Written by Tandem.", *lines])
 
 
-_STEPS: Final = """For the controller of arm {arm}. Make an archive first.
+_LOAD: Final = """For the controller of arm {arm}. Make an archive first.
 
 1. config_user.dat: into the user fold of $CONFIG.DAT.
 2. sps_user.sub: into the user fold of the LOOP of SPS.SUB; no WAIT and no motion may stand there.
-3. ir_stopm_user.src: into the user fold of IR_STOPM.SRC.
+3. {stops}
 4. Restart the submit interpreter; it must run whenever the program does.
-5. Try it without wire and with the tool off: set the output by hand while the program waits, then
-   stop. It must fall, and the arm must not move at the next start.
+5. {trial}
+"""
+_STOPS: Final = "ir_stopm_user.src: into the user fold of IR_STOPM.SRC."
+_NO_STOPS: Final = "IR_STOPM.SRC stays as it is: this program switches no power."
+_TRIAL: Final = """\
+Try it without wire and with the tool off: set the output by hand while the program waits, then
+   stop. It must fall, and the arm must not move at the next start."""
+_LOOK: Final = "Look at the outputs below while a program runs and while it stands."
 
+_WIRE: Final = """
+Running wires, between this controller and the one of arm {other}:
+  $OUT[{out}] {running}: 1 while this program runs; to {their} of arm {other}
+  $IN[{given}] {partner}: 1 while the program of arm {other} runs; from {source} of it
+  $OUT[{enable}] {move}: to the input that $MOVE_ENABLE reads, with $CHCK_MOVENA=TRUE
+
+Try them before the first cut, without wire and with the tool off, all motors on: let both programs
+run at reduced speed and pull the wire at $IN[{given}].
+This arm must stop at once{falls}. Its stop must stop arm {other}, too.
+Then the same with the other wire, and by stopping either program.
+After a stop either side may be started first; nothing has power before both run.
+
+Seen: $PRO_ACT, $MOVE_ENABLE with $CHCK_MOVENA, outputs set by the submit interpreter.
+To be checked at the controller: that $PRO_ACT falls at every stop; that the input of $MOVE_ENABLE
+counts in all modes that are used.
+"""
+
+_POWER: Final = """
 Outputs:
 {signals}
 
 Behind a stop with the power on {flag} is TRUE and the override 0. Free the wire or the tool, or
 set the output again by hand and wait until it is hot or runs at full speed; then set {flag} to
 FALSE in the variable display and the override to what it was. Never do so while block or part is in
-the way of a cold wire or a tool that stands.
+the way of a cold wire or a tool that stands.{both}
 
 Seen: $OUT[n] = request AND $PRO_ACT in the submit interpreter, which runs on through stops;
 IR_STOPM as the user's place for reactions to stops, and its interrupt at the head of programs.
@@ -73,7 +104,7 @@ the program waits; behind a change of mode the power is off.
 """
 
 
-def _readme(controller: Controller, arm: str, signals: Sequence[str]) -> str:
+def _readme(controller: Controller, arm: str, signals: Sequence[str], wires: Sequence[SignalWire]) -> str:
     rows = []
     for signal in signals:
         lock = controller.interlock.of(signal).signal
@@ -83,4 +114,31 @@ def _readme(controller: Controller, arm: str, signals: Sequence[str]) -> str:
         else:
             rows.append(f"  $OUT[{number}] {signal}: request of the program, wired to nothing")
             rows.append(f"  $OUT[{real}] {lock}: the power hangs on this one")
-    return _STEPS.format(arm=arm, flag=FLAG, signals="\n".join(rows))
+    stops, trial = (_STOPS, _TRIAL) if rows else (_NO_STOPS, _LOOK)
+    out = _LOAD.format(arm=arm, stops=stops, trial=trial)
+    if wires:
+        out += _wire(controller, arm, wires, bool(rows))
+    if rows:
+        both = "\nThe power stays on only while the program of the other arm runs, too." if wires else ""
+        out += _POWER.format(flag=FLAG, signals="\n".join(rows), both=both)
+    return out
+
+
+def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool) -> str:
+    there, here = running.ends(wires, arm)
+    own = controller.handshake.of(arm)
+    out, given, enable = (
+        controller.number(arm, name) for name in (own.running, own.partner_running, own.move_enable)
+    )
+    return _WIRE.format(
+        other=there.sink,
+        out=out,
+        running=own.running,
+        their=there.input,
+        given=given,
+        partner=own.partner_running,
+        source=here.output,
+        enable=enable,
+        move=own.move_enable,
+        falls=", and its power fall" if powered else "",
+    )

@@ -1,7 +1,8 @@
 """Files for an ABB controller, beside the program: what its power outputs hang on besides the program.
 
 The program sets a request; a cross connection lets the real output follow while a program runs and the motors
-are on. Event routines take the request back at every stop, and ask at a start behind a stop in a cut.
+are on, of two controllers on both sides. Event routines take the request back at every stop, and ask at a
+start behind a stop in a cut.
 """
 
 from __future__ import annotations
@@ -10,7 +11,10 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from planner import controller_texts as said
+from planner.handshake import SignalWire
+from planner.post import running
 from planner.post.rapid_format import identifier, quoted
+from planner.post.running import Row
 from planner.problem import Controller
 
 MODULE: Final = "TandemPower"
@@ -18,24 +22,29 @@ _OFF_AT: Final = ("STOP", "QSTOP", "RESET")
 _AGAIN_AT: Final = ("START", "RESTART", "STEP")
 _WIDTH: Final = 80
 
-Row = Mapping[str, str | None]
-"""An instance of a type: values by attribute, None for one without a value."""
 
-
-def files(controller: Controller, tasks: Sequence[str], signals: Sequence[str]) -> dict[str, str]:
-    """The files, by name, for motion ``tasks`` of one controller whose programs switch ``signals``."""
+def files(
+    controller: Controller,
+    tasks: Sequence[str],
+    signals: Sequence[str],
+    arm: str,
+    wires: Sequence[SignalWire] = (),
+) -> dict[str, str]:
+    """The files, by name, for motion ``tasks`` of the one controller of ``arm`` whose programs switch
+    ``signals``; ``wires``: the running wires between it and another controller."""
     requests = [identifier(signal) for signal in signals]
     suffix = ".sys" if controller.robotware == 6 else ".sysx"
-    return {
-        "EIO.cfg": _eio(controller, requests),
-        "SYS.cfg": _sys(controller, tasks, suffix),
-        f"{MODULE}{suffix}": _module(controller, requests, len(tasks) > 1),
-        "README.txt": _readme(controller, requests, suffix),
-    }
+    out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires))}
+    if requests:
+        out["SYS.cfg"] = _sys(controller, tasks, suffix)
+        out[f"{MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
+    return out | {"README.txt": _readme(controller, requests, suffix, arm, wires)}
 
 
-def _eio(controller: Controller, requests: Sequence[str]) -> str:
+def _eio(controller: Controller, requests: Sequence[str], arm: str, joined: bool) -> str:
     lock = controller.interlock
+    partner = [running.term(controller, arm)] if joined else []
+    more = running.rows(controller, arm) if joined else {}
     signals: list[Row] = []
     crossed: list[Row] = []
     for number, request in enumerate(requests, 1):
@@ -43,7 +52,7 @@ def _eio(controller: Controller, requests: Sequence[str]) -> str:
         place = {"Device": real.device, "DeviceMap": str(real.bit)} if real.device else {}
         signals.append({"Name": request, "SignalType": "DO", "Access": "TandemRequest"})
         signals.append({"Name": real.signal, "SignalType": "DO", **place, "Access": "ReadOnly"})
-        terms = (request, lock.cycle, lock.motors)
+        terms = (request, lock.cycle, lock.motors, *partner)
         row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": real.signal}
         for i, term in enumerate(terms, 1):
             row[f"Act{i}"] = term
@@ -60,12 +69,13 @@ def _eio(controller: Controller, requests: Sequence[str]) -> str:
     access: list[Row] = [{"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None}]
     head = f"EIO:CFG_1.0:{controller.robotware}:{1 if controller.robotware == 6 else 0}::"
     sections: dict[str, Sequence[Row]] = {
-        "EIO_ACCESS": access,
-        "EIO_SIGNAL": signals,
+        "EIO_ACCESS": access if requests else [],
+        "EIO_SIGNAL": [*signals, *more.get("EIO_SIGNAL", [])],
         "SYSSIG_OUT": states,
-        "EIO_CROSS": crossed,
+        "SYSSIG_IN": more.get("SYSSIG_IN", []),
+        "EIO_CROSS": [*crossed, *more.get("EIO_CROSS", [])],
     }
-    return _cfg(head, sections)
+    return _cfg(head, {kind: rows for kind, rows in sections.items() if rows})
 
 
 def _sys(controller: Controller, tasks: Sequence[str], suffix: str) -> str:
@@ -149,15 +159,41 @@ def _module(controller: Controller, requests: Sequence[str], together: bool) -> 
 
 _STEPS: Final = """For the controller that these programs run on. Make a backup first.
 
-1. Copy {module} to HOME: of the controller.
-2. Load EIO.cfg and SYS.cfg: Control Panel, Configuration, File, Load Parameters, "Load parameters
+1. {module}
+2. Load {files}: Control Panel, Configuration, File, Load Parameters, "Load parameters
    if no duplicates". A signal that has one of these names already must be taken out first.
-3. Restart the controller. Every motion task then holds the module and the event routines.
-4. Try it without wire and with the tool off: start, set the request by hand, stop. The real output
-   must fall with the program, with the motors, and when the enabling device is let go.
+3. Restart the controller.{held}
+4. {trial}
+"""
+_COPY: Final = "Copy {module} to HOME: of the controller."
+_NO_COPY: Final = "No module is needed: this program switches no power."
+_HELD: Final = " Every motion task then holds the module and the event routines."
+_TRIAL: Final = """\
+Try it without wire and with the tool off: start, set the request by hand, stop. The real output
+   must fall with the program, with the motors, and when the enabling device is let go."""
+_LOOK: Final = "Look at the signals below while a program runs and while it stands."
 
+_WIRE: Final = """
+Running wires, between this controller and the one of arm {other}:
+{ends}
+  {lost}: on no device; {partner} turned over, whose rise stops the program
+
+Try them before the first cut, without wire and with the tool off, all motors on: let both programs
+run at reduced speed and pull the wire at {partner}.
+This arm must stop at once{falls}. Its stop must stop arm {other}, too.
+Then the same with the other wire, and by stopping either program.
+After a stop either side may be started first; nothing has power before both run.
+
+Seen in public tools that write such files: -Act1_invert, SYSSIG_IN; in a backup: SYSSIG_OUT with
+CycleOn into EIO_CROSS. To be checked at the controller: SYSSIG_OUT with MotOnState; the action
+Stop, that it acts on the rise alone, and that Start is not held up while
+{lost} is 1. If it is, neither side can be started first: a PLC then
+has to make a pulse of the rise.
+"""
+
+_POWER: Final = """
 Signals:
-{signals}
+{signals}{both}
 
 Seen in backups of real controllers: EIO_CROSS with AND of a request and a CycleOn output
 (RobotWare 5; -Name in RobotWare 6), SYSSIG_OUT with CycleOn, EIO_ACCESS and its attributes,
@@ -178,7 +214,22 @@ change to automatic is a stop, at which the power falls.
 """
 
 
-def _readme(controller: Controller, requests: Sequence[str], suffix: str) -> str:
+def _readme(
+    controller: Controller, requests: Sequence[str], suffix: str, arm: str, wires: Sequence[SignalWire]
+) -> str:
+    module = _COPY.format(module=f"{MODULE}{suffix}") if requests else _NO_COPY
+    names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
+    held, trial = (_HELD, _TRIAL) if requests else ("", _LOOK)
+    out = _STEPS.format(module=module, files=names, held=held, trial=trial)
+    if wires:
+        out += _wire(controller, arm, wires, bool(requests))
+    if requests:
+        both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
+        out += _POWER.format(signals="\n".join(_outputs(controller, requests)), both=both)
+    return out
+
+
+def _outputs(controller: Controller, requests: Sequence[str]) -> list[str]:
     rows = []
     for request in requests:
         real = controller.interlock.of(request)
@@ -190,4 +241,29 @@ def _readme(controller: Controller, requests: Sequence[str], suffix: str) -> str
             rows.append(
                 f"    controller: {{interlock: {{outputs: {{{request}: {{device: D, device_map: 0}}}}}}}}"
             )
-    return _STEPS.format(module=f"{MODULE}{suffix}", signals="\n".join(rows))
+    return rows
+
+
+def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool) -> str:
+    there, here = running.ends(wires, arm)
+    own = controller.handshake.of(arm)
+    rows = []
+    for name, what in (
+        (own.running, f"output, 1 while this program runs; to {there.input} of arm {there.sink}"),
+        (own.partner_running, f"input, 1 while the other one runs; from {here.output} of arm {here.source}"),
+    ):
+        place = controller.interlock.place(arm, name)
+        rows.append(f"  {name}: {what}")
+        if place is not None:
+            rows.append(f"    {place.device}, bit {place.bit}")
+        else:
+            rows.append("    NO DEVICE, so the wire does not work yet; state it in the cell:")
+            stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
+            rows.append(f"    controller: {{interlock: {{{stated}}}}}")
+    return _WIRE.format(
+        other=there.sink,
+        ends="\n".join(rows),
+        lost=own.lost,
+        partner=own.partner_running,
+        falls=", and its power fall" if powered else "",
+    )

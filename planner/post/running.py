@@ -1,5 +1,5 @@
-"""The running wire between two controllers: what the operator reads of it, and the lines that each
-controller's configuration needs beside its program.
+"""The running wire between two controllers: what the operator reads of it, and what each controller's
+configuration needs for it beside its program.
 
 No program switches the wire: the controller holds it at 1 while its program runs with the motors on. It leads
 into the other one's stop input and into the interlock of its power, so that a stop of either side stops both
@@ -8,83 +8,90 @@ and takes the power, whatever the programs do. A wire that is cut says 0: not ru
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Final
 
-from planner.post.languages import speaks_krl
+from planner.handshake import SignalWire
 from planner.post.rapid_format import identifier
-from planner.problem import Arm, Controller, Problem
+from planner.problem import Controller
 
 STANDS: Final = "The program of arm {other} does not run: {input} is 0."
 RUNS: Final = "Stop the program of arm {other}: {input} is 1. If it stands, the wire is stuck."
-CYCLE: Final = "soCycleOn"
-MOTORS: Final = "soMotOn"
-"""System outputs of an ABB controller that the lines below use; declare them once."""
+SEEN: Final = "TANDEM_SEEN"
+"""The variable of a KUKA controller that says that both programs have run since the last stop."""
+KRL_RUNS: Final = "$PRO_ACT AND $PERI_RDY"
+"""That a program runs with the drives on."""
+
+Row = Mapping[str, str | None]
+"""An instance of a type of ABB's configuration: values by attribute, None for one without a value."""
 
 
-def lines(problem: Problem, arm: Arm) -> tuple[str, ...]:
-    """Lines of configuration for the running wires of an arm's controller: of EIO.cfg, or of the user's part
-    of the submit interpreter. None where one controller moves all."""
-    controller = problem.cell.controller
-    if controller.sync != "handshake":
-        return ()
-    return _submit(controller, arm.name) if speaks_krl(arm) else _eio(controller, arm.name)
+def ends(wires: Sequence[SignalWire], arm: str) -> tuple[SignalWire, SignalWire]:
+    """The running wire that leaves an arm's controller, and the one that comes in."""
+    return next(w for w in wires if w.source == arm), next(w for w in wires if w.sink == arm)
 
 
-def power(problem: Problem, arm: Arm) -> str:
-    """The further AND term of the power output of an arm's controller: the signal of a cross connection, or
-    an expression of the submit interpreter. "" where one controller moves all."""
-    controller = problem.cell.controller
-    if controller.sync != "handshake":
-        return ""
-    given = controller.handshake.of(arm.name).partner_running
-    return f"$IN[{controller.number(arm.name, given)}]" if speaks_krl(arm) else identifier(given)
+def term(controller: Controller, arm: str) -> str:
+    """The further AND term of the power of an ABB arm's controller: the input from the other one."""
+    return identifier(controller.handshake.of(arm).partner_running)
 
 
-def _eio(controller: Controller, arm: str) -> tuple[str, ...]:
-    """Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
-    files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge."""
-    own = controller.handshake.of(arm)
-    running, given = identifier(own.running), identifier(own.partner_running)
-    lost = f"{given[:27]}_lost"
-    return (
-        "EIO_SIGNAL:",
-        f'-Name "{CYCLE}" -SignalType "DO" -Access "ReadOnly"',
-        f'-Name "{MOTORS}" -SignalType "DO" -Access "ReadOnly"',
-        f'-Name "{running}" -SignalType "DO" -Device "..." -DeviceMap "..." -Access "ReadOnly"',
-        f'-Name "{given}" -SignalType "DI" -Device "..." -DeviceMap "..."',
-        f'-Name "{lost}" -SignalType "DI"',
-        "SYSSIG_OUT:",
-        f'-Status "CycleOn" -Signal "{CYCLE}"',
-        f'-Status "MotOnState" -Signal "{MOTORS}"',
-        "SYSSIG_IN:",
-        f'-Signal "{lost}" -Action "Stop"',
-        "EIO_CROSS:",
-        f'-Name "tandem_running" -Res "{running}" -Act1 "{CYCLE}" -Oper1 "AND" -Act2 "{MOTORS}"',
-        f'-Name "tandem_partner" -Res "{lost}" -Act1 "{given}" -Act1_invert',
-    )
+def rows(controller: Controller, arm: str) -> dict[str, list[Row]]:
+    """Rows of EIO.cfg by type, for the controller of an ABB arm; the outputs of the system that say that a
+    program runs and motors are on are declared beside them.
 
-
-def _submit(controller: Controller, arm: str) -> tuple[str, ...]:
-    """The input of $MOVE_ENABLE is level-sensitive and holds a start up too, so a controller whose partner
-    has not run yet would never start: it counts from the first time on that both are seen to run."""
-    own = controller.handshake.of(arm)
-    number = {
-        name: controller.number(arm, name) for name in (own.running, own.partner_running, own.move_enable)
+    Seen in backups of real cells: SYSSIG_OUT of CycleOn into EIO_CROSS. From public tools that write such
+    files: -Act1_invert, SYSSIG_IN. From memory: the action Stop, and that it acts on the rising edge.
+    """
+    own, lock = controller.handshake.of(arm), controller.interlock
+    running, given, lost = identifier(own.running), identifier(own.partner_running), identifier(own.lost)
+    out, into = _placed(controller, arm, own.running), _placed(controller, arm, own.partner_running)
+    return {
+        "EIO_SIGNAL": [
+            {"Name": running, "SignalType": "DO", **out, "Access": "ReadOnly"},
+            {"Name": given, "SignalType": "DI", **into},
+            {"Name": lost, "SignalType": "DI"},
+        ],
+        "SYSSIG_IN": [{"Signal": lost, "Action": "Stop"}],
+        "EIO_CROSS": [
+            {
+                "Name": "TandemRunning",
+                "Res": running,
+                "Act1": identifier(lock.cycle),
+                "Oper1": "AND",
+                "Act2": identifier(lock.motors),
+            },
+            {"Name": "TandemPartner", "Res": lost, "Act1": given, "Act1_invert": None},
+        ],
     }
-    out, given, enable = number.values()
-    return (
-        "; declarations of SPS.SUB",
-        "DECL BOOL tandem_seen",
-        "; USER INIT",
-        "tandem_seen=FALSE",
-        "; USER PLC, in the cycle",
-        f"$OUT[{out}]=$PRO_ACT AND $PERI_RDY ; {own.running}",
+
+
+def _placed(controller: Controller, arm: str, signal: str) -> dict[str, str]:
+    place = controller.interlock.place(arm, signal)
+    return {"Device": place.device, "DeviceMap": str(place.bit)} if place else {}
+
+
+def krl_term(controller: Controller, arm: str) -> str:
+    """The further AND term of the power of a KUKA arm's controller."""
+    return f"$IN[{controller.number(arm, controller.handshake.of(arm).partner_running)}]"
+
+
+def submit(controller: Controller, arm: str) -> list[str]:
+    """Lines for the cycle of the submit interpreter of a KUKA arm's controller.
+
+    $MOVE_ENABLE looks at the level of its input and holds a start up too, so a controller whose partner has
+    not run yet would never start: the wire counts from the first time on that both are seen to run.
+    """
+    own = controller.handshake.of(arm)
+    out, enable = controller.number(arm, own.running), controller.number(arm, own.move_enable)
+    given = krl_term(controller, arm)
+    return [
+        f"$OUT[{out}]={KRL_RUNS} ; {own.running}",
         "IF NOT $PRO_ACT THEN",
-        "tandem_seen=FALSE",
+        f"{SEEN}=FALSE",
         "ENDIF",
-        f"IF $PRO_ACT AND $IN[{given}] THEN",
-        "tandem_seen=TRUE",
+        f"IF $PRO_ACT AND {given} THEN ; {own.partner_running}",
+        f"{SEEN}=TRUE",
         "ENDIF",
-        f"$OUT[{enable}]=$IN[{given}] OR NOT tandem_seen ; {own.move_enable}",
-        f"; wire $OUT[{enable}] to the input that $MOVE_ENABLE reads; $CHCK_MOVENA=TRUE",
-    )
+        f"$OUT[{enable}]={given} OR NOT {SEEN} ; {own.move_enable}",
+    ]

@@ -60,13 +60,18 @@ def _row(line: str) -> Row:
 
 
 def crossed(row: Row) -> tuple[str, frozenset[str]] | None:
-    """The result and the terms of a cross connection, all of them joined by AND; None for any other."""
+    """The result and the terms of a cross connection, all of them joined by AND, "not " before one that is
+    turned over; None for any other."""
     values = dict(row)
     values.pop("name", None)
     result = values.pop("res", "")
     terms: list[str] = []
     while f"act{len(terms) + 1}" in values:
-        terms.append(values.pop(f"act{len(terms) + 1}"))
+        number = len(terms) + 1
+        turned = values.get(f"act{number}_invert") == ""
+        if turned:
+            del values[f"act{number}_invert"]
+        terms.append(f"{'not ' if turned else ''}{values.pop(f'act{number}')}")
     joints = [values.pop(f"oper{number}", "") for number in range(1, len(terms))]
     if values or not result or any(joint.upper() != "AND" for joint in joints):
         return None

@@ -1,4 +1,5 @@
-"""The rule on files for controllers: what power hangs on besides the program, and who gives it back."""
+"""The rule on files for controllers: what power hangs on besides the program, who gives it back, and how two
+controllers know of each other."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from planner.claims_forming import SinksHolder
 from planner.issues import Issue
 from planner.problem import Controller
 from planner.verify.context import Context, Outcome
+from planner.verify.controller_running import Partner
 from planner.verify.controller_text import Row, UnreadError, configuration, crossed, krl_lines, rapid_words
 from planner.verify.job import CONTROLLER, TaskText
 from planner.verify.steps import SignalStep
@@ -22,7 +24,8 @@ _SHELVES = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "resta
 
 def controller_files(context: Context) -> Outcome:
     """Power hangs on more than the program: files for each controller let its output fall at every stop, take
-    the request back, and ask before an arm moves on in a cut; they fit the program, and none is left over."""
+    the request back, and ask before an arm moves on in a cut; of two controllers each says that it runs, and
+    the other one's stop stops it and takes its power. They fit the program, and none is left over."""
     controller = context.problem.cell.controller
     there: dict[str, dict[str, str]] = {}
     for path, text in context.programs.items():
@@ -32,31 +35,33 @@ def controller_files(context: Context) -> Outcome:
             there.setdefault(folder, {})[parts[-1]] = text
     issues: list[Issue] = []
     count = 0
-    for folder, tasks, signals in _powered(context):
+    joined = controller.sync == "handshake" and len(context.job.tasks) > 1
+    for folder, tasks, signals in _powered(context, joined):
         files = there.pop(folder, {})
         count += len(signals)
+        partner = Partner(controller, tasks[0].arm.name) if joined else None
         if tasks[0].krl is None:
             names = [controller.tasks[_place(context, task)] for task in tasks]
-            faults = _abb(controller, names, signals, files)
+            faults = _abb(controller, names, signals, files, partner)
         else:
-            faults = _kuka(controller, tasks[0].arm.name, signals, files)
+            faults = _kuka(controller, tasks[0].arm.name, signals, files, partner)
         issues += [
             Issue(CODE, f"{CONTROLLER}/{folder}: {fault}", file=f"{CONTROLLER}/{folder}", hint=_HINT)
             for fault in faults
         ]
     for folder in there:
-        what = f"{CONTROLLER}/{folder} holds files of another job: nothing here is powered from there"
+        what = f"{CONTROLLER}/{folder} holds files of another job: no program here needs them"
         issues.append(Issue(CODE, what, file=f"{CONTROLLER}/{folder}", hint="take them away"))
-    return Outcome(tuple(issues), where="" if count else "nothing is powered")
+    return Outcome(tuple(issues), where="" if count else "nothing is powered" if not joined else "wires only")
 
 
 def _place(context: Context, task: TaskText) -> int:
     return [arm.name for arm in context.problem.cell.arms].index(task.arm.name)
 
 
-def _powered(context: Context) -> list[tuple[str, list[TaskText], list[str]]]:
+def _powered(context: Context, joined: bool) -> list[tuple[str, list[TaskText], list[str]]]:
     """Folder, tasks and signals of each controller whose tasks switch something on, without the clamps of
-    sheets, which are moved by pulses."""
+    sheets, which are moved by pulses; of all controllers where two are ``joined``."""
     pulsed = {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
     alone = context.problem.cell.controller.sync == "handshake"
     groups: list[list[TaskText]] = []
@@ -72,7 +77,7 @@ def _powered(context: Context) -> list[tuple[str, list[TaskText], list[str]]]:
         aside = pulsed | ({own} if alone else set())
         on = {step.signal.lower(): step.signal for step in steps if step.value}
         signals = [name for key, name in sorted(on.items()) if key not in aside]
-        if signals:
+        if signals or joined:
             out.append((tasks[0].name, tasks, signals))
     return out
 
@@ -86,16 +91,20 @@ def _names(files: Mapping[str, str], wanted: Sequence[str]) -> list[str]:
 
 
 def _abb(
-    controller: Controller, tasks: Sequence[str], signals: Sequence[str], files: Mapping[str, str]
+    controller: Controller,
+    tasks: Sequence[str],
+    signals: Sequence[str],
+    files: Mapping[str, str],
+    partner: Partner | None,
 ) -> list[str]:
     module = f"{_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
-    faults = _names(files, ("EIO.cfg", "SYS.cfg", module))
+    wanted = {"EIO": _signals(controller, signals, partner)} | (
+        {"SYS": _hooks(tasks, module)} if signals else {}
+    )
+    faults = _names(files, [f"{name}.cfg" for name in wanted] + ([module] if signals else []))
     if faults:
         return faults
-    for name, wanted in (
-        ("EIO", _signals(controller, signals)),
-        ("SYS", _hooks(tasks, module)),
-    ):
+    for name, rows in wanted.items():
         try:
             head, got = configuration(files[f"{name}.cfg"])
         except UnreadError as wrong:
@@ -104,9 +113,9 @@ def _abb(
         if not head.startswith(f"{name}:CFG_1.0:{controller.robotware}:"):
             faults.append(f"{name}.cfg is not for RobotWare {controller.robotware}: {head[:40]!r}")
         if name == "EIO":
-            faults += _crosses(controller, signals, got.pop("EIO_CROSS", []))
-        faults += [fault for kind in {**wanted, **got} for fault in _rows(name, kind, wanted, got)]
-    if rapid_words(files[module]) != rapid_words(_routines(controller, signals, len(tasks) > 1)):
+            faults += _crosses(controller, signals, partner, got.pop("EIO_CROSS", []))
+        faults += [fault for kind in {**rows, **got} for fault in _rows(name, kind, rows, got)]
+    if signals and rapid_words(files[module]) != rapid_words(_routines(controller, signals, len(tasks) > 1)):
         faults.append(f"{module} does not do what it is to: request back at a stop, question at a start")
     return faults
 
@@ -130,7 +139,7 @@ def _row(**values: str) -> Row:
     return frozenset(values.items())
 
 
-def _signals(controller: Controller, signals: Sequence[str]) -> dict[str, list[Row]]:
+def _signals(controller: Controller, signals: Sequence[str], partner: Partner | None) -> dict[str, list[Row]]:
     """Requests that nothing but program and operator set, on no device; outputs that nobody sets by hand."""
     lock = controller.interlock
     rows = []
@@ -140,29 +149,40 @@ def _signals(controller: Controller, signals: Sequence[str]) -> dict[str, list[R
         rows.append(_row(name=request, signaltype="DO", access="TandemRequest"))
         rows.append(_row(name=real.signal, signaltype="DO", access="ReadOnly", **wired))
     rows += [_row(name=name, signaltype="DO", access="ReadOnly") for name in (lock.cycle, lock.motors)]
-    return {
-        "EIO_ACCESS": [_row(name="TandemRequest", rapid="", localmanual="", localauto="")],
-        "EIO_SIGNAL": rows,
+    wanted = {
+        "EIO_SIGNAL": [*rows, *(_row(**values) for values in (partner.signals if partner else ()))],
         "SYSSIG_OUT": [
             _row(status="CycleOn", signal=lock.cycle),
             _row(status="MotOnState", signal=lock.motors),
         ],
     }
+    if signals:
+        wanted["EIO_ACCESS"] = [_row(name="TandemRequest", rapid="", localmanual="", localauto="")]
+    if partner:
+        wanted["SYSSIG_IN"] = [_row(signal=partner.lost, action="Stop")]
+    return wanted
 
 
-def _crosses(controller: Controller, signals: Sequence[str], rows: Sequence[Row]) -> list[str]:
-    """Each output is the request AND a running program AND motors that are on, and nothing else."""
+def _crosses(
+    controller: Controller, signals: Sequence[str], partner: Partner | None, rows: Sequence[Row]
+) -> list[str]:
+    """Each power output is the request AND a running program AND motors that are on AND a partner that runs;
+    of two controllers each says so of itself, and hears it of the other one; nothing else is there."""
     lock = controller.interlock
-    wanted = {
-        (lock.of(request).signal.lower(), frozenset(x.lower() for x in (request, lock.cycle, lock.motors)))
-        for request in signals
-    }
+    runs = (lock.cycle, lock.motors)
+    needed = (*runs, partner.given) if partner else runs
+    terms: dict[str, tuple[str, ...]] = {lock.of(request).signal: (request, *needed) for request in signals}
+    if partner:
+        terms |= {partner.running: runs, partner.lost: (f"not {partner.given}",)}
+    wanted = {(result.lower(), frozenset(map(str.lower, needs))) for result, needs in terms.items()}
+    called = {result.lower(): " AND ".join(needs) for result, needs in terms.items()}
     got = [crossed(row) for row in rows]
-    faults = [
-        f"EIO.cfg, EIO_CROSS: {_shown(row)} is not the request AND {lock.cycle} AND {lock.motors}"
-        for row, read in zip(rows, got, strict=True)
-        if read not in wanted
-    ]
+    faults = []
+    for row, read in zip(rows, got, strict=True):
+        if read not in wanted:
+            to_be = called.get(dict(row).get("res", "").lower())
+            wrong = f"is not {to_be}" if to_be else "drives what no cross connection is to drive"
+            faults.append(f"EIO.cfg, EIO_CROSS: {_shown(row)} {wrong}")
     names = [value for row in rows for key, value in row if key == "name"]
     if len(set(names)) != len(rows):
         faults.append("EIO.cfg, EIO_CROSS: cross connections need names that differ")
@@ -213,8 +233,16 @@ def _routines(controller: Controller, signals: Sequence[str], together: bool) ->
 # ---- KUKA ----
 
 
-def _kuka(controller: Controller, arm: str, signals: Sequence[str], files: Mapping[str, str]) -> list[str]:
+def _kuka(
+    controller: Controller,
+    arm: str,
+    signals: Sequence[str],
+    files: Mapping[str, str],
+    partner: Partner | None,
+) -> list[str]:
     flag, runs = "TANDEM_CUT", "$PRO_ACT AND $PERI_RDY"
+    watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
+    runs += f" AND {partner.input}" if partner else ""
     numbers = {signal: controller.number(arm, signal) for signal in signals}
     back = [
         line
@@ -226,17 +254,19 @@ def _kuka(controller: Controller, arm: str, signals: Sequence[str], files: Mappi
     }
     follow = [f"$OUT[{out}]=$OUT[{n}] AND {runs}" for n, out in real.items() if out is not None]
     held = [f"IF {flag} THEN", "$OV_PRO=0", "ENDIF"]
-    wanted = {
-        "config_user.dat": [f"DECL BOOL {flag}=FALSE"],
-        "sps_user.sub": [f"IF NOT({runs}) THEN", *back, "ENDIF", *follow, *held],
-        "ir_stopm_user.src": back,
-    }
+    power = [f"IF NOT({runs}) THEN", *back, "ENDIF", *follow, *held]
+    declared = [f"DECL BOOL {name}=FALSE" for name in ([flag] if signals else []) + known]
+    wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *(power if signals else [])]}
+    if signals:
+        wanted["ir_stopm_user.src"] = back
     faults = _names(files, tuple(wanted))
     if faults:
         return faults
     for name, lines in wanted.items():
-        got = krl_lines(files[name])
-        if got != krl_lines("\n".join(lines)):
-            row = next((g for g, w in zip(got, lines, strict=False) if krl_lines(w) != [g]), "")
-            faults.append(f"{name} does not take the power back as it is to{f', at {row!r}' if row else ''}")
+        got, want = krl_lines(files[name]), krl_lines("\n".join(lines))
+        if got != want:
+            at = next((i for i, (g, w) in enumerate(zip(got, want, strict=False)) if g != w), None)
+            place = min(len(got), len(want)) if at is None else at
+            here, there = (rows[place] if place < len(rows) else "the end" for rows in (got, want))
+            faults.append(f"{name} does not do what it is to: {here!r} stands where {there!r} is to be")
     return faults

@@ -159,7 +159,7 @@ def test_both_setting_first_would_lose_an_edge():
 @pytest.mark.parametrize("kind", KINDS)
 def test_programs_hold_nothing_of_multimove_and_are_read_without_faults(kind):
     files = written(kind, 2)
-    assert {name.split("/")[0] for name in files} == {"left", "right"}
+    assert {name.split("/")[0] for name in files} == {"left", "right", "controller"}
     text = "\n".join(files.values())
     for word in ("SyncMove", "WaitSync", "syncident", "\\ID", "all_tasks", "AllMoveTasks", "UNDO"):
         assert word not in text

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import pytest
 
 from planner import dialogue
+from planner.handshake import PartnerSignals
 from planner.post import running, write
-from tests.post import krl_job, synthetic
+from tests.post import krl_job
 from tests.verify import handshake_job
 
 KUKA, ABB = "kr10_r1100", "irb140"
-
-
-def by_arm(models=(ABB, KUKA)):
-    _, problem = krl_job.two(models)
-    return problem, dict(zip(("left", "right"), problem.cell.arms, strict=True))
-
-
-def test_one_controller_needs_no_lines():
-    problem = synthetic.problem()
-    assert all(running.lines(problem, arm) == () for arm in problem.cell.arms)
-    assert all(running.power(problem, arm) == "" for arm in problem.cell.arms)
 
 
 def value(expression, signals):
@@ -39,9 +30,9 @@ def _word(name, signals):
 def cycle(lines, signals):
     """One cycle of the submit interpreter's lines."""
     doing = True
-    for line in lines[lines.index("; USER PLC, in the cycle") + 1 :]:
+    for line in lines:
         if line.startswith("IF "):
-            doing = value(line[3:].removesuffix(" THEN"), signals)
+            doing = value(line.partition(";")[0].strip()[3:].removesuffix(" THEN"), signals)
         elif line == "ENDIF":
             doing = True
         elif "=" in line and not line.startswith(";") and doing:
@@ -51,9 +42,9 @@ def cycle(lines, signals):
 
 
 def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does():
-    problem, arms = by_arm()
-    lines = running.lines(problem, arms["right"])
-    now = {"tandem_seen": False}
+    controller = krl_job.two((ABB, KUKA))[1].cell.controller
+    lines = running.submit(controller, "right")
+    now = {"TANDEM_SEEN": False}
 
     def then(**signals):
         names = {"act": "$PRO_ACT", "ready": "$PERI_RDY", "partner": "$IN[2]"}
@@ -73,27 +64,21 @@ def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does(
     )  # stopped: one side may be started again
     assert then(act=True, ready=True, partner=False) == (True, True)
     assert then(act=True, ready=False, partner=True) == (False, True)  # drives off
-    assert running.power(problem, arms["right"]) == "$IN[2]"
+    assert running.krl_term(controller, "right") == "$IN[2]"
 
 
 def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_other_ones():
-    problem, arms = by_arm()
-    lines = running.lines(problem, arms["left"])
-    cross = [line for line in lines if "-Res" in line]
-    own, lost = (re.search(r'-Res "(\w+)"', line).group(1) for line in cross)
-    assert own == "doRunning"
-    assert re.findall(r'-(Act\d|Oper\d) "(\w+)"', cross[0]) == [
-        ("Act1", running.CYCLE),
-        ("Oper1", "AND"),
-        ("Act2", running.MOTORS),
-    ]
-    assert re.findall(r'-Act1 "(\w+)" -Act1_invert', cross[1]) == ["diPartnerRunning"]
-    assert f'-Signal "{lost}" -Action "Stop"' in lines
-    declared = re.findall(r'-Name "(\w+)" -SignalType', "\n".join(lines))
-    used = re.findall(r'-(?:Signal|Res|Act\d) "(\w+)"', "\n".join(lines))
-    assert set(used) == set(declared) and len(declared) == len(set(declared))
-    assert all(len(name) <= 32 for name in declared)
-    assert running.power(problem, arms["left"]) == "diPartnerRunning"
+    rows = running.rows(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
+    own, other = rows["EIO_CROSS"]
+    assert own["Res"] == "doRunning"
+    assert (own["Act1"], own["Oper1"], own["Act2"]) == ("soCycleOn", "AND", "soMotorsOn")
+    assert other["Act1"] == "diPartnerRunning" and "Act1_invert" in other
+    assert rows["SYSSIG_IN"] == [{"Signal": other["Res"], "Action": "Stop"}]
+    declared = [row["Name"] for row in rows["EIO_SIGNAL"]]
+    assert declared == ["doRunning", "diPartnerRunning", other["Res"]]
+    longest = dataclasses.replace(PartnerSignals(), partner_running="d" * 24)
+    assert len(longest.lost) <= 32
+    assert running.term(krl_job.two((ABB, KUKA))[1].cell.controller, "left") == "diPartnerRunning"
 
 
 @pytest.mark.parametrize(

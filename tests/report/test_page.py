@@ -16,9 +16,10 @@ from planner.cell import robots
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import inputs, output, page, replay3d, setup_sheet
+from planner.report import inputs, output, page, replay3d, setup_controller, setup_sheet
 from planner.report.page import Extra
 from planner.verify.result import Proof
+from tests.post import krl_job
 
 VOID = {"meta", "img", "br", "link", "input"}
 
@@ -228,6 +229,25 @@ def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, p
     controller = dataclasses.replace(problem.cell.controller, sync="handshake")
     apart = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
     assert "doPartner of left to diPartner of right" in str(setup_sheet.sheet(apart, plan))
+
+
+@pytest.mark.parametrize(("models", "place"), [(("irb140", "kr10_r1100"), 0), (("kr10_r1100", "irb140"), 1)])
+def test_setup_sheet_asks_for_the_running_wires_and_their_files(models: tuple[str, str], place: int) -> None:
+    plan, problem = krl_job.two(models, actions=krl_job.ACTIONS)
+    shown = re.sub(r"<[^>]+>", " ", str(setup_controller.checks(problem, plan)))
+    for arm, other in (("left", "right"), ("right", "left")):
+        assert f"wire: doPartner of {arm} to diPartner of {other}" in shown
+        wire = shown.partition(f"running wire: doRunning of {arm} to diPartnerRunning of {other}")[2]
+        tried = wire.partition(" then ")[0]
+        assert f"arm {other} stops at once" in tried
+        assert ("its power falls" in tried) == (other == "left")
+    files = [["EIO.cfg, SYS.cfg and TandemPower.sys", "config_user.dat and sps_user.sub"],
+             ["EIO.cfg", "config_user.dat, sps_user.sub and ir_stopm_user.src"]][place]  # fmt: skip
+    abb, kuka = ("left", "right")[:: 1 - 2 * place]
+    assert f"{files[0]} of programs/controller/{abb}" in shown
+    assert f"{files[1]} of programs/controller/{kuka}" in shown
+    assert "doRunning is wired" in shown and "NO DEVICE stated, so the wire is dead" in shown
+    assert "$OUT[3] doMoveEnable" in shown
 
 
 def test_setup_sheet_says_what_the_controllers_need(problem: Problem, plan: Plan) -> None:
