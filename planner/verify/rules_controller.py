@@ -12,6 +12,7 @@ from planner.problem import Controller
 from planner.verify.context import Context, Outcome
 from planner.verify.controller_text import Row, UnreadError, configuration, crossed, krl_lines, rapid_words
 from planner.verify.job import CONTROLLER, TaskText
+from planner.verify.program_text import strange
 from planner.verify.steps import SignalStep
 
 CODE = "verify.controller_files"
@@ -40,6 +41,7 @@ def controller_files(context: Context) -> Outcome:
             faults = _abb(controller, names, signals, files)
         else:
             faults = _kuka(controller, tasks[0].arm.name, signals, files)
+        faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
         issues += [
             Issue(CODE, f"{CONTROLLER}/{folder}: {fault}", file=f"{CONTROLLER}/{folder}", hint=_HINT)
             for fault in faults
