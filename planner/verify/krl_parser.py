@@ -189,11 +189,19 @@ class Reader:
             row = self.rows[end].strip() if end < len(self.rows) else ""
             self.fault(end + 1, "syntax", f"{_shown(row)}: not what comes next in {form.what}")
             return None
+        self._quiet(line, end, form.what)
         try:
             return form.make(line, found)
         except KrlValueError as wrong:
             self.fault(line, wrong.kind, wrong.message)
             return None
+
+    def _quiet(self, first: int, last: int, what: str) -> None:
+        """Note comments that tell, ask or name a segment from row ``first`` to ``last`` of a form; what is
+        behind its last statement counts."""
+        for row in range(first, last + 1):
+            if said(row, parted(self.rows[row - 1].strip())[1]):
+                self.fault(row, "syntax", f"{what} tells and asks nothing of its own")
 
     def _found(self, line: int, form: Form) -> tuple[list[re.Match[str]], int]:
         """The rows of a form from ``line`` on, as far as they match, and the index of the row behind them."""
@@ -215,8 +223,6 @@ class Reader:
         found: list[re.Match[str]] = []
         for pattern in _GUARD[1:]:
             while self.at < len(self.rows) and (self.rows[self.at].strip() or ";").startswith(";"):
-                if self.rows[self.at].strip().startswith((";*", ";?")):
-                    self.fault(self.at + 1, "syntax", "a guarded wait tells and asks nothing of its own")
                 self.at += 1
             code = parted(self.rows[self.at].strip())[0] if self.at < len(self.rows) else ""
             match = pattern.fullmatch(code)
@@ -226,6 +232,7 @@ class Reader:
                 return None
             found.append(match)
             self.at += 1
+        self._quiet(line, self.at, "a guarded wait")
         number, level = int(found[1][1]), found[1][2].upper() == "FALSE"
         limit = int(found[2][1])
         if not 0 < limit <= _LONGEST_WAIT:

@@ -14,6 +14,7 @@ from planner.verify.context import Context, Outcome
 from planner.verify.controller_running import Partner
 from planner.verify.controller_text import Row, UnreadError, configuration, crossed, krl_lines, rapid_words
 from planner.verify.job import CONTROLLER, TaskText
+from planner.verify.program_text import strange
 from planner.verify.steps import SignalStep
 
 CODE = "verify.controller_files"
@@ -45,6 +46,7 @@ def controller_files(context: Context) -> Outcome:
             faults = _abb(controller, names, signals, files, partner)
         else:
             faults = _kuka(controller, tasks[0].arm.name, signals, files, partner)
+        faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
         issues += [
             Issue(CODE, f"{CONTROLLER}/{folder}: {fault}", file=f"{CONTROLLER}/{folder}", hint=_HINT)
             for fault in faults

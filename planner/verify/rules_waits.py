@@ -19,7 +19,7 @@ from planner.verify.handshake_text import Reading
 from planner.verify.job import Stage, TaskText, sync_points
 from planner.verify.moves import between, waits
 from planner.verify.segment_names import said
-from planner.verify.steps import ChoiceStep, MessageStep, MoveStep, SignalStep, Step, WaitStep
+from planner.verify.steps import ChoiceStep, MessageStep, MoveStep, SettingStep, SignalStep, Step, WaitStep
 
 FloatArray = NDArray[np.float64]
 
@@ -183,6 +183,8 @@ class _Walk:
             self._fault(name, step, "waits for as long as is known at run time only")
         elif isinstance(step, ChoiceStep) and (step.repeats or any(_waits(inside) for inside in step.steps)):
             self._fault(name, step, f"loops or waits on {step.condition}")
+        elif isinstance(step, ChoiceStep) and _stands(step, self.key):
+            self._fault(name, step, f"may stop on {step.condition}")
 
     def _fault(self, name: str, step: Step, what: str) -> None:
         what = f"{name} {what} while {self.signal} is on"
@@ -194,6 +196,16 @@ def _waits(step: Step) -> bool:
     if isinstance(step, ChoiceStep):
         return step.repeats or any(_waits(inside) for inside in step.steps)
     return isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm)
+
+
+def _stands(choice: ChoiceStep, key: str) -> bool:
+    """Whether a branch stops the arm or the program and has not switched the signal off before."""
+    for step in choice.steps:
+        if isinstance(step, SignalStep) and step.signal.lower() == key and not step.value:
+            return False
+        if isinstance(step, SettingStep) or (isinstance(step, ChoiceStep) and _stands(step, key)):
+            return True
+    return False
 
 
 def _longest(slot: _Slot) -> tuple[str, Step | None]:

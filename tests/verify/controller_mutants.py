@@ -248,3 +248,22 @@ def kuka_goes_on(rng, texts):
 def kuka_comment(rng, texts):
     file = ["sps_user.sub", "ir_stopm_user.src"][rng.integers(2)]
     return swap(texts, LEFT + file, r"(?m)^(\$OUT|TANDEM_CUT=)", r";\1", rng)
+
+
+SIGNS = ("\r", "\x85", "\x0c", "\u2028")
+"""What may end a line for a controller, and a comment with it."""
+
+
+@mutator(ABB)
+def code_in_a_comment(rng, texts):
+    sign = SIGNS[rng.integers(len(SIGNS))]
+    return swap(
+        texts, HOME + "TandemPower.sys", r"( +! At every \w+)", rf"\1{sign}  SetDO doWirePower,1;", rng
+    )
+
+
+@mutator(KUKA)
+def code_in_a_comment_of_krl(rng, texts):
+    file = ["sps_user.sub", "ir_stopm_user.src", "config_user.dat"][rng.integers(3)]
+    sign = SIGNS[rng.integers(len(SIGNS))]
+    return swap(texts, LEFT + file, r"(; Written by Tandem\.)", rf"\1{sign}$OUT[17]=TRUE", rng)

@@ -413,6 +413,14 @@ def moves_before_the_mode(rng, texts):
 
 
 @older("verify.syntax")
+def told_within_a_form(rng, texts):
+    """At a HALT inside of what is understood as a whole the panel would show it."""
+    row = pick(rng, ["^WHILE .MODE_OP", r"^WHILE \(tm_shift"])
+    mark, sep = pick(rng, [";*", ";?"]), pick(rng, ["\n", " "])
+    return edit(rng, texts, MAIN, row, lambda row: f"{row}{sep}{mark} Reach in, the wire is cold.")
+
+
+@older("verify.syntax")
 def no_question(rng, texts):
     return edit(rng, texts, MAIN, r"^;\?", lambda row: "; " + row[2:])
 

@@ -313,6 +313,22 @@ def test_power_at_a_question_in_between():
     assert "verify.wire_power" in broken("straight", texts, "verify.wire_power")
 
 
+@pytest.mark.parametrize(
+    ("code", "fault"),
+    [
+        ("IF TestDI(diHand) StopMove;", True),
+        ("IF TestDI(diHand) Stop;", True),
+        ("IF TestDI(diHand) EXIT;", True),
+        ("IF TestDI(diHand) THEN IF TestDI(diFoot) THEN StopMove\\Quick; ENDIF ENDIF", True),
+        ("IF TestDI(diHand) THEN StopMove; SetDO doWirePower,0; EXIT; ENDIF", True),
+        ("IF TestDI(diHand) THEN SetDO doWirePower,0; StopMove; EXIT; ENDIF", False),
+    ],
+)
+def test_a_hot_wire_does_not_stand_by_a_stop_that_depends(code, fault):
+    texts = attacked("straight", "Main", "    approach;", f"    {code}\n    approach;")
+    assert ("verify.power_idle" in broken("straight", texts, "verify.power_idle")) == fault
+
+
 def test_power_while_the_arm_goes_by_its_joints():
     main = rows_of(straight_job.programs(COUNT), 1, "Main")
     first = next(i for i, row in enumerate(main) if "SetDO doWirePower,0;" in row and i > 30)
