@@ -10,6 +10,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.issues import Issue, Severity, TandemError
+from planner.milling.operation import Milling
 from planner.motion import solve
 from planner.tooling import Mill
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
@@ -56,6 +57,15 @@ def test_a_surface_that_the_part_does_not_have(tmp_path: Path) -> None:
     assert "wall" in only(issues(tmp_path, WALL, cuts=[{"flank": "door"}]), "milling.no_surface").message
     lines = [{"lines": "front", "stepover_mm": 3}]
     assert "part.front" in only(issues(tmp_path, WALL, cuts=lines), "milling.no_surface").message
+
+
+def test_a_surface_behind_a_file_would_be_milled_at_its_speed(tmp_path: Path) -> None:
+    files = [{"name": "marks", "gcode": {"file": "a.nc", "origin": {}}}]
+    with pytest.raises(TandemError) as caught:
+        problem(tmp_path, WALL, cuts=[*files, {"flank": "wall"}])
+    assert "put files last" in only(list(caught.value.issues), "problem.field").message
+    (read,) = problem(tmp_path, WALL, cuts=[{"flank": "wall"}, *files]).operations
+    assert isinstance(read, Milling) and not read.by_files
 
 
 def test_a_wall_higher_than_the_flute(tmp_path: Path) -> None:
