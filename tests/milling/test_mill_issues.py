@@ -154,6 +154,18 @@ def test_lines_that_cannot_be(tmp_path: Path) -> None:
     assert "stepover_mm" in only(issues(tmp_path, PANEL, cuts=flat), "milling.pattern").message
 
 
+@pytest.mark.parametrize(("field", "good", "bad"), [("scallop_mm", 0.205, 0.3), ("stepover_mm", 2.15, 3.0)])
+def test_ridges_that_the_proof_would_refuse_are_refused_before(
+    tmp_path: Path, field: str, good: float, bad: float
+) -> None:
+    """The tolerance is 0.2 mm, of 98 % of the face."""
+    found = only(issues(tmp_path, PANEL, BALL, cuts=[{"lines": "front", field: bad}]), "milling.pattern")
+    assert found.value is not None and found.limit == pytest.approx(0.229, abs=1e-3)
+    assert found.limit < found.value < 0.4
+    for more in ({field: good}, {field: bad, "shape_tol_mm": 0.5}):
+        assert not issues(tmp_path, PANEL, BALL, cuts=[{"lines": "front", **more}])
+
+
 def test_a_holder_that_leans_into_the_panel(tmp_path: Path) -> None:
     cut = {**ENGRAVE, "lead_deg": 59}
     found = issues(
