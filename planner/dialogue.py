@@ -100,6 +100,8 @@ COLD: Final = Sentence("Wire cold, hands may come near?")
 BLOCK: Final = Sentence(
     "Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm, {rpm:g} 1/min"
 )
+BLOCK_OF_FILE: Final = Sentence("Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm")
+"""Where all cuts are files: their questions name the speeds."""
 BLOCK_READY: Final = Sentence("Block and cutter clamped, nobody in the cell?")
 GO_ON: Final = Sentence("Go on: {asked}?")
 """Between passes of a file, ``asked`` being one or more of the next three with commas between."""

@@ -258,7 +258,7 @@ CODES: Final[dict[str, str]] = {
     "milling.gouge": "a cutter, its shank, holder or spindle would go into the part",
     "milling.safe_plane": "a tool stands so flat that it never rises to the safe plane",
     "milling.front": "the part's front turns away from the side from which it is milled",
-    "milling.pattern": "the lines of a face are too many, or leave nothing of it",
+    "milling.pattern": "the lines of a face are too many, leave nothing of it, or ridges over its tolerance",
     "milling.off_surface": "a curve to be engraved leaves the part's front",
     "forming.no_sheet": "forming without a sheet, or without a part that is one",
     "forming.tool": "an arm carries a tool that its mode of forming cannot use",

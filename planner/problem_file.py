@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
 
@@ -212,6 +213,10 @@ def _emptied(error: dict[str, Any]) -> bool:
     )
 
 
+_NAME: Final = re.compile(r"\^\[A-Za-z\]\[A-Za-z0-9_\]\{0,(\d+)\}\$")
+"""A pattern of names, as errors have it."""
+
+
 def _field_issue(
     error: dict[str, Any], document: Document, prefix: tuple[str | int, ...], data: Any
 ) -> Issue:
@@ -226,6 +231,12 @@ def _field_issue(
         "finite_number": "give a finite number",
     }.get(error["type"], "correct it")
     what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
+    if name:
+        most = int(name[1]) + 1
+        what = (
+            f"names have a letter of A to Z first, then such letters, digits and _, at most {most} characters"
+        )
     return Issue(
         code,
         f"{field}: {what}{shown}; {remedy}",

@@ -204,6 +204,14 @@ def test_each_wrong_field_is_named(tmp_path: Path, field: str, value: Any, code:
     assert first.line or first.file != str(path)
 
 
+def test_a_name_of_other_letters_is_told_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(yaml.safe_dump(change(CAPITAL, "name", "Straße")))
+    (found,) = refused(path)
+    assert "letter of A to Z first" in found.message and "24 characters" in found.message
+    assert "Straße" in found.message and "^[" not in found.message
+
+
 MESHES = {
     "empty file": ("", {"mesh.unreadable", "mesh.empty"}),
     "no faces": ("v 0 0 0\nv 1 0 0\n", {"mesh.empty", "mesh.unreadable"}),

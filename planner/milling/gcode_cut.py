@@ -64,10 +64,9 @@ def passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Passes:
     if faults:
         raise TandemError(faults)
     runs: list[Run] = []
-    before = 0.0
+    before, since = 0.0, -1
     for number, (first, last) in enumerate(stretches):
-        asked = _questions(path, program.events, stretches, number, before)
-        before = float(path.spindle[last])
+        asked = _questions(path, program.events, (first, last), since, before)
         waits = [
             (e.at - 1 - first, e.seconds)
             for e in program.events
@@ -75,7 +74,9 @@ def passes(cut: GCodeCut, step: float, tolerance: float, field: str) -> Passes:
         ]
         name = f"{cut.name}_{number + 1}"
         run = _run(name, path[first : last + 1], waits, asked, tolerance, step)
-        runs += [] if run is None else [run]
+        if run is not None:  # else what it asks is asked before the next one
+            runs.append(run)
+            before, since = float(path.spindle[last]), last
     if not runs:
         what = "no cut of the file goes anywhere; give the G-code of the job"
         raise TandemError(Issue("gcode.empty", what, file=file, field=field))
@@ -110,13 +111,13 @@ def _speeds(path: ToolPath, stretches: Sequence[tuple[int, int]], file: str) -> 
 def _questions(
     path: ToolPath,
     events: Sequence[Event],
-    stretches: Sequence[tuple[int, int]],
-    number: int,
+    stretch: tuple[int, int],
+    since: int,
     before: float,
 ) -> str:
-    """What the operator is asked before a pass, with the spindle standing; empty for nothing."""
-    first, last = stretches[number]
-    since = stretches[number - 1][1] if number else -1
+    """What the operator is asked before a pass, with the spindle standing; empty for nothing. The pass
+    before ended at row ``since``, at the speed ``before``."""
+    first, last = stretch
     pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
     asked = [dialogue.FILE_LINE.say(line=line) for line in pauses]
     speed = float(path.spindle[last])

@@ -13,7 +13,7 @@ from planner.issues import Issue, TandemError
 from planner.milling.inset import within
 from planner.milling.operation import LinesCut, Milling
 from planner.milling.over import Over, Places
-from planner.milling.point import leant, ridge_step, tips
+from planner.milling.point import leant, ridge_height, ridge_step, tips
 from planner.milling.thin import thinned
 from planner.milling.values import Run, plain_path
 from planner.tooling import Cutter
@@ -32,6 +32,8 @@ MOST: Final = 5000
 """Lines of one cut at most."""
 BEND: Final = 2.0 * MM
 """Distance over which the bend of the face across a line is measured."""
+SLACK: Final = 1.1
+"""Ridges so many times as high as the tolerance allows are refused: those below are left to the proof."""
 
 
 def runs(
@@ -56,7 +58,9 @@ def runs(
         )
     count = int(np.ceil((tops[0] - ends[0]) / ALONG)) + 1
     places = np.linspace(ends[0], tops[0], count)[:, None] * way
-    offsets = _offsets(cut, over, places, side, (ends[1], tops[1]), cutter)
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    most = SLACK * tolerance / op.share**2  # of a round ridge the share sqrt(tolerance / height) is within
+    offsets = _offsets(cut, over, places, side, (ends[1], tops[1]), cutter, most)
     pieces: list[list[tuple[FloatArray, FloatArray]]] = []
     for number, offset in enumerate(offsets):
         laid = over.at(places + offset * side)
@@ -74,7 +78,6 @@ def runs(
             else:
                 pieces.append([line])
     name, feed = f"{cut.lines}_lines", (cut.feed_mm_s or op.feed_mm_s) * MM
-    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     out = []
     for number, piece in enumerate(pieces, 1):
         kept = [
@@ -99,9 +102,11 @@ def _offsets(
     side: FloatArray,
     ends: tuple[float, float],
     cutter: Cutter,
+    most: float,
 ) -> FloatArray:
     """Where across the face (L,) [m] its lines are: the step to the next one is the least that any place of
-    the line asks for; all are made smaller alike so that the last one lies on the edge."""
+    the line asks for; all are made smaller alike so that the last one lies on the edge. ``most``: how
+    high [m] ridges may be."""
     if cut.scallop_mm is not None and cutter.corner == 0.0:
         raise TandemError(
             Issue(
@@ -111,9 +116,10 @@ def _offsets(
                 field="operations.cuts.scallop_mm",
             )
         )
-    found = [ends[0]]
+    found, lowest = [ends[0]], np.inf
     while found[-1] < ends[1]:
-        step = _step(cut, over, places, side, found[-1], ends, cutter)
+        step, ridge = _step(cut, over, places, side, found[-1], ends, cutter)
+        lowest = min(lowest, ridge)
         found.append(found[-1] + step)
         if len(found) > MOST:
             raise TandemError(
@@ -126,7 +132,26 @@ def _offsets(
                 )
             )
     out = np.array(found)
-    return np.asarray(ends[0] + (out - ends[0]) * (ends[1] - ends[0]) / (out[-1] - ends[0]))
+    closer = (ends[1] - ends[0]) / (out[-1] - ends[0])
+    if cutter.kind == "ball":  # a bull nose has a flat that leaves less
+        _ridges(float(lowest * closer**2), most)
+    return np.asarray(ends[0] + (out - ends[0]) * closer)
+
+
+def _ridges(lowest: float, most: float) -> None:
+    """Refuse lines whose lowest ridge [m] already leaves too much of the face outside of its tolerance."""
+    if lowest > most:
+        raise TandemError(
+            Issue(
+                "milling.pattern",
+                f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
+                f"allowed: {most / MM:.3f} mm; give a smaller stepover_mm or scallop_mm, or more tolerance",
+                field="operations.cuts",
+                value=lowest / MM,
+                limit=most / MM,
+                unit="mm",
+            )
+        )
 
 
 def _step(
@@ -137,11 +162,11 @@ def _step(
     offset: float,
     ends: tuple[float, float],
     cutter: Cutter,
-) -> float:
-    """Plan distance [m] from a line to the next one."""
+) -> tuple[float, float]:
+    """Plan distance [m] from a line to the next one, and the height [m] of the lowest ridge between them."""
     aside = np.append(side, 0.0)
     wide = cut.stepover_mm * MM if cut.stepover_mm is not None else None
-    steps = []
+    steps, ridges = [], []
     guess = (
         wide
         if wide is not None
@@ -163,9 +188,11 @@ def _step(
         flat = np.sqrt(np.maximum(1.0 - slope**2, 1e-4))
         if wide is not None:
             steps.append(float((wide * flat).min()))
+            ridges.append(float(ridge_height(wide, cutter.corner, bend).min()))
         else:
             steps.append(float((ridge_step((cut.scallop_mm or 0.0) * MM, cutter.corner, bend) * flat).min()))
-    return max(min(steps, default=guess), 0.02 * MM)
+    asked = min(ridges, default=0.0) if wide is not None else (cut.scallop_mm or 0.0) * MM
+    return max(min(steps, default=guess), 0.02 * MM), asked
 
 
 def _pieces(laid: Places) -> list[tuple[int, int]]:

@@ -70,15 +70,19 @@ def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
 
 
 def _dialogue(work: Work) -> OperatorDialogue:
-    """The block, the cutter and its spindle's speed are told; what files ask for besides, the proof reads
-    there."""
+    """The block, the cutter and its spindle's speed are told, the last one not where files say it; what files
+    ask for besides, the proof reads there."""
     op, size = work.operation, np.ptp(work.box, axis=0) / MM
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
+    if op.by_files:
+        tell = told(dialogue.BLOCK_OF_FILE, **block, **cutter)
+    else:
+        tell = told(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
         (
-            told(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm)),
+            tell,
             asked(dialogue.BLOCK_READY),
             *powered(op.signal, op.spin_up_s),
         ),

@@ -27,11 +27,15 @@ def _setup(work: Work) -> dict[str, Any]:
     op, cutter = work.operation, work.cutter
     size = f"{2e3 * cutter.radius:g} mm, flute {cutter.flute / MM:g} mm"
     corner = f", corner {cutter.corner / MM:g} mm" if cutter.kind == "bull" else ""
+    spindle: list[tuple[Any, ...]] = [("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)")]
+    if any(isinstance(one.cut, GCodeCut) for one in work.cuts):
+        asked = ("spindle in passes of files", "speed and sense as the program asks before them")
+        spindle = [asked] if op.by_files else [*spindle, asked]
     items: list[tuple[Any, ...]] = [
         ("cutter", f"{cutter.kind}, {size}{corner}"),
         ("overhang of the cutter", f"{cutter.overhang / MM:g}", "mm from the holder's nose to the tip"),
         ("TCP", "the tip of the cutter, on its axis; z out of the spindle"),
-        ("spindle", f"{op.spindle_rpm:g}", "1/min, clockwise (M3)"),
+        *spindle,
         ("spindle signal", op.signal),
         ("feed", _feeds(work), "mm/s"),
         ("safe plane", f"{op.safe_mm:g} mm off the block, side {op.safe_side}"),

@@ -107,16 +107,12 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
 
 
 def _told(made: Work) -> str:
-    """The block, the cutter, and the speed that its spindle is set to by hand."""
+    """The block, the cutter, and the speed that its spindle is set to by hand, unless files ask it."""
     size, op = (made.box[1] - made.box[0]) / MM, made.operation
-    return dialogue.BLOCK.say(
-        x_mm=size[0],
-        y_mm=size[1],
-        z_mm=size[2],
-        kind=made.cutter.kind,
-        diameter_mm=2e3 * made.cutter.radius,
-        rpm=op.spindle_rpm,
-    )
+    figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
+    if op.by_files:
+        return dialogue.BLOCK_OF_FILE.say(kind=made.cutter.kind, **figures)
+    return dialogue.BLOCK.say(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
 def _between(made: Work, route: Route) -> Iterator[Action]:

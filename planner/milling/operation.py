@@ -187,6 +187,21 @@ class Milling(Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _files_last(self) -> Self:
+        files = [isinstance(cut, GCodeCut) for cut in self.cuts]
+        if files != sorted(files):
+            raise ValueError(
+                "cuts: a surface or pattern behind a file would be milled at the speed, and the sense, that "
+                "the file left the spindle with; put files last, or in an operation of their own"
+            )
+        return self
+
+    @property
+    def by_files(self) -> bool:
+        """Whether files alone are cut: each states its spindle's speeds."""
+        return all(isinstance(cut, GCodeCut) for cut in self.cuts)
+
     @property
     def segments(self) -> tuple[str, ...]:
         """Names of the cuts in order."""

@@ -45,5 +45,13 @@ def ridge_step(height: float, radius: float, bend: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(8.0 * height / np.maximum(1.0 / radius + bend, 1e-3 / radius)))
 
 
+def ridge_height(step: float, radius: float, bend: FloatArray) -> FloatArray:
+    """Height (N,) [m] of the ridges that lines ``step`` [m] apart leave, as :func:`ridge_step` has it;
+    0 of a flat end, where ``radius`` is 0."""
+    if radius == 0.0:
+        return np.zeros(len(bend))
+    return np.asarray(step**2 / 8.0 * np.maximum(1.0 / radius + bend, 0.0))
+
+
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

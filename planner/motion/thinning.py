@@ -126,8 +126,9 @@ def told(targets: Targets, values: FloatArray, time: FloatArray) -> list[Issue]:
         return []
     took, way = np.diff(time, prepend=0.0)[rows], _ways(targets, values)[rows]
     first, name = int(rows[0]), targets.name(int(rows[0]))
+    many = "1 move takes" if len(rows) == 1 else f"{len(rows)} moves take"
     what = (
-        f"{len(rows)} moves take less than {LEAST_TIME:g} s or go less than {LEAST_WAY:g} mm, first that to "
+        f"{many} less than {LEAST_TIME:g} s, or no more way than {LEAST_WAY:g} mm, first that to "
         f"{name}; the least take {took.min():.3f} s and go {way.min():.3f} mm: a controller may stop there"
     )
     hint = "lower the feed, or give a coarser tolerance or path there"

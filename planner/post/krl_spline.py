@@ -29,7 +29,7 @@ from planner.claims_milling import (
 )
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, Severity
-from planner.post.krl_curve import LEVER, Curve, curve
+from planner.post.krl_curve import LEVER, TURN, Curve, curve
 from planner.post.krl_format import rotation
 from planner.post.krl_moves import FREE_TURN, LEAST_SPEED, SPEED_DECIMALS, Lines, Rows
 from planner.post.text import short
@@ -166,6 +166,8 @@ def _judged(
         k = int(np.argmax(there))
         if there[k] > most:
             why = f"a curve may be {there[k]:.3f} mm off the straight way; allowed: {most:g} mm"
+            if np.isinf(there[k]):
+                why = f"it turns by over {np.rad2deg(TURN):.1f} degrees, the most for a move of a block"
             return Run(first, last, why, first + k, float(off[worst]))
     fast = int(np.argmax(speed - FASTER * near))
     if fed and speed[fast] > FASTER * near[fast] + 1e-9:

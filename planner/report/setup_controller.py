@@ -88,6 +88,11 @@ def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
     return list(out)
 
 
+def _hot(problem: Problem) -> bool:
+    """Whether wires are mounted that get hot."""
+    return any(operation.process.endswith("_wire") for operation in problem.operations)
+
+
 def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
     controller = problem.cell.controller
     ending = "sys" if controller.robotware == 6 else "sysx"
@@ -104,6 +109,7 @@ def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str
             real = controller.interlock.of(signal)
             place = f"{real.device}, bit {real.bit}" if real.device else "NO DEVICE stated, so no power"
             out.append((f"{real.signal} falls at a stop, with the motors, with the enabling device", place))
+    if signals and _hot(problem):
         out.append(
             (
                 "mounting while the wire is hot and the gate open",
@@ -144,7 +150,7 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
         out.append(
             ("the power falls at a stop and with the drives", f"$OUT[{number if real is None else real}]")
         )
-    if signals:
+    if signals and _hot(problem):
         words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
         out.append(("mounting while the wire is hot and the gate open", words))
     out.append(("behind an error or a stop that is given up", "reset the program, then start"))

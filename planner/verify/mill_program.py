@@ -62,7 +62,7 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         rows = slice(first, last + 1)
         if _extent(way, rows) > STILL:
             out.append(Pass(number, _part(way, rows), question, waits))
-        speed, before = own, last
+            speed, before = own, last
     return tuple(out)
 
 

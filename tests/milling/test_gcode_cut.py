@@ -81,6 +81,11 @@ def test_waits_and_questions(tmp_path: Path) -> None:
     assert third.before == ""
 
 
+def test_what_is_asked_before_a_cut_that_goes_nowhere_is_asked_before_the_next(tmp_path: Path) -> None:
+    (run,) = cut(tmp_path, "G0 X0 Y0 Z5\nM0\nG1 X0\nG0 Z6\nG0 X1\nG1 Z-1\nX10\nG0 Z5\n").runs
+    assert run.before == "Go on: line 5 of the file, spindle at 6000 1/min?"
+
+
 @pytest.mark.parametrize(
     ("text", "code", "line"),
     [

@@ -10,6 +10,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.issues import Issue, Severity, TandemError
+from planner.milling.operation import Milling
 from planner.motion import solve
 from planner.tooling import Mill
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
@@ -56,6 +57,15 @@ def test_a_surface_that_the_part_does_not_have(tmp_path: Path) -> None:
     assert "wall" in only(issues(tmp_path, WALL, cuts=[{"flank": "door"}]), "milling.no_surface").message
     lines = [{"lines": "front", "stepover_mm": 3}]
     assert "part.front" in only(issues(tmp_path, WALL, cuts=lines), "milling.no_surface").message
+
+
+def test_a_surface_behind_a_file_would_be_milled_at_its_speed(tmp_path: Path) -> None:
+    files = [{"name": "marks", "gcode": {"file": "a.nc", "origin": {}}}]
+    with pytest.raises(TandemError) as caught:
+        problem(tmp_path, WALL, cuts=[*files, {"flank": "wall"}])
+    assert "put files last" in only(list(caught.value.issues), "problem.field").message
+    (read,) = problem(tmp_path, WALL, cuts=[{"flank": "wall"}, *files]).operations
+    assert isinstance(read, Milling) and not read.by_files
 
 
 def test_a_wall_higher_than_the_flute(tmp_path: Path) -> None:
@@ -142,6 +152,18 @@ def test_lines_that_cannot_be(tmp_path: Path) -> None:
     assert only(issues(tmp_path, PANEL, BALL, cuts=wide), "milling.pattern")
     flat = [{"lines": "front", "scallop_mm": 0.05}]
     assert "stepover_mm" in only(issues(tmp_path, PANEL, cuts=flat), "milling.pattern").message
+
+
+@pytest.mark.parametrize(("field", "good", "bad"), [("scallop_mm", 0.205, 0.3), ("stepover_mm", 2.15, 3.0)])
+def test_ridges_that_the_proof_would_refuse_are_refused_before(
+    tmp_path: Path, field: str, good: float, bad: float
+) -> None:
+    """The tolerance is 0.2 mm, of 98 % of the face."""
+    found = only(issues(tmp_path, PANEL, BALL, cuts=[{"lines": "front", field: bad}]), "milling.pattern")
+    assert found.value is not None and found.limit == pytest.approx(0.229, abs=1e-3)
+    assert found.limit < found.value < 0.4
+    for more in ({field: good}, {field: bad, "shape_tol_mm": 0.5}):
+        assert not issues(tmp_path, PANEL, BALL, cuts=[{"lines": "front", **more}])
 
 
 def test_a_holder_that_leans_into_the_panel(tmp_path: Path) -> None:

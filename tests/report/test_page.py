@@ -272,3 +272,11 @@ def test_setup_sheet_names_what_a_kuka_controller_must_have(problem: Problem, pl
     assert "KRC2; $ROBROOT zero; doSpindle is number 17" in shown
     assert "right: T_ROB2" in shown
     assert "left: T_ROB1" not in shown
+
+
+def test_setup_sheet_speaks_of_hot_wires_where_there_are_some(problem: Problem, plan: Plan) -> None:
+    assert "while the wire is hot" in str(setup_sheet.sheet(problem, plan))
+    (own,) = problem.operations
+    milled = dataclasses.replace(problem, operations=(dataclasses.replace(own, process="milling"),))
+    shown = str(setup_sheet.sheet(milled, plan))
+    assert "TandemPower.sys" in shown and "while the wire is hot" not in shown

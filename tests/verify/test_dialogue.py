@@ -295,13 +295,15 @@ def test_what_a_file_asks_and_waits_for_is_proven(milled):
     text = programs[main_of(programs)]
     assert re.findall(r"WaitTime ([\d.]+)", text) == ["1", "0.5", "0.25", "1", "1", "1.5", "1"]
     assert "Go on: line 13 of the file, spindle at 9000 1/min?" in text
+    assert "12000 1/min" not in text  # which no pass is cut at
     assert issues(programs) == ()
 
 
 @pytest.mark.parametrize(
     ("old", "new"),
     [("WaitTime 0.5;", ""), ("WaitTime 0.5;", "WaitTime 500;"), ("WaitTime 0.25;", "WaitTime 0.5;"),
-     ("9000 1/min", "19000 1/min"), ("line 13", "line 12"), ("12000 1/min", "1200 1/min"),
+     ("9000 1/min", "19000 1/min"), ("line 13", "line 12"),
+     ("ball mill of 6", "ball mill of 6, 12000 1/min"),
      ("ball mill of 6", "ball mill of 60"), ("Block 120 x 80", "Block 80 x 120"),
      ("stands, take", "runs, take")],
 )  # fmt: skip

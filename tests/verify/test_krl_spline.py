@@ -62,6 +62,21 @@ def test_a_kink_stays_straight_and_is_named(tmp_path):
     assert "SPLINE" not in outcome.programs[MOVES]
 
 
+def test_a_turn_that_is_too_wide_for_a_block_is_named(tmp_path):
+    path = spline_job.written(tmp_path, spline_job.bow(9))
+    table = tmp_path / "targets.csv"
+    rows = table.read_text().splitlines()
+    for k, row in enumerate(rows[1:]):
+        cells, turn = row.split(","), np.deg2rad(70.0 + 6.0 * k) / 2.0
+        cells[3:7] = [f"{v:.9f}" for v in (np.cos(turn), 0.0, np.sin(turn), 0.0)]
+        rows[k + 1] = ",".join(cells)
+    table.write_text("\n".join(rows) + "\n")
+    outcome = pipeline.plan(pipeline.load(path))
+    assert outcome.verified, outcome.issues
+    (left,) = [issue for issue in outcome.issues if issue.code == "post.spline_left"]
+    assert "turns by over 5.7 degrees" in left.message and "inf" not in left.message
+
+
 @pytest.mark.parametrize(
     "fields", [{"dialect": "krc2"}, {"sync": "handshake", "io": "{left: {doPartner: 1, diPartner: 1}}"}]
 )

@@ -41,7 +41,7 @@ TOOLS: dict[str, dict[str, Any]] = {
 
 
 def job(folder: Path, tool: str, cut: dict[str, Any]) -> tuple[MillingJob, MillsOver]:
-    own = processes.job(problem(folder, PANEL, TOOLS[tool], cuts=[cut]), 0)
+    own = processes.job(problem(folder, PANEL, TOOLS[tool], cuts=[cut], share=0.51), 0)  # far apart
     assert isinstance(own, MillingJob)
     (claim,) = [claim for claim in own.claims() if isinstance(claim, MillsOver)]
     return own, claim
