@@ -344,7 +344,7 @@ def _meetings(
     it arrives. None where both have arrived, and at the lead's start, when the operator has seen to it.
 
     A look whether the other program runs (an input that is ``watched``) lasts as long as the meeting behind
-    it may; whether that stands is seen once, when it is started.
+    it may; whether that stands is seen at the start, when somebody stops it.
     """
     before: SignalStep | None = None
     looks: list[WaitStep] = []
@@ -353,7 +353,10 @@ def _meetings(
         if isinstance(step, SignalStep):
             before = step
         elif isinstance(step, WaitStep) and step.signal.lower() in watched:
-            looks += [step] if step.value else []
+            if step.value:
+                looks.append(step)
+            else:
+                yield step, None
         elif isinstance(step, WaitStep):
             leads = before is not None and before.value == step.value  # it asks, and waits for the answer
             met = kind == "four_phase" and not step.value

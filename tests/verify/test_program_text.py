@@ -46,6 +46,11 @@ def rewritten(old, new, kind=CUTS, flags=0):
     return {**texts, kind: changed}
 
 
+def modules(change):
+    """The programs with each module changed; lists stay as they are."""
+    return {file: change(text) if file.endswith(".mod") else text for file, text in programs().items()}
+
+
 def short(found):
     return repr(float(found.group()))
 
@@ -66,12 +71,9 @@ HARMLESS = {
     "minus apart": lambda: rewritten(r"(?<=[\[,])-(?=\d)", "- "),
     "minus zero": lambda: rewritten(r"(?<=[\[,])0(?:\.0+)?(?=[,\]])", "-0.00"),
     "blanks": lambda: rewritten(r",(?=[-\d])", " ,\t "),
-    "lines of Windows": lambda: {f: t.replace("\n", "\r\n") for f, t in programs().items()},
-    "lines of an old Mac": lambda: {f: t.replace("\n", "\r") for f, t in programs().items()},
-    "a byte order mark": lambda: (
-        {f: program_text.MARK + t for f, t in programs().items() if f.endswith(".mod")}
-        | {f: t for f, t in programs().items() if not f.endswith(".mod")}
-    ),
+    "lines of Windows": lambda: modules(lambda t: t.replace("\n", "\r\n")),
+    "lines of an old Mac": lambda: modules(lambda t: t.replace("\n", "\r")),
+    "a byte order mark": lambda: modules(lambda t: program_text.MARK + t),
     "letters in comments": lambda: rewritten(r"(?m)^( *!.*)$", "\\1 gr\xf6\xdfer \u2192 \u041f\u0443 \x93"),
     "Latin letters": lambda: {
         f: program_text.decode(t.replace("! ", "! \xc5\xe4\x96 ", 3).encode("latin-1"))
@@ -188,7 +190,7 @@ INI = (
     "    ;Make your modifications here\r\n\r\n  ;ENDFOLD (USER INI)\r\n;ENDFOLD (INI)"
 )
 PARAMS = "&REL 17\r\n&COMMENT h\xf6lzern\r\n&PARAM EDITMASK = *\r\n&PARAM DISKPATH = KRC:\\R1\\Program"
-NUMBER = r"(?<=[XYZABC] )-?\d+\.\d+"
+NUMBER = r"(?<=[{,][XYZABC] )-?\d+\.\d+"
 KRL_HARMLESS = {
     "the template's head": lambda t: re.sub(r"GLOBAL INTERRUPT.*\r\n.*\r\nBAS\(#INITMOV,0\)", INI, t),
     "headers of a controller": lambda t: t.replace("&REL 1", PARAMS).replace("RVP", "RVO1"),
