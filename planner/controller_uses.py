@@ -58,6 +58,14 @@ def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Is
             what = "the power of a spindle" if operation.process == "milling" else "the power of a wire"
             use(signal, what, f"{field}.signal", SWITCHED_NAME)
             use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
+    for arm in cell.arms:
+        for request, output in lock.outputs.items():
+            if controller.number(arm.name, request) and not controller.number(arm.name, output.signal):
+                got = (
+                    f"{output.signal} has no number on the controller of arm {arm.name}, where {request} has"
+                )
+                hint = f"add it to controller: {{io: {{{arm.name}: ...}}}}"
+                issues.append(Issue("problem.field", got, field=f"{place}.outputs.{request}", hint=hint))
     wired: dict[tuple[str, int], str] = {}
     for request, output in lock.outputs.items():
         key = (output.device.lower(), output.bit)

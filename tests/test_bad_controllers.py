@@ -66,6 +66,12 @@ WRONG: list[tuple[str, Any, str, str]] = [
     (FIELD, {"wire_signal": "doStraße"}, "problem.field", FIELD + ".wire_signal"),
     (FIELD, {"io": {"left": {"doWirePower": 0}}}, "problem.field", FIELD + ".io.left.doWirePower"),
     (FIELD, {"io": {"left": {"doWirePower": 4097}}}, "problem.field", FIELD + ".io.left.doWirePower"),
+    (
+        FIELD,
+        {"io": {"left": {"doWirePower": 5}}, "interlock": {"outputs": {"doWirePower": {"signal": "doHot"}}}},
+        "problem.field",
+        OUT + ".doWirePower",
+    ),
     (SIGNAL, "soCycleOn", "problem.field", SIGNAL),
     (SIGNAL, "x" * 29, "problem.field", SIGNAL),
     (SIGNAL, "x" * 33, "problem.field", SIGNAL),
