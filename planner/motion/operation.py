@@ -68,7 +68,7 @@ def plan_operation(
     if not kept:
         diagnose.require_moves(scene, targets, found.path.branch, samples)
     wanted, timed = targets, _clock(scene, targets, samples)
-    wanted, better, timed = _joined(scene, wanted, found, better, timed)
+    wanted, better, timed = _joined(scene, wanted, found, better, samples, timed)
     targets, ticks, deviation = timed
     least_feed.require(scene, targets, samples, ticks.time)
     slow = _slow(targets, ticks.time) if targets.run_up is None else []
@@ -187,13 +187,13 @@ def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np
 
 
 def _joined(
-    scene: Scene, targets: Targets, found: Found, better: Improved, timed: Timed
+    scene: Scene, targets: Targets, found: Found, better: Improved, samples: Dense, timed: Timed
 ) -> tuple[Targets, Improved, Timed]:
     """Targets, path and clock again, with short moves joined to longer ones where that changes nothing, and
-    those that are left slowed where nothing asks for speed."""
+    those that are left slowed where nothing asks for speed. ``samples`` of all moves, and their clock
+    ``timed``, as they are before."""
     kept = np.arange(targets.count)
     some, path = targets, better
-    samples = dense(scene, some, found.path.branch, path.q)
     for _ in range(JOININGS):
         fewer = thinning.joined(targets, better.values, timed[1].time, kept)
         if len(fewer) == len(kept):
