@@ -55,7 +55,7 @@ class Way:
     """N places, in the stock's frame: ``tip`` (N, 3) [m], ``axis`` (N, 3) from tip to spindle; of the move to
     each the ``feed`` (N,) [m/s], infinite for rapid ones, whether it ``cuts`` (N,), the ``spindle`` (N,)
     [1/min] and the ``line`` (N,). ``pauses``: (line, places before it) where the program waits for somebody;
-    ``waits``: ([s], places before it) where it does by itself; ``dwell`` (N,) [s]: so long at each place."""
+    ``waits``: ([s], places before it) where it does by itself."""
 
     tip: FloatArray
     axis: FloatArray
@@ -64,7 +64,6 @@ class Way:
     spindle: FloatArray
     line: IntArray
     pauses: tuple[tuple[int, int], ...]
-    dwell: FloatArray
     waits: tuple[tuple[float, int], ...] = ()
 
 
@@ -126,19 +125,8 @@ def read(stated: ProgramFile, chord: float) -> Way:
         own.spindle[row[to]],
         own.line[row[to]],
         tuple(zip(own.line[pauses].tolist(), places(pauses), strict=True)),
-        _dwell(own, row, ends),
         tuple(zip(own.dwell[dwells].tolist(), places(dwells), strict=True)),
     )
-
-
-def _dwell(own: Lines, row: IntArray, ends: IntArray) -> FloatArray:
-    """How long [s] the program waits by itself at each place; ``ends`` (R,): places up to each of the moves,
-    which are in the lines ``row`` (R,)."""
-    out = np.zeros(int(ends[-1]))
-    waiting = np.flatnonzero(own.wanted & (own.dwell > 0.0))
-    before = np.searchsorted(row, waiting, side="right")
-    np.add.at(out, ends[before[before > 0] - 1] - 1, own.dwell[waiting[before > 0]])
-    return out
 
 
 def _start(stated: ProgramFile) -> FloatArray:

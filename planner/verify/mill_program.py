@@ -31,13 +31,17 @@ LEVER = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Pass:
-    """A stretch of cuts between rapid moves: its number from 1, its places, the question before it, and where
-    (3,) [m] and how long [s] the tool waits in it."""
+    """A stretch of cuts between rapid moves: its number from 1, its places with its waits, and the question
+    before it."""
 
     number: int
     way: Way
     question: str
-    waits: tuple[tuple[FloatArray, float], ...] = ()
+
+    @property
+    def waits(self) -> tuple[tuple[FloatArray, float], ...]:
+        """Where (3,) [m] and how long [s] the tool waits behind its first place."""
+        return tuple((self.way.tip[at - 1], seconds) for seconds, at in self.way.waits if at > 1)
 
 
 def passes(program: MillsProgram) -> tuple[Pass, ...]:
@@ -58,10 +62,9 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         if own != speed:
             spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).say(rpm=abs(own)))
         question = dialogue.GO_ON.say(asked=", ".join(spoken)) if spoken else ""
-        waits = tuple((way.tip[at - 1], seconds) for seconds, at in way.waits if first < at - 1 <= last)
         rows = slice(first, last + 1)
         if _extent(way, rows) > STILL:
-            out.append(Pass(number, _part(way, rows), question, waits))
+            out.append(Pass(number, _part(way, rows), question))
             speed, before = own, last
     return tuple(out)
 
@@ -76,12 +79,17 @@ def _dwell(way: Way) -> float:
     """The longest wait [s] at one place; places that are no farther apart than ``STILL`` are one."""
     moved = np.linalg.norm(np.diff(way.tip, axis=0), axis=1) > STILL
     moved |= np.linalg.norm(np.diff(way.axis, axis=0), axis=1) > STILL
-    return float(np.bincount(np.concatenate([[0], np.cumsum(moved)]), weights=way.dwell).max())
+    stretch = np.concatenate([[0], np.cumsum(moved)])
+    waited = np.zeros(stretch[-1] + 1)
+    for seconds, at in way.waits:
+        waited[stretch[at - 1]] += seconds
+    return float(waited.max())
 
 
 def _part(way: Way, rows: slice) -> Way:
     tip, axis, feed, cuts = way.tip[rows], way.axis[rows], way.feed[rows], way.cuts[rows]
-    return Way(tip, axis, feed, cuts, way.spindle[rows], way.line[rows], (), way.dwell[rows])
+    waits = tuple((seconds, at - rows.start) for seconds, at in way.waits if rows.start < at <= rows.stop)
+    return Way(tip, axis, feed, cuts, way.spindle[rows], way.line[rows], (), waits)
 
 
 def spoken(
