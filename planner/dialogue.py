@@ -70,6 +70,15 @@ UNANSWERED: Final = Sentence(
     "Arm {other} did not answer in time, or its running wire is not as it should be."
 )
 
+WAITING: Final = Sentence("Waiting for arm {arm}.")
+TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they meet.")
+"""On the panel of a KUKA controller while its program waits for the other arm, and moves together with it."""
+
+# ---- where a robot stands ----
+
+FOOT: Final = Sentence("Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg")
+"""Of a KUKA robot; its controller puts the figures in."""
+
 # ---- error handlers ----
 
 FAILED: Final = Sentence("Tandem: error in {procedure}, number")

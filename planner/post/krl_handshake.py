@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from planner import dialogue
 from planner.post import krl_panel
 from planner.post.krl_format import comment
 from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, Note, Partner, PartnerStep, SetLine, Tell
@@ -16,7 +17,7 @@ def lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = krl_panel.WAITING.format(arm=partner.other)
+    waiting = dialogue.WAITING.say(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)

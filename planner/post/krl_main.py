@@ -155,7 +155,7 @@ class Main:
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
         if self.partner is not None and operation.meets[first:last].any():
-            together = krl_panel.TOGETHER.format(arm=self.partner.other)
+            together = dialogue.TOGETHER.say(arm=self.partner.other)
             return krl_panel.during(together, calls, self.dialect)
         return calls
 

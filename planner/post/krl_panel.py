@@ -10,14 +10,12 @@ import re
 import textwrap
 from typing import Final
 
+from planner import dialogue
 from planner.issues import Issue, TandemError
 from planner.post.krl_format import comment
 from planner.post.text import plain
 from planner.problem import KrlDialect
 
-WAITING: Final = "Waiting for arm {arm}."
-TOGETHER: Final = "Moves with arm {arm} and waits for it where they meet."
-FOOT: Final = "Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg"
 FOOT_OLD: Final = "Arm {arm}: $ROBROOT is off zero by tm_shift mm, tm_turn deg."
 EXTERNAL: Final = "In automatic external a PLC would answer. Take another mode of operation, then Start."
 YES, NO, NEXT, READ = "Yes", "No", "Next", "Read"
@@ -94,7 +92,7 @@ def foot(arm: str, dialect: KrlDialect) -> list[str]:
     the sum of its angles, which no turn exceeds."""
     squares = "+".join(f"$ROBROOT.{axis}*$ROBROOT.{axis}" for axis in "XYZ")
     looked = [f"tm_shift=SQRT({squares})", f"tm_turn={'+'.join(f'ABS($ROBROOT.{a})' for a in 'ABC')}"]
-    names = FOOT.format(arm=arm)
+    names = dialogue.FOOT.say(arm=arm)
     if dialect == "krc2":
         shown = comment(FOOT_OLD.format(arm=arm))
         after: list[str] = []

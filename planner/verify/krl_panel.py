@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from planner import dialogue
 from planner.verify import krl_words
 from planner.verify.krl_ast import (
     Call,
@@ -144,7 +145,8 @@ class Panel:
         """A question of krc2; in krc4 the stop in which the program of another arm is started."""
         self._main(depth, "HALT")
         if self.dialect == "krc4":
-            if any(self._told.startswith(letters(krl_words.START.format(arm))) for arm in self.others):
+            calls = (letters(dialogue.START_PARTNER.say(other=arm)) for arm in self.others)
+            if self._told in calls:
                 return None
             raise PanelError(f"HALT is no question: {_PLC}; ask by a dialog")
         if not self._question:
@@ -167,8 +169,8 @@ class Panel:
         return Message("Set_KrlDlg", whole, True)
 
     def _state(self, text: str) -> Message:
-        forms = (krl_words.WAITING, krl_words.TOGETHER)
-        known = [form.format(arm) for arm in self.others for form in forms]
+        forms = (dialogue.WAITING, dialogue.TOGETHER)
+        known = [form.say(arm=arm) for arm in self.others for form in forms]
         if text not in known:
             wanted = " or ".join(map(repr, known)) or "nothing"
             raise PanelError(f"the panel says {text!r} while it waits; wanted: {wanted}")
@@ -176,13 +178,13 @@ class Panel:
         return Message("#STATE", text)
 
     def _listens(self, depth: int) -> None:
-        forms = (krl_words.TOGETHER,) if depth else (krl_words.WAITING,)
-        if self._shown not in [form.format(arm) for arm in self.others for form in forms]:
+        forms = (dialogue.TOGETHER,) if depth else (dialogue.WAITING,)
+        if self._shown not in [form.say(arm=arm) for arm in self.others for form in forms]:
             raise PanelError("the program waits for the other arm, and the panel does not say so")
         self._waited = True
 
     def _foot(self, shift: float, turn: float, text: str) -> None:
-        wanted = krl_words.FOOT.format(self.arm) if self.dialect == "krc4" else ""
+        wanted = dialogue.FOOT.say(arm=self.arm) if self.dialect == "krc4" else ""
         if text != wanted:
             raise PanelError(f"$ROBROOT is looked at with the text {text!r}; wanted: {wanted!r}")
         if text and not self._prepared:

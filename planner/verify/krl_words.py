@@ -52,13 +52,6 @@ FRAMES: Final = {"$tool": "frame", "$base": "frame", "$load": "load"}
 """Settings that name data, with their type."""
 WORLD: Final = "b_world"
 """What the frame is called that is the cell's world, as the robot's foot sees it."""
-WAITING: Final = "Waiting for arm {}."
-TOGETHER: Final = "Moves with arm {} and waits for it where they meet."
-"""What the panel says while a program waits for the other arm."""
-START: Final = "Start the program of arm {} now."
-"""What it says before a program stops so that the other one is started and sees it stand."""
-FOOT: Final = "Arm {}: $ROBROOT is off zero by %1 mm, %2 deg"
-"""What it says of a robot's foot that is not where the program has it."""
 FOOT_SHIFT: Final = 0.1
 FOOT_TURN: Final = 0.02
 """How far $ROBROOT may be off zero: its way [mm], and the sum of its angles [deg]."""

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planner import dialogue
 from planner.issues import TandemError
 from planner.post import krl_panel
 from planner.post.krl_format import NAME_LENGTH, name
@@ -81,9 +82,9 @@ def test_what_no_panel_can_show_is_refused(text, word):
 
 @pytest.mark.parametrize("arm", ["a", "n" * NAME_LENGTH])
 def test_texts_with_the_longest_names_fit(arm):
-    for form in (krl_panel.WAITING, krl_panel.TOGETHER, krl_panel.FOOT):
-        assert len(form.format(arm=arm)) <= 80
-    assert len(texts(krl_panel.during(krl_panel.TOGETHER.format(arm=arm), ["x()"], "krc4"))) == 1
+    for form in (dialogue.WAITING, dialogue.TOGETHER, dialogue.FOOT):
+        assert len(form.say(arm=arm)) <= 80
+    assert len(texts(krl_panel.during(dialogue.TOGETHER.say(arm=arm), ["x()"], "krc4"))) == 1
     assert all(len(line) <= 200 for line in krl_panel.foot(arm, "krc4"))
 
 
