@@ -372,7 +372,7 @@ CODES: Final[dict[str, str]] = {
     "service.file_name": "an uploaded file has no name, a name too long, or one that another file has",
     "service.archive": "an archive or compressed file was uploaded",
     "service.too_large": "an upload or a file of it is larger than the service takes",
-    "service.too_many": "a token has as many jobs, or as many streams of events, as it may have",
+    "service.too_many": "a token has as many jobs, streams of events or waiting uploads as it may have",
     "service.stopping": "the service was told to stop while it read an upload",
     "service.storage": "the files of a token, or of the whole service, have no more room",
     "service.check_stopped": "reading or checking a problem took too much time or memory",

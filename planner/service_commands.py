@@ -54,6 +54,8 @@ class Serve:
     """jobs of one token that may wait or run"""
     kept_jobs: int = 5000
     """jobs of one token that are kept"""
+    readings: int = 100
+    """uploads of one token that may be read or wait to be read"""
     token_disk_mb: float = 20_000.0
     """room for the files of one token"""
     disk_mb: float | None = None
@@ -124,6 +126,7 @@ def serve(asked: Serve) -> None:
         mesh_facets=asked.mesh_facets,
         open_jobs=asked.open_jobs,
         kept_jobs=asked.kept_jobs,
+        readings=asked.readings,
         token_disk_mb=asked.token_disk_mb,
         disk_mb=asked.disk_mb,
         job_s=asked.job_timeout_s,

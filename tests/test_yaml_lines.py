@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from planner import yaml_lines
 from planner.issues import TandemError
@@ -59,3 +60,18 @@ def test_missing_binary_and_huge_files_are_refused(tmp_path: Path) -> None:
     with (tmp_path / "h.yaml").open("wb") as stream:
         stream.truncate(100_000_001)
     assert refused(tmp_path / "h.yaml")[0] == "problem.too_large"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"), [("a: [" + "1, " * 1_000_001 + "1]", "values"), ("a: " + "[" * 100_000, "deep")]
+)
+def test_values_and_depth_are_counted_before_anything_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, told: str
+) -> None:
+    def build(*_: object, **__: object) -> None:
+        pytest.fail("it was built")
+
+    monkeypatch.setattr(yaml, "compose", build)
+    (tmp_path / "large.yaml").write_text(text)
+    with pytest.raises(TandemError, match=told):
+        yaml_lines.read(tmp_path / "large.yaml")

@@ -28,6 +28,8 @@ FloatArray = NDArray[np.float64]
 
 GOUGE: Final = 0.3
 """Share of the tolerance by which a wire may come nearer to its surface than half a kerf."""
+NEGLIGIBLE: Final = 1e-9
+"""[m], of rounding."""
 SPINS: Final = 72
 """Turns of the bow about the wire that are looked at for room behind the wire."""
 SIGHTS: Final = 65
@@ -181,12 +183,12 @@ def check_bow(
     first, last = chord(lines, grown(box, op.margin_mm * MM))
     need = np.where(np.isfinite(first), last - first, 0.0)
     k = int(np.argmax(need))
-    if need[k] > bow.span:
+    if need[k] > bow.span + NEGLIGIBLE:
         yield Issue(
             "bow.span",
             f"{op.name}: in {segment[k]} the foam and {op.margin_mm:g} mm at both ends need a wire of "
-            f"{need[k] / MM:.0f} mm, but the bow's is {bow.span / MM:.0f} mm; take a wider bow or a smaller "
-            "block, or let the wire run along another axis",
+            f"{np.ceil((need[k] - NEGLIGIBLE) / MM):.0f} mm, but the bow's is {bow.span / MM:.0f} mm; take a "
+            "wider bow or a smaller block, or let the wire run along another axis",
             index=k,
             value=float(need[k] / MM),
             limit=bow.span / MM,
@@ -202,8 +204,8 @@ def check_bow(
         yield Issue(
             "bow.throat",
             f"{op.name}: in {segment[inside[k]]} the block reaches {depth[k] / MM:.0f} mm behind the wire "
-            f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a deeper bow or "
-            "a smaller block",
+            f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a bow that is "
+            f"{np.ceil((depth[k] - bow.throat) / MM):.0f} mm deeper, or a smaller block",
             index=int(inside[k]),
             value=float(depth[k] / MM),
             limit=bow.throat / MM,

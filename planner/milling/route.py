@@ -63,6 +63,7 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
     segments: list[Segment] = []
     stops: list[NDArray[np.bool_]] = []
     rapid, plunge = op.rapid_mm_s * MM, op.plunge_mm_s * MM
+    _refuse_flat(op, passes)
     for number, run in enumerate(passes):
         path, count = run.path, len(run.path)
         start, end = ends(op, run, box)
@@ -89,37 +90,48 @@ def lay_out(op: Milling, passes: Sequence[Run], box: FloatArray) -> Route:
 
 
 def ends(op: Milling, run: Run, box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places (3,) on the safe plane where a pass begins and ends. Raises ``TandemError`` with
-    ``milling.safe_plane``."""
+    """Places (3,) on the safe plane, or beyond it, from which the tool comes down along its axis to a pass,
+    and to which it rises from it."""
     path = run.path
-    return (
-        _above(op, path.tip[0], path.axis[0], box, run.name),
-        _above(op, path.tip[-1], path.axis[-1], box, run.name),
-    )
+    return _above(op, path.tip[0], path.axis[0], box), _above(op, path.tip[-1], path.axis[-1], box)
 
 
-def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray, name: str) -> FloatArray:
-    """The place (3,) on the safe plane, or beyond it, from which a tool comes down along its axis."""
+def _above(op: Milling, tip: FloatArray, axis: FloatArray, box: FloatArray) -> FloatArray:
     side, end = SIDES[op.safe_side]
     sign = 1.0 if end else -1.0
-    rise = sign * float(axis[side])
-    if rise < np.sin(LEAST):
-        lean = np.rad2deg(np.arccos(np.clip(rise, -1.0, 1.0)))
-        raise TandemError(
-            Issue(
-                "milling.safe_plane",
-                f"{name}: the tool stands {lean:.0f} degrees off the {op.safe_side} of the block, "
-                f"so that it cannot "
-                f"rise to the safe plane there; allowed are {90.0 - LEAST / DEG:.0f}: choose "
-                f"another safe_side",
-                field="operations.safe_side",
-                value=float(lean),
-                limit=90.0 - LEAST / DEG,
-                unit="deg",
-            )
-        )
     level = box[end, side] + sign * op.safe_mm * MM
-    return np.asarray(tip + max(sign * (level - tip[side]) / rise, DOWN) * axis)
+    return np.asarray(tip + max((level - tip[side]) / float(axis[side]), DOWN) * axis)
+
+
+def _refuse_flat(op: Milling, passes: Sequence[Run]) -> None:
+    """Raises ``TandemError`` with ``milling.safe_plane`` where a pass begins or ends with the tool too flat
+    to the safe side; names the sides that would do for all passes."""
+    axis = np.stack([run.path.axis[[0, -1]] for run in passes])
+    rise = {side: (axis[..., k] if end else -axis[..., k]).min(axis=1) for side, (k, end) in SIDES.items()}
+    here = rise[op.safe_side]
+    worst = int(np.argmin(here))
+    if here[worst] >= np.sin(LEAST):
+        return
+    lean = float(np.rad2deg(np.arccos(np.clip(here[worst], -1.0, 1.0))))
+    good = [
+        side
+        for side in sorted(SIDES, key=lambda s: -float(rise[s].min()))
+        if rise[side].min() >= np.sin(LEAST)
+    ]
+    raise TandemError(
+        Issue(
+            "milling.safe_plane",
+            f"{passes[worst].name}: the tool stands {lean:.0f} degrees off the {op.safe_side} of the block, "
+            f"so that it cannot rise to the safe plane there; allowed are {90.0 - LEAST / DEG:.0f}",
+            field="operations.safe_side",
+            value=lean,
+            limit=90.0 - LEAST / DEG,
+            unit="deg",
+            hint=f"take safe_side: {' or '.join(good)}"
+            if good
+            else "no side will do for all cuts: make an operation of each, with a safe_side of its own",
+        )
+    )
 
 
 def _stops(tip: FloatArray) -> NDArray[np.bool_]:

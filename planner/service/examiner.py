@@ -27,6 +27,29 @@ MB: Final = 1 << 20
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+class Reading:
+    """One reading of an upload, which another thread can break off."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        self.off = False
+
+    def by(self, process: subprocess.Popen[str] | None) -> None:
+        """Name the process that reads, or None when it has read."""
+        with self._lock:
+            self._process = process
+            if self.off and process is not None:
+                process.kill()
+
+    def break_off(self) -> None:
+        """End the reading, and the process with it."""
+        with self._lock:
+            self.off = True
+            if self._process is not None:
+                self._process.kill()
+
+
 class Examiners:
     """A few processes that serve in turn; start on use, end with :meth:`close`."""
 
@@ -42,10 +65,16 @@ class Examiners:
         self._maker = ThreadPoolExecutor(1, "tandem-examiners")
 
     def examine(
-        self, problem: Path, uploads: Mapping[str, Path], reach: bool = False, draw: bool = False
+        self,
+        problem: Path,
+        uploads: Mapping[str, Path],
+        reach: bool = False,
+        draw: bool = False,
+        reading: Reading | None = None,
     ) -> Examined:
         """As :func:`planner.service.examine.examine`, in a process of its own; raises :class:`RefusedError`,
-        503, where the service stops meanwhile."""
+        503, where the service stops meanwhile, 499 where ``reading`` is broken off."""
+        reading = reading or Reading()
         process = self._idle.get()
         try:
             if self._closed:
@@ -61,7 +90,7 @@ class Examiners:
                     "draw": draw,
                     "facets": self._facets,
                 }
-                return self._ask(process, asked)
+                return self._ask(process, asked, reading)
         finally:
             self._idle.put(process)
 
@@ -97,7 +126,7 @@ class Examiners:
         self._all.add(process)
         return process
 
-    def _ask(self, process: subprocess.Popen[str], asked: Mapping[str, Any]) -> Examined:
+    def _ask(self, process: subprocess.Popen[str], asked: Mapping[str, Any], reading: Reading) -> Examined:
         late = threading.Event()
 
         def stop() -> None:
@@ -107,9 +136,11 @@ class Examiners:
         timer = threading.Timer(self._seconds, stop)
         timer.daemon = True
         timer.start()
+        reading.by(process)
         try:
             answer = _exchange(process, json.dumps(asked))
         finally:
+            reading.by(None)
             timer.cancel()
         if answer:
             return _from_json(json.loads(answer))
@@ -117,6 +148,8 @@ class Examiners:
         process.wait()
         if self._closed:
             raise _stopping()
+        if reading.off:
+            raise broken_off()
         what = (
             f"took more than {self._seconds:g} s"
             if late.is_set()
@@ -129,6 +162,11 @@ class Examiners:
 def _stopping() -> RefusedError:
     what = "the service is stopping; send the request again when it runs"
     return RefusedError(503, Issue("service.stopping", what), {"Retry-After": "10"})
+
+
+def broken_off() -> RefusedError:
+    """What nobody is there to be told: who asked has gone."""
+    return RefusedError(499, Issue("service.request", "the connection was closed; send the request again"))
 
 
 def _path() -> str:

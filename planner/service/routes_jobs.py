@@ -7,7 +7,6 @@ import zipfile
 from pathlib import PurePosixPath
 from typing import Annotated, Final
 
-import anyio.to_thread
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
 
@@ -17,12 +16,10 @@ from planner.service.events import Stream
 from planner.service.files import Blob
 from planner.service.models import CheckOut, FileList, FileOut, JobList, JobOut, State
 from planner.service.refusals import RefusedError
-from planner.service.service import UPLOADS_MOST
 from planner.service.upload import documented, take
 
 router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=REFUSALS)  # type: ignore[arg-type]
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
-UPLOADS_AT_ONCE: Final = anyio.CapacityLimiter(UPLOADS_MOST)
 TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
@@ -67,10 +64,9 @@ async def create(
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
     upload = await take(request, here.storage, owner, here.limits)
-    async with here.turn(owner):
-        return await anyio.to_thread.run_sync(
-            here.create, owner, upload, timeout_s, memory_mb, limiter=UPLOADS_AT_ONCE
-        )
+    return await here.in_turn(
+        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
+    )
 
 
 @router.post(
@@ -84,8 +80,7 @@ async def check(
 ) -> CheckOut:
     """Read a problem and say what is in its way; a file that cannot be read is 422."""
     upload = await take(request, here.storage, owner, here.limits)
-    async with here.turn(owner):
-        read = await anyio.to_thread.run_sync(here.examine, upload, reach, limiter=UPLOADS_AT_ONCE)
+    read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
     return CheckOut(
         ok=not has_errors(read.issues),
         name=read.name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fcntl
 import functools
@@ -13,12 +14,14 @@ import secrets
 import shutil
 import socket
 import threading
-from collections import OrderedDict
-from collections.abc import Callable
+from collections import Counter, OrderedDict
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, Final, TypeVar
 
 import anyio
+import anyio.to_thread
+from starlette.requests import Request
 
 from planner.batch.job import all_versions
 from planner.issues import Issue, TandemError
@@ -26,7 +29,7 @@ from planner.service.auth import LOCAL, Auth
 from planner.service.database import Database, default_url
 from planner.service.events import Hub
 from planner.service.examined import Examined
-from planner.service.examiner import Examiners
+from planner.service.examiner import Examiners, Reading, broken_off
 from planner.service.files import Blob, Files
 from planner.service.guard import LOOPBACK
 from planner.service.jobs import Jobs, NewJob
@@ -39,8 +42,7 @@ from planner.service.upload import Upload
 from planner.service.work import Work
 
 PID: Final = ".pid-"
-UPLOADS_MOST: Final = 16
-"""So many uploads are read or wait to be read in threads, so that other requests find one."""
+Read = TypeVar("Read")
 REMEMBERED: Final = 256
 """So many uploads that were read are known again."""
 
@@ -107,13 +109,56 @@ class Service:
             shas=self.jobs.shas,
         )
         self._turns: dict[str, anyio.Semaphore] = {}
+        self._readers = anyio.CapacityLimiter(options.examiners)
+        self._waiting: Counter[str] = Counter()
         self._read: OrderedDict[str, Examined] = OrderedDict()
         self._read_lock = threading.Lock()
 
-    def turn(self, owner: str) -> anyio.Semaphore:
-        """What an owner holds while an upload is read: one token never keeps all readers from the others."""
-        most = UPLOADS_MOST if owner == LOCAL else max(1, self.options.examiners - 1)
-        return self._turns.setdefault(owner, anyio.Semaphore(most))
+    async def in_turn(self, request: Request, owner: str, read: Callable[[Reading], Read]) -> Read:
+        """What ``read`` gives, in a thread, when it is the owner's turn: one token never keeps all readers
+        from the others, and has so many requests waiting at most. A connection that is closed meanwhile ends
+        its reading. The request's body has come in.
+
+        Raises what ``read`` does, and :class:`RefusedError`: 429 where too many wait, 499 where who asked
+        has gone.
+        """
+        reading = Reading()
+        found: list[Read] = []
+        refused: list[RefusedError] = []
+        async with anyio.create_task_group() as tasks:
+
+            async def wait_and_read() -> None:
+                try:
+                    async with self._turn(owner):
+                        found.append(await anyio.to_thread.run_sync(read, reading))
+                except RefusedError as error:  # a task group would wrap it
+                    refused.append(error)
+                tasks.cancel_scope.cancel()
+
+            tasks.start_soon(wait_and_read)
+            while (await request.receive())["type"] != "http.disconnect":
+                pass
+            reading.break_off()  # the thread is not given up: it ends with its process
+            tasks.cancel_scope.cancel()
+        if refused:
+            raise refused[0]
+        if not found:
+            raise broken_off()
+        return found[0]
+
+    @contextlib.asynccontextmanager
+    async def _turn(self, owner: str) -> AsyncIterator[None]:
+        alone, most = owner == LOCAL, self.limits.readings
+        if not alone and self._waiting[owner] >= most:
+            what = f"{most} uploads of this token wait to be read, as many as may; send this one later"
+            raise RefusedError(429, Issue("service.too_many", what, limit=most), {"Retry-After": "5"})
+        readers = self.options.examiners if alone else max(1, self.options.examiners - 1)
+        self._waiting[owner] += 1
+        try:
+            async with self._turns.setdefault(owner, anyio.Semaphore(readers)), self._readers:
+                yield
+        finally:
+            self._waiting[owner] -= 1
 
     def start(self) -> None:
         """Begin to plan."""
@@ -132,8 +177,11 @@ class Service:
         shutil.rmtree(self.scratch, ignore_errors=True)
         self._lock.close()
 
-    def examine(self, upload: Upload, reach: bool = False, draw: bool = False) -> Examined:
-        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413 or 422."""
+    def examine(
+        self, upload: Upload, reach: bool = False, draw: bool = False, reading: Reading | None = None
+    ) -> Examined:
+        """Read an upload; one that was read is known again. Raises :class:`RefusedError`, 413, 422, or 499
+        where ``reading`` is broken off."""
         rows = [
             upload.problem.sha,
             reach,
@@ -145,7 +193,8 @@ class Service:
             known = self._read.get(key)
         if known is None:
             uploads = {name: self.files.path(blob.sha) for name, blob in upload.files.items()}
-            known = self._examiners.examine(self.files.path(upload.problem.sha), uploads, reach, draw)
+            problem = self.files.path(upload.problem.sha)
+            known = self._examiners.examine(problem, uploads, reach, draw, reading)
             if not known.readable:
                 large = all(issue.code == "service.too_large" for issue in known.issues)
                 raise RefusedError(413 if large else 422, known.issues)
@@ -157,9 +206,16 @@ class Service:
                     self._read.popitem(last=False)
         return known
 
-    def create(self, owner: str, upload: Upload, timeout_s: float | None, memory_mb: float | None) -> JobOut:
-        """A job for an upload; raises :class:`RefusedError`, 413, 422, 429 or 507."""
-        read = self.examine(upload)
+    def create(
+        self,
+        owner: str,
+        upload: Upload,
+        timeout_s: float | None,
+        memory_mb: float | None,
+        reading: Reading | None = None,
+    ) -> JobOut:
+        """A job for an upload; raises :class:`RefusedError`, 413, 422, 429, 499 or 507."""
+        read = self.examine(upload, reading=reading)
         sizes = {blob.sha: blob.size for blob in upload.files.values()}
         (text,) = self.storage.put(owner, [io.BytesIO(read.text.encode())])
         files = {f"problem/{name}": Blob(sha, sizes[sha]) for name, sha in read.files.items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import anyio.to_thread
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
@@ -15,7 +14,6 @@ from planner.issues import Issue, has_errors
 from planner.service.context import Caller, Here
 from planner.service.page import examples
 from planner.service.refusals import RefusedError, plain
-from planner.service.routes_jobs import UPLOADS_AT_ONCE
 from planner.service.upload import take
 
 router: Final = APIRouter(include_in_schema=False)
@@ -107,7 +105,9 @@ async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
     """What is known of an upload without planning it, with the shapes that the page draws; 422 as for a
     job."""
     upload = await take(request, here.storage, owner, here.limits)
-    read = await anyio.to_thread.run_sync(here.examine, upload, False, True, limiter=UPLOADS_AT_ONCE)
+    read = await here.in_turn(
+        request, owner, lambda reading: here.examine(upload, draw=True, reading=reading)
+    )
     return JSONResponse(
         {
             "ok": not has_errors(read.issues),

@@ -17,9 +17,12 @@ import pytest
 import trimesh
 from playwright.sync_api import Page, Route, expect
 
+import planner
 from planner.service.auth import Auth
 from planner.service.database import Database, default_url
 from tests.service.support import ROOT, Process, free_port
+
+MOST_MS = 180_000
 
 
 def open_problem(page: Page, server: str, files: list[Path]) -> None:
@@ -63,10 +66,22 @@ def answers(address: str, timeout_s: float = 60.0) -> None:
     raise TimeoutError(address)
 
 
+def was_read(page: Page) -> None:
+    """Wait until the problem was read; the check of the whole may go on."""
+    expect(page.locator("#verdict")).to_contain_text(re.compile("Testing|Ready|to correct"))
+
+
+def start(page: Page) -> None:
+    """Begin to plan, when the whole was checked."""
+    button = page.get_by_role("button", name="Start planning")
+    expect(button).to_be_enabled(timeout=MOST_MS)
+    button.click()
+
+
 def bundled(page: Page, server: str, name: str) -> None:
     """Begin with a bundled problem, and wait until it is read."""
     page.goto(f"{server}/ui/new?example={name}")
-    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn|bad"))
+    was_read(page)
 
 
 def test_a_whole_job_from_upload_to_download(
@@ -74,7 +89,7 @@ def test_a_whole_job_from_upload_to_download(
 ) -> None:
     open_problem(page, server, small)
     expect(page.locator("#size")).to_have_text("100 × 100 × 100 mm")
-    page.get_by_role("button", name="Start planning").click()
+    start(page)
     page.wait_for_url("**/ui/jobs/*")
     expect(page.locator("#state")).to_have_text("Verified", timeout=90_000)
     expect(page.locator("#figures")).to_contain_text("Least clearance")
@@ -100,7 +115,7 @@ def test_a_whole_job_from_upload_to_download(
     page.locator("#f-name").fill("renamed")
     expect(page.locator("#changes")).to_contain_text("1 field changed")
     expect(page.locator('.field[data-path="name"] .was')).to_contain_text("was small")
-    page.get_by_role("button", name="Start planning").click()
+    start(page)
     page.wait_for_url("**/ui/jobs/*")
     page.goto(server)
     boxes = page.locator("#rows input[type=checkbox]")
@@ -114,7 +129,12 @@ def test_a_whole_job_from_upload_to_download(
 
 def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str) -> None:
     bundled(page, server, "infeasible/wire_too_short")
-    page.get_by_role("button", name="Start planning").click()
+    expect(page.locator("#verdict")).to_contain_text("to correct", timeout=MOST_MS)
+    expect(page.locator("#check-issues")).to_contain_text("Use a longer wire")
+    expect(page.get_by_role("button", name="Start planning")).to_be_disabled()
+    client = planner.Client(server)
+    job = client.submit(planner.load(ROOT / "problems/infeasible/wire_too_short.yaml"))
+    page.goto(f"{server}/ui/jobs/{job}")
     title = page.locator("#outcome-title")
     expect(title).to_have_text("There is no feasible plan for this problem", timeout=90_000)
     outcome = page.locator("#outcome")
@@ -128,6 +148,28 @@ def test_what_has_no_plan_says_what_where_and_what_to_do(page: Page, server: str
     expect(length.locator(".was")).to_contain_text("was 170")
     length.get_by_role("button", name="undo").click()
     expect(length.locator("input")).to_have_value("170")
+
+
+def test_ready_is_said_when_the_whole_was_checked(page: Page, server: str, small: list[Path]) -> None:
+    """A stock that is metres away is found by the check of reach alone."""
+    waiting: list[Route] = []
+    page.route(re.compile("/v1/check"), lambda route: waiting.append(route))
+    with page.expect_request(re.compile("/v1/check")):
+        open_problem(page, server, small)
+    verdict, button = page.locator("#verdict"), page.get_by_role("button", name="Start planning")
+    expect(verdict).to_contain_text("Testing the part, the tools and the reach")
+    expect(button).to_be_disabled()
+    for route in waiting:
+        route.continue_()
+    page.unroute_all()
+    expect(verdict).to_contain_text("Ready", timeout=MOST_MS)
+    expect(button).to_be_enabled()
+    text = small[0].read_text()
+    small[0].write_text(text.replace("robot: irb140", "robot: irb140\n      base: {xyz_mm: [-1900, 0, 0]}"))
+    open_problem(page, server, small)
+    expect(verdict).to_contain_text("to correct", timeout=MOST_MS)
+    expect(page.locator("#check-issues")).to_contain_text("reach")
+    expect(button).to_be_disabled()
 
 
 def test_a_refusal_shows_at_its_field(page: Page, server: str, small: list[Path]) -> None:
@@ -164,7 +206,7 @@ def test_a_part_in_the_wrong_unit_is_seen_and_told(page: Page, server: str, tmp_
     rows.first.locator("input").check()
     expect(unit.locator(".fault.error")).to_contain_text("in the stated unit")
     page.locator('.unit-row input[value="m"]').check()
-    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"))
+    was_read(page)
     expect(page.locator("#size")).to_contain_text("× 25 mm")
 
 
@@ -215,7 +257,7 @@ def test_the_page_is_used_by_keyboard_alone(page: Page, server: str) -> None:
         if page.evaluate("document.activeElement.name") == "process":
             break
     page.keyboard.press("Space")
-    expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"), timeout=60_000)
+    was_read(page)
     page.keyboard.press("ArrowRight")
     expect(page.locator("#source")).to_have_text(re.compile("bundled problem"))
     expect(page.locator("input[name=process]:checked")).to_have_value("straight_wire")
@@ -261,7 +303,7 @@ def test_a_job_goes_on_when_the_service_is_killed_and_started_again(
     try:
         answers(address)
         open_problem(page, address, small)
-        page.get_by_role("button", name="Start planning").click()
+        start(page)
         expect(page.locator("#state")).to_have_text("Planning")
         expect(page.locator("#progress-text")).to_contain_text("motion")
         process.kill()
@@ -292,7 +334,7 @@ def test_a_token_is_asked_for_once_and_refused_at_its_field(page: Page, tmp_path
         page.get_by_label("Token").fill(token)
         page.keyboard.press("Enter")
         page.wait_for_url("**/ui/new?process=forming")
-        expect(page.locator("#verdict")).to_have_class(re.compile("ok|warn"))
+        was_read(page)
         assert token not in str(page.context.storage_state()["origins"])
         page.get_by_role("button", name="Log out").click()
         page.wait_for_url("**/ui/login")

@@ -202,8 +202,11 @@ async function check() {
     const found = await (await post("/ui/preview", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
     const box = found.summary.part_mm ?? null;
     present(found.shapes, box ?? found.summary.stock_mm, "", found.summary.stock_mm);
-    tellIssues(found.issues, true);
     banner("");
+    if (errors(found.issues).length) return tellIssues(found.issues, true);
+    say("busy", "Nothing is wrong with the file. Testing the part, the tools and the reach of every target …");
+    const whole = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)), signal: own.signal })).json();
+    tellIssues(whole.issues, true);
   } catch (error) {
     if (error.name === "AbortError") return;
     if (!(error instanceof Refused)) {
@@ -222,17 +225,16 @@ function say(kind, text) {
   $("verdict").replaceChildren(...(kind === "busy" ? [] : [icon(kind === "ok" ? "check" : kind === "warn" ? "warning" : "cross")]), text);
 }
 
-function tellIssues(issues, readable, reach = false) {
+function tellIssues(issues, readable) {
   // the page wrote the problem's text itself: its lines say nothing to the user
   state.issues = issues.map((issue) => ({ ...issue, field: issue.field ?? fieldOf(issue), line: issue.code.startsWith("problem.") ? undefined : issue.line }));
   atFields(state.issues);
   const wrong = errors(issues).length;
   if (wrong) say("bad", `${wrong} thing${wrong > 1 ? "s" : ""} to correct${readable ? "" : " before it can be planned"}`);
   else if (issues.length) say("warn", `Ready, with ${issues.length} remark${issues.length > 1 ? "s" : ""}`);
-  else say("ok", reach ? "Ready: the arms reach every target" : "Ready: nothing in the way was found");
+  else say("ok", "Ready: the arms reach every target");
   $("check-issues").replaceChildren(...sorted(state.issues).map((issue) => issueItem(issue, { edit: goTo, removes, remove })));
   $("go").disabled = wrong > 0;
-  $("reach").disabled = !readable;
 }
 
 // Whether a field is in the problem and not in the form: a key that nobody knows.
@@ -298,20 +300,7 @@ async function start() {
   }
 }
 
-async function reach() {
-  $("reach").disabled = true;
-  say("busy", "Testing the reach of every target …");
-  try {
-    const found = await (await post("/v1/check?reach=true", { body: upload(state.problem, wanted(state)) })).json();
-    tellIssues(found.issues, true, true);
-  } catch (error) {
-    if (error instanceof Refused) tellIssues(error.issues, false);
-    else tell(error);
-  }
-}
-
 $("go").addEventListener("click", start);
-$("reach").addEventListener("click", reach);
 $("form").addEventListener("submit", (event) => event.preventDefault());
 $("choose").addEventListener("click", () => $("files").click());
 $("files").addEventListener("change", () => addFiles([...$("files").files]).then(() => ($("files").value = "")));

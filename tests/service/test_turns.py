@@ -1,0 +1,130 @@
+"""Readers of uploads: owners take turns, queues have an end, and who hangs up is no longer served."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from starlette.requests import Request
+
+from planner.service.auth import Auth
+from planner.service.database import Database, default_url
+from planner.service.examined import Examined
+from planner.service.examiner import Examiners, Reading, broken_off
+from planner.service.limits import Limits
+from planner.service.refusals import RefusedError
+from tests import small_problem
+from tests.service.support import InProcess, codes, named, until
+
+READINGS = 4
+PATHS = ("/ui/preview", "/v1/check", "/v1/jobs")
+
+
+class Held:
+    """Stands for the readers: counts who reads, and reads on until it is let go."""
+
+    def __init__(self) -> None:
+        self.go, self.lock = threading.Event(), threading.Lock()
+        self.now = self.most = 0
+
+    def __call__(self, *asked: Any) -> Examined:
+        with self.lock:
+            self.now += 1
+            self.most = max(self.most, self.now)
+        self.go.wait(60)
+        with self.lock:
+            self.now -= 1
+        return Examined((), name="small", digest="0", text="tandem: 1")
+
+
+@pytest.fixture
+def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[InProcess, Held, str, str]]:
+    """A service with three readers that are held, and two tokens."""
+    data = tmp_path / "data"
+    data.mkdir()
+    auth = Auth(Database(default_url(data)))
+    tokens = auth.make("ann"), auth.make("bob")
+    held = Held()
+    monkeypatch.setattr(Examiners, "examine", lambda self, *asked: held(*asked))
+    limits = Limits(readings=READINGS)
+    with InProcess(data, limits, examiners=3, require_token=True) as made:
+        yield made, held, *tokens
+        held.go.set()
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_one_token_never_keeps_all_readers(shared: tuple[InProcess, Held, str, str], path: str) -> None:
+    here, held, ann, bob = shared
+    with ThreadPoolExecutor(8) as pool:
+        asked = [
+            pool.submit(here.post, named(f"a{k}"), path, headers={"Authorization": f"Bearer {ann}"})
+            for k in range(READINGS)
+        ]
+        until(lambda: held.now == 2)
+        other = pool.submit(here.post, named("b"), path, headers={"Authorization": f"Bearer {bob}"})
+        until(lambda: held.now == 3)
+        more = here.post(named("more"), path, headers={"Authorization": f"Bearer {ann}"})
+        assert more.status_code == 429 and int(more.headers["retry-after"]) > 0
+        assert codes(more) == [("service.too_many", None)]
+        held.go.set()
+        assert {one.result().status_code for one in [*asked, other]} <= {200, 201}
+        assert held.most == 3
+    assert here.post(named("later"), path, headers={"Authorization": f"Bearer {ann}"}).status_code < 400
+
+
+def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) -> None:
+    """Two requests of the machine's own user at one reader: one reads, one waits; both hang up."""
+    begun: list[Reading] = []
+
+    def read(reading: Reading) -> None:
+        begun.append(reading)
+        until(lambda: reading.off)
+        raise broken_off()
+
+    async def hang_up() -> None:
+        async def receive() -> dict[str, str]:
+            while not begun:
+                await anyio.sleep(0.01)
+            await anyio.sleep(0.05)
+            return {"type": "http.disconnect"}
+
+        request = Request({"type": "http", "method": "POST", "headers": []}, receive)
+        with pytest.raises(RefusedError) as caught:
+            await here.service.in_turn(request, "local", read)
+        assert caught.value.status == 499
+
+    async def both() -> None:
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(hang_up)
+            tasks.start_soon(hang_up)
+
+    with InProcess(tmp_path / "data", examiners=1) as here:
+        anyio.run(both)
+    assert len(begun) == 1 and begun[0].off
+
+
+def test_a_reading_that_is_broken_off_costs_its_process_alone(tmp_path: Path) -> None:
+    large = tmp_path / "large.yaml"
+    large.write_text("tandem: 1\na: [" + "x, " * 400_000 + "x]")
+    small = small_problem.write(tmp_path)
+    uploads = {"targets.csv": tmp_path / "targets.csv"}
+    readers = Examiners(1, tmp_path, 60.0, 4096.0, 1000)
+    reading = Reading()
+    try:
+        assert readers.examine(small, uploads).readable
+        with ThreadPoolExecutor(1) as pool:
+            asked = pool.submit(readers.examine, large, {}, reading=reading)
+            time.sleep(0.2)
+            reading.break_off()
+            with pytest.raises(RefusedError) as caught:
+                asked.result(30)
+        assert caught.value.status == 499
+        assert readers.examine(small, uploads).readable
+    finally:
+        readers.close()
