@@ -7,7 +7,7 @@ generator from sizes and formulas, never from what Tandem says. Ranges of the ge
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from functools import cache
 from typing import Any, Final
 
@@ -24,7 +24,7 @@ from bench.corpus import (
     walls,
     wings,
 )
-from bench.corpus.job import Job, family
+from bench.corpus.job import Job, faulty, make
 
 FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
     "wing": (45, wings.base, wings.FAULTS),
@@ -49,34 +49,36 @@ FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
 """Number of jobs, generator and faults by family."""
 
 
+def names(wanted: Collection[str] = ()) -> tuple[str, ...]:
+    """Names of all jobs, or of those of the families and jobs wanted, stratified: any first part of them has
+    jobs of all families, with and without a fault."""
+    ranked = []
+    for order, (name, (count, _, _)) in enumerate(FAMILIES.items()):
+        good, bad = ([k for k in range(count) if faulty(k) is wanted] for wanted in (False, True))
+        share = len(good) / len(bad)
+        mixed = sorted(
+            [
+                *((float(k), i) for k, i in enumerate(good)),
+                *((share * (k + 0.3), i) for k, i in enumerate(bad)),
+            ]
+        )
+        ranked += [
+            ((rank + 0.5) / count, order, f"{name}_{index:02d}") for rank, (_, index) in enumerate(mixed)
+        ]
+    every = (name for _, _, name in sorted(ranked))
+    return tuple(name for name in every if not wanted or name in wanted or name.rsplit("_", 1)[0] in wanted)
+
+
 @cache
-def of_family(name: str) -> tuple[Job, ...]:
-    """All jobs of a family."""
-    count, base, faults = FAMILIES[name]
-    return family(name, count, base, faults)
-
-
-def jobs() -> tuple[Job, ...]:
-    """All jobs, stratified: any first part of them has jobs of all families, with and without a fault."""
-    ranked = [
-        ((rank + 0.5) / len(of_family(name)), order, job)
-        for order, name in enumerate(FAMILIES)
-        for rank, job in enumerate(_mixed(of_family(name)))
-    ]
-    return tuple(job for _, _, job in sorted(ranked, key=lambda row: row[:2]))
-
-
-def _mixed(members: Iterable[Job]) -> list[Job]:
-    """Jobs of a family, one with a fault after each that can be made, as long as there are any."""
-    rows = list(members)
-    good, bad = ([job for job in rows if job.feasible is wanted] for wanted in (True, False))
-    share = len(good) / max(len(bad), 1)
-    return sorted(rows, key=lambda j: good.index(j) if j.feasible else (bad.index(j) + 0.3) * share)
-
-
 def find(name: str) -> Job:
     """The job of a name. Raises ``KeyError`` where there is none."""
-    for job in of_family(name.rsplit("_", 1)[0]) if name.rsplit("_", 1)[0] in FAMILIES else ():
-        if job.name == name:
-            return job
-    raise KeyError(name)
+    kind, _, number = name.rpartition("_")
+    count, base, faults = FAMILIES[kind]
+    if not number.isdigit() or int(number) >= count:
+        raise KeyError(name)
+    return make(kind, int(number), base, faults)
+
+
+def jobs(wanted: Collection[str] = ()) -> tuple[Job, ...]:
+    """All jobs, or those of the families and jobs wanted, in the order of `names`."""
+    return tuple(find(name) for name in names(wanted))

@@ -30,13 +30,10 @@ def parser() -> argparse.ArgumentParser:
 
 def chosen(only: Sequence[str], count: int | None) -> list[Job]:
     """The jobs asked for, in the order of the corpus. Raises ``SystemExit`` for unknown names."""
-    every = corpus.jobs()
-    known = {*corpus.FAMILIES, *(job.name for job in every)}
-    unknown = sorted(set(only) - known)
+    unknown = sorted(set(only) - {*corpus.FAMILIES, *corpus.names()})
     if unknown:
         raise SystemExit(f"unknown: {', '.join(unknown)}; families are {', '.join(corpus.FAMILIES)}")
-    picked = [job for job in every if not only or job.name in only or job.family in only]
-    return picked[:count]
+    return [corpus.find(name) for name in corpus.names(only)[:count]]
 
 
 def main(arguments: Sequence[str]) -> int:

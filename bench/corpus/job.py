@@ -96,19 +96,21 @@ class Fault:
     spoil: Callable[[Draft, Draw], None]
 
 
-def family(name: str, count: int, base: Callable[[Draw], Draft], faults: Sequence[Fault]) -> tuple[Job, ...]:
-    """``count`` jobs of a family; every third one has one of the faults, in turn."""
-    jobs = []
-    for index in range(count):
-        draw = Draw(name, index)
-        draft = base(draw)
-        codes: tuple[str, ...] = ()
-        if index % 3 == 2 and faults:
-            fault = faults[(index // 3) % len(faults)]
-            fault.spoil(draft, draw)
-            codes, draft.why = fault.codes, fault.why
-        jobs.append(_job(f"{name}_{index:02d}", name, draw.seed, draft, codes))
-    return tuple(jobs)
+def faulty(index: int) -> bool:
+    """Whether the job of this number has a fault: every third one."""
+    return index % 3 == 2
+
+
+def make(name: str, index: int, base: Callable[[Draw], Draft], faults: Sequence[Fault]) -> Job:
+    """One job of a family; those that are faulty have the faults in turn."""
+    draw = Draw(name, index)
+    draft = base(draw)
+    codes: tuple[str, ...] = ()
+    if faulty(index):
+        fault = faults[(index // 3) % len(faults)]
+        fault.spoil(draft, draw)
+        codes, draft.why = fault.codes, fault.why
+    return _job(f"{name}_{index:02d}", name, draw.seed, draft, codes)
 
 
 def _job(name: str, kind: str, seed: int, draft: Draft, codes: tuple[str, ...]) -> Job:
