@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench import corpus
-from bench.corpus import run, table
+from bench.corpus import remedies, run, table
 from bench.corpus.job import Job
 
 
@@ -24,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("--write", action="store_true", help="only write the jobs, for tandem plan")
     own.add_argument("--list", action="store_true", help="only list the jobs and what is to become of them")
     own.add_argument("--done", action="store_true", help="only the table of what has run")
+    own.add_argument("--remedies", action="store_true", help="then do what refusals advise, and plan again")
     own.add_argument("--table", type=Path, help="also write the table into this file, Markdown")
     return own
 
@@ -51,6 +52,9 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     results = run.done(jobs, own.folder) if own.done else run.run(jobs, own.folder, own.processes, own.limit)
     text = table.markdown(results)
+    if own.remedies:
+        refused = [r for r in results if r.verdict in (run.FALSE, run.TRUE, run.OTHER)]
+        text += "\n" + remedies.markdown([(r, remedies.follow(r, own.folder, own.limit)) for r in refused])
     print(text)
     if own.table is not None:
         own.table.write_text(text)

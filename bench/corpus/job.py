@@ -116,14 +116,15 @@ def make(name: str, index: int, base: Callable[[Draw], Draft], faults: Sequence[
 def _job(name: str, kind: str, seed: int, draft: Draft, codes: tuple[str, ...]) -> Job:
     problem = {"tandem": 1, "name": name, "cell": "cell.yaml", **draft.problem}
     files = {
-        PROBLEM: _text(problem, f"# {draft.why}\n"),
-        "cell.yaml": _text(draft.cell),
+        PROBLEM: text(problem, f"# {draft.why}\n"),
+        "cell.yaml": text(draft.cell),
         **draft.files,
     }
     return Job(name, kind, seed, files, frozenset(codes), draft.why)
 
 
-def _text(data: Data, head: str = "") -> bytes:
+def text(data: Data, head: str = "") -> bytes:
+    """A YAML file, as a user would write it."""
     return (head + yaml.safe_dump(plain(data), sort_keys=False, default_flow_style=None, width=110)).encode()
 
 

@@ -114,9 +114,13 @@ def unwelded(mesh: Mesh) -> Mesh:
 def obj(mesh: Mesh, scale: float = 1.0, digits: int = 4) -> bytes:
     """An OBJ file; ``scale`` from mm to the file's unit, ``digits`` in mm."""
     places = digits - int(np.floor(np.log10(scale)))
-    lines = [f"v {' '.join(f'{v:.{places}f}' for v in row)}" for row in (mesh[0] * scale + 0.0).tolist()]
-    lines += ["f " + " ".join(str(k + 1) for k in face) for face in mesh[1].tolist()]
-    return ("\n".join(lines) + "\n").encode()
+    points = _rows("v" + f" %.{places}f" * 3, mesh[0] * scale + 0.0)
+    return (points + _rows("f" + " %d" * mesh[1].shape[1], mesh[1] + 1)).encode()
+
+
+def _rows(form: str, values: FloatArray | IntArray) -> str:
+    """A line for each row of numbers."""
+    return (form + "\n") * len(values) % tuple(values.ravel().tolist())
 
 
 def stl(mesh: Mesh) -> bytes:
@@ -136,9 +140,9 @@ def ply(mesh: Mesh) -> bytes:
         *(f"property float {axis}" for axis in "xyz"),
         f"element face {len(mesh[1])}", "property list uchar int vertex_indices", "end_header",
     ]  # fmt: skip
-    rows = [" ".join(f"{v:.5f}" for v in row) for row in (mesh[0] + 0.0).tolist()]
-    rows += [f"{len(face)} " + " ".join(map(str, face)) for face in mesh[1].tolist()]
-    return ("\n".join([*head, *rows]) + "\n").encode()
+    corners = mesh[1].shape[1]
+    rows = _rows("%.5f %.5f %.5f", mesh[0] + 0.0) + _rows(f"{corners}" + " %d" * corners, mesh[1])
+    return ("\n".join(head) + "\n" + rows).encode()
 
 
 FORMATS = (
