@@ -61,7 +61,7 @@ def main(arguments: list[str]) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     try:
         found = run(command, Path(folder))
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # Drake ends the process where it demands something
         found = {"exit": 1, "issues": [], "crash": f"{error!r}\n{traceback.format_exc()}"}
     found["seconds"] = round(used(), 2)
     target = Path(result)

@@ -57,7 +57,7 @@ class Result:
     @property
     def found_early(self) -> bool:
         """Whether the check refused already what the plan refused."""
-        return bool(self.check["exit"] in (2, 3))
+        return self.check.get("exit") in (2, 3)
 
 
 def run(
@@ -89,12 +89,13 @@ def single(job: Job, folder: Path, limit: int = LIMIT) -> Result:
 
 
 def done(jobs: Iterable[Job], folder: Path) -> list[Result]:
-    """Results that are there already."""
+    """Results that are there already: jobs that are planned, their check empty where it has not run."""
     out = []
     for job in jobs:
-        files = [folder / job.name / f"{command}.json" for command in ("check", "plan")]
-        if all(file.is_file() for file in files):
-            out.append(Result(job, *(json.loads(file.read_text()) for file in files)))
+        check, plan = (folder / job.name / f"{command}.json" for command in ("check", "plan"))
+        if plan.is_file():
+            found = json.loads(check.read_text()) if check.is_file() else {}
+            out.append(Result(job, found, json.loads(plan.read_text())))
     return out
 
 

@@ -49,7 +49,7 @@ def shares(results: Sequence[Result]) -> list[str]:
     good = [r for r in results if r.job.feasible]
     bad = [r for r in results if not r.job.feasible]
     early = [r for r in bad if r.verdict == TRUE]
-    checks = sorted(r.check["seconds"] for r in results)
+    checks = [r.check["seconds"] for r in results if r.check]
     return [
         f"- feasible and verified: {_share(_count(good, VERIFIED), len(good))}",
         f"- infeasible and refused with the true cause: {_share(_count(bad, TRUE), len(bad))}, "
@@ -75,8 +75,6 @@ def failures(results: Sequence[Result]) -> list[str]:
         first = errors[0]["message"] if errors else result.plan.get("crash", "").splitlines()[:1]
         text = first if isinstance(first, str) else " ".join(first)
         text = text.replace("|", "/").replace("\n", " ")
-        if result.check.get("seconds", 0.0) and result.job.name in text:
-            text = text.split(result.job.name + "/")[-1]
         out.append(_line([result.job.name, wanted, result.verdict, " ".join(result.codes), text[:200]]))
     return out
 
@@ -94,7 +92,7 @@ def _row(name: str, members: Sequence[Result]) -> list[str]:
         _share(_count(bad, TRUE), len(bad)),
         *(str(_count(bad, kind)) for kind in (OTHER, MADE)),
         *(str(_count(members, kind)) for kind in (UNPROVEN, CRASH, OVER)),
-        _seconds([r.check["seconds"] for r in members]),
+        _seconds([r.check["seconds"] for r in members if r.check]),
         _seconds([r.plan["seconds"] for r in members]),
     ]
 
