@@ -12,6 +12,7 @@ from functools import cache
 from typing import Any, Final
 
 from bench.corpus import (
+    crowded,
     elastic,
     forming,
     forming_faults,
@@ -32,7 +33,7 @@ FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
     "wall": (24, walls.base, walls.FAULTS),
     "strips": (24, strips.base, strips.FAULTS),
     "held": (30, held.base, held.FAULTS),
-    "elastic": (42, elastic.base, elastic.FAULTS),
+    "elastic": (45, elastic.base, elastic.FAULTS),
     "spif": (30, forming.base("spif"), forming_faults.ONE_ARM),
     "tpif": (18, forming.tpif, forming_faults.TPIF),
     "dsif": (30, forming.base("dsif"), forming_faults.TWO_ARMS),
@@ -45,6 +46,7 @@ FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
     "engrave": (15, milling.engrave, milling.PATTERNS),
     "gcode": (24, gcode.base, gcode.FAULTS),
     "targets": (24, posed.base, posed.FAULTS),
+    "crowded": (18, crowded.base, crowded.FAULTS),
 }
 """Number of jobs, generator and faults by family."""
 

@@ -216,6 +216,10 @@ def _one_arm(draft: Draft, draw: Draw) -> None:
     draft.operation["arms"] = ["left"]
 
 
+def _two_controllers(draft: Draft, draw: Draw) -> None:
+    draft.cell["controller"] = cells.controller(["irb140"] * 2, ["left", "right"], cells.WIRE_SIGNAL, True)
+
+
 FAULTS: Final = [
     Fault("the wire is hardly longer than the block is wide", ("wire.too_short",), _short),
     Fault("the wire is a bar of 8 mm, which does not bend so much", ("wire.curvature",), _thick),
@@ -231,4 +235,7 @@ FAULTS: Final = [
     Fault("the mesh has two pieces", ("mesh.pieces",), _pieces),
     Fault("the mesh is in mm and said to be in metres", ("mesh.unit",), _unit),
     Fault("one arm alone for a wire that two hold", ("problem.field",), _one_arm),
+    Fault(
+        "two controllers that meet by signals bend one wire", ("post.handshake_process",), _two_controllers
+    ),
 ]

@@ -122,6 +122,10 @@ def _slips(draft: Draft, draw: Draw) -> None:
     draft.cell["arms"][1]["tool"]["holding_n"] = 0.5
 
 
+def _two_controllers(draft: Draft, draw: Draw) -> None:
+    draft.cell["controller"] = cells.controller(["irb140"] * 2, ["left", "right"], cells.WIRE_SIGNAL, True)
+
+
 FAULTS: Final = [
     Fault("the gripper's face is larger than the part's bottom", ("stock.footprint",), _grip),
     Fault("the block is heavier than the holder carries", ("stock.too_heavy",), _heavy),
@@ -131,4 +135,7 @@ FAULTS: Final = [
     Fault("the foam of a held block is not named", ("stock.foam_missing",), _no_foam),
     Fault("the gripper holds with half a newton", ("stock.grip_force",), _slips),
     foams.TOO_HOT,
+    Fault(
+        "two controllers that meet by signals share one block", ("post.handshake_process",), _two_controllers
+    ),
 ]
