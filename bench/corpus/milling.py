@@ -212,9 +212,10 @@ def _lid(draft: Draft, draw: Draw) -> None:
 
 
 def _thick(draft: Draft, draw: Draw) -> None:
-    """A trough bent by 12 mm under a ball of 40 mm."""
+    """A trough under a ball of R 20 whose bottom has a radius of 13 mm: of a cubic (dy/dt)^2 / d2z/dt2 in its
+    middle, 63^2 / 300."""
     draft.cell["arms"][0]["tool"] |= {"diameter_mm": 40, "flute_mm": 40, "overhang_mm": 120}
-    profile = [[0.0, -40.0], [-40.0, -12.0], [-40.0, 12.0], [0.0, 40.0]]
+    profile = [[0.0, -40.0], [-50.0, -2.0], [-50.0, 2.0], [0.0, 40.0]]
     sections = [
         {"at": at, "bezier_mm": [[x, y, 60.0 + z] for z, y in profile]}
         for at, x in ((0.0, -80.0), (1.0, 80.0))

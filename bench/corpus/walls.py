@@ -120,11 +120,12 @@ def _missing(draft: Draft, draw: Draw) -> None:
 
 
 def _narrow(draft: Draft, draw: Draw) -> None:
-    """Two slots from two walls 0.4 mm apart, where the slot is 1.2 mm wide and more."""
+    """Two parts with 0.4 mm between them, where the slot is 1.2 mm wide and more: the one's is in the
+    other."""
     size = draft.problem["stock"]["size_mm"]
     half, x = size[1] / 2, size[0] / 2
     ruled = []
-    for name, z, flip in ((draft.facts["names"][0], 40.4, True), (draft.facts["names"][1], 40.0, False)):
+    for name, z, flip in ((draft.facts["names"][0], 40.4, False), (draft.facts["names"][1], 40.0, True)):
         guides = {s: {"polyline_mm": [[u, -half, z], [u, half, z]]} for s, u in (("start", -x), ("end", x))}
         ruled.append({"name": name, **guides, **({"flip": True} if flip else {})})
     draft.problem["part"]["ruled"] = ruled
