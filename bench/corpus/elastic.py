@@ -223,7 +223,7 @@ def _two_controllers(draft: Draft, draw: Draw) -> None:
 FAULTS: Final = [
     Fault("the wire is hardly longer than the block is wide", ("wire.too_short",), _short),
     Fault("the wire is a bar of 8 mm, which does not bend so much", ("wire.curvature",), _thick),
-    Fault("the panel has three full waves across", ("wire.shape",), _waves),
+    Fault("the panel has three full waves across", ("wire.shape", "wire.curvature"), _waves),
     Fault("a flat panel needs a straight wire", ("wire.end_error",), _flat),
     Fault("the block is shorter than the panel", ("part.stock_too_small",), _small),
     Fault("the panel is bent more tightly than it is thick", ("part.offset",), _offset),
