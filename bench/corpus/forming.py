@@ -111,13 +111,14 @@ def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data) -> mesh
     if kind == "pyramid":
         corner = line[-1, 0] - sheets.FLAT + ball + draw.number(2, 8)
         half = max(half, corner + 4.0)
-        facts["half"] = half
+        facts.update(half=half, square=True)
         return sheets.pyramid(half, corner, line, draw.pick([16, 24]))
     if kind == "sharp":
         angle, depth = min(angle, 50.0), draw.number(22, 30)
         half = depth / math.tan(math.radians(angle)) + draw.number(18, 30)
         lost = sheets.unreached(ball, angle, depth, half, True)
-        facts.update(angle=angle, depth=depth, half=half, share=math.floor(100 * (1 - 2 * lost)) / 100)
+        facts.update(angle=angle, depth=depth, half=half, square=True)
+        facts["share"] = math.floor(100 * (1 - 2 * lost)) / 100
         line = sheets.profile(sheets.wall(depth, angle, 0.0, 0.0))
         return sheets.pyramid(half, 0.0, line, 24)
     # a dish with dimples further down on its floor
@@ -134,12 +135,16 @@ def sheet(draft_facts: Data, draw: Draw, name: str, thick: float, room: float, c
     """A sheet whose opening leaves ``room`` [mm] on each side of the part's flat."""
     half = draft_facts["half"] + sheets.FLAT + room
     opening = math.ceil(2 * half / 10) * 10
+    # a round opening has to hold the corners of a square part, too
+    across = math.ceil(2 * half * math.sqrt(2.0) / 10) * 10 if draft_facts.get("square") else opening
     own: Data = {
         "size_mm": [opening + 2 * clamp + 10] * 2,
         "thickness_mm": thick,
         "metal": name,
-        "opening_mm": draw.pick([opening, [opening, opening]]),
+        "opening_mm": draw.pick([across, [opening, opening]]),
     }
+    if own["opening_mm"] == across:
+        own["size_mm"] = [across + 2 * clamp + 10] * 2
     return own
 
 

@@ -35,7 +35,8 @@ Row = dict[str, Any]
 
 def lanes(draw: Draw, name: str, height: float, x0: float, half: float, lane_ys: list[float]) -> list[Row]:
     """Lanes along x over a vault, half circles between them; the tool's z looks at the vault's axis."""
-    radius = draw.number(350, 600, 0)
+    # the vault falls by 20 mm at most at the lanes' ends, which is the gauge's least height over the block
+    radius = max(draw.number(350, 600, 0), math.ceil(half * half / 40.0))
     rows: list[Row] = []
 
     def pose(x: float, y: float, segment: str) -> None:
