@@ -249,7 +249,7 @@ SUPPORTED: Final = [
 BORDER: Final = [
     Fault(
         "the opening leaves no room for the tool outside of the part",
-        ("forming.clamp", "forming.border"),
+        ("forming.clamp",),
         _no_room,
     ),
     Fault("a disk is to form", ("forming.tool",), _disk_forms),

@@ -100,6 +100,18 @@ def _operation(key: str, pattern: str, down: bool = False, inner: str | None = N
     return follow
 
 
+def _smaller(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """A gripper that no longer stands out of the block's bottom."""
+    out = _number("stands # mm out", told)
+    plates = _tools(cell, "gripper_plate")
+    if out is None or not plates:
+        return None
+    for plate in plates:
+        for key in ("width_mm", "depth_mm"):
+            plate[key] = max(20.0, _down(plate[key] - 2.0 * out, 1.0))
+    return f"gripper of {plates[0]['width_mm']:g} x {plates[0]['depth_mm']:g} mm"
+
+
 def _flute(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     for tool in _tools(cell, "mill"):
         tool["flute_mm"] = max(tool["flute_mm"], _up(float(issue["value"])))
@@ -144,11 +156,12 @@ REMEDIES: Final[dict[str, Follow]] = {
     "milling.tool_radius": _tool("mill", "diameter_mm", FITS, factor=2.0, down=True),
     "milling.flute": _flute,
     "milling.holder": _flute,
+    "stock.footprint": _smaller,
     "stock.grip_force": _tool("gripper_plate", "holding_n", "needs # N"),
     "wire.too_short": _operation("length_mm", "(?:use a wire of|with its margins,) # mm", inner="wire"),
     "wire.curvature": _operation("diameter_mm", "no thicker than # mm", down=True, inner="wire"),
     "wire.temperature": _operation("temperature_c", "(?:up to|at most|to) # C", inner="wire"),
-    "forming.shift": _operation("shift_deg", "(?:at most|allowed is|allowed are) # deg", down=True),
+    "forming.shift": _operation("shift_deg", "(?:at most|allowed is 0 to) #", down=True),
     "kerf.too_hot": _heat,
     "kerf.too_cold": _heat,
     "motion.no_reach": _moved,
