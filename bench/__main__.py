@@ -1,4 +1,8 @@
-"""``python -m bench [name ...]``: run measurements, print one table, write ``bench/results/<name>.json``."""
+"""``python -m bench [name ...]``: run measurements, print one table, write ``bench/results/<name>.json``.
+
+``python -m bench corpus --help``: ordinary jobs, and what becomes of them; it is not among the measurements
+that run by default.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,11 @@ def machine() -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the named measurements, all by default; returns 2 for an unknown name."""
+    """Run the named measurements, all by default, or the corpus; returns 2 for an unknown name."""
+    if arguments[:1] == ["corpus"]:
+        from bench.corpus import command
+
+        return command.main(arguments[1:])
     chosen = arguments or names()
     unknown = sorted(set(chosen) - set(names()))
     if unknown:

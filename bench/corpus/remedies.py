@@ -1,0 +1,218 @@
+"""Remedies followed: what a refusal advises by number is done to the problem, which is then planned again.
+
+Issues have no field for a remedy: the number stands in ``value``, ``limit``, or in the words. The table here
+says for each code where it stands and which field it is for, as a person would read it; a code that is not
+in it, or a message without its number, counts as one without a number.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from bench.corpus.job import PROBLEM, Data, Job, text
+from bench.corpus.run import LIMIT, VERIFIED, Result, single
+
+NUMBER: Final = r"(-?\d+(?:\.\d+)?)"
+Follow = Callable[[Data, Data, Data, str], str | None]
+"""Issue, problem, cell and the issue's words: changes problem or cell and says what was done; None where the
+issue names no number."""
+
+
+def _number(pattern: str, text: str) -> float | None:
+    found = re.search(pattern.replace("#", NUMBER), text)
+    return None if found is None else float(found.group(1))
+
+
+def _tools(cell: Data, kind: str) -> list[Data]:
+    return [arm["tool"] for arm in cell["arms"] if arm["tool"]["kind"] == kind]
+
+
+def _up(value: float, step: float = 1.0) -> float:
+    return math.ceil(value / step - 1e-9) * step
+
+
+def _down(value: float, step: float = 0.01) -> float:
+    return round(math.floor(value / step + 1e-9) * step, 6)
+
+
+def _block(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    if "sheet" in problem:
+        return _opening(problem, 2.0 * float(issue["value"]))
+    short = re.findall(rf"{NUMBER} mm in ([xyz])", told)
+    for value, axis in short:
+        k = "xyz".index(axis)
+        size = problem["stock"]["size_mm"]
+        size[k] = round(size[k] + float(value) + 0.1, 1)
+    return f"block of {problem['stock']['size_mm']} mm" if short else None
+
+
+def _opening(problem: Data, more: float) -> str:
+    sheet = problem["sheet"]
+    old = sheet["opening_mm"]
+    more = _up(more)
+    sheet["opening_mm"] = [v + more for v in old] if isinstance(old, list) else old + more
+    sheet["size_mm"] = [v + more for v in sheet["size_mm"]]
+    return f"opening of {sheet['opening_mm']} mm"
+
+
+def _clamp(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    wider = _number("opening # mm wider", told)
+    if wider is None:
+        return None
+    clear = (
+        problem.get("settings", {}).get("clearance_mm", 10.0) if "twice settings.clearance" in told else 0.0
+    )
+    return _opening(problem, wider + 2.0 * clear)
+
+
+def _tool(kind: str, key: str, pattern: str, factor: float = 1.0, down: bool = False) -> Follow:
+    """A figure of the tool from the words."""
+
+    def follow(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+        value = _number(pattern, told)
+        tools = _tools(cell, kind)
+        if value is None or not tools:
+            return None
+        for tool in tools:
+            tool[key] = _down(factor * value) if down else _up(factor * value)
+        return f"{key} of {tools[0][key]:g}"
+
+    return follow
+
+
+def _operation(key: str, pattern: str, down: bool = False, inner: str | None = None) -> Follow:
+    """A figure of the operation, or of a mapping in it, from the words."""
+
+    def follow(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+        value = _number(pattern, told)
+        if value is None:
+            return None
+        own = problem["operations"][0] if inner is None else problem["operations"][0][inner]
+        own[key] = _down(value) if down else value
+        return f"{key} of {own[key]:g}"
+
+    return follow
+
+
+def _smaller(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """A gripper that no longer stands out of the block's bottom."""
+    out = _number("stands # mm out", told)
+    plates = _tools(cell, "gripper_plate")
+    if out is None or not plates:
+        return None
+    for plate in plates:
+        for key in ("width_mm", "depth_mm"):
+            plate[key] = max(20.0, _down(plate[key] - 2.0 * out, 1.0))
+    return f"gripper of {plates[0]['width_mm']:g} x {plates[0]['depth_mm']:g} mm"
+
+
+def _flute(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    for tool in _tools(cell, "mill"):
+        tool["flute_mm"] = max(tool["flute_mm"], _up(float(issue["value"])))
+        tool["overhang_mm"] = max(tool["overhang_mm"], tool["flute_mm"])
+    return f"flute of {float(issue['value']):.1f}"
+
+
+def _heat(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """Another power or feed, where one is named beside what the wire has."""
+    own = problem["operations"][0]
+    advice = str(issue.get("hint") or told.rpartition(";")[2])
+    power = _number("# W", advice)
+    if power is not None:
+        own["power_w"] = power
+        return f"{power:g} W"
+    feed = _number("# mm/s", advice)
+    if feed is None:
+        return None
+    own["feed_mm_s"] = feed
+    own["feed_min_mm_s"] = min(own.get("feed_min_mm_s", 3.0), feed)
+    return f"{feed:g} mm/s"
+
+
+def _moved(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """A stock that is moved by so much."""
+    place = problem.get("stock", problem.get("sheet", {})).get("place")
+    found = re.search(rf"move the (?:stock|block|sheet) by \(?{NUMBER}, {NUMBER}, {NUMBER}\)? mm", told)
+    if found is None or not isinstance(place, dict):
+        return None
+    place["xyz_mm"] = [a + float(b) for a, b in zip(place["xyz_mm"], found.groups(), strict=True)]
+    return f"stock at {place['xyz_mm']}"
+
+
+FITS: Final = "largest radius that fits(?: there)? is # mm"
+REMEDIES: Final[dict[str, Follow]] = {
+    "part.stock_too_small": _block,
+    "forming.clamp": _clamp,
+    "bow.span": _tool("bow", "span_mm", "need a wire of # mm"),
+    "bow.throat": _tool("bow", "throat_mm", "reaches # mm behind the wire"),
+    "forming.tool_radius": _tool("ball_tool", "radius_mm", FITS, down=True),
+    "forming.support_radius": _tool("ball_tool", "radius_mm", FITS, down=True),
+    "milling.tool_radius": _tool("mill", "diameter_mm", FITS, factor=2.0, down=True),
+    "milling.flute": _flute,
+    "milling.holder": _flute,
+    "stock.footprint": _smaller,
+    "stock.grip_force": _tool("gripper_plate", "holding_n", "needs # N"),
+    "wire.too_short": _operation("length_mm", "(?:use a wire of|with its margins,) # mm", inner="wire"),
+    "wire.curvature": _operation("diameter_mm", "no thicker than # mm", down=True, inner="wire"),
+    "wire.temperature": _operation("temperature_c", "(?:up to|at most|to) # C", inner="wire"),
+    "forming.shift": _operation("shift_deg", "(?:at most|allowed is 0 to) #", down=True),
+    "kerf.too_hot": _heat,
+    "kerf.too_cold": _heat,
+    "motion.no_reach": _moved,
+    "motion.collision": _moved,
+}
+
+
+def words(issue: Data) -> str:
+    """Message and hint of an issue."""
+    return f"{issue['message']}; {issue.get('hint') or ''}"
+
+
+def followed(job: Job, issues: Sequence[Data]) -> tuple[Job, str] | None:
+    """The job with the first remedy of each code among ``issues`` done to it, and what was done; None where
+    none of them names a number."""
+    problem: Any = yaml.safe_load(job.files[PROBLEM])
+    cell: Any = yaml.safe_load(job.files["cell.yaml"])
+    done: dict[str, str] = {}
+    for issue in issues:
+        if issue["severity"] == "error" and issue["code"] in REMEDIES and issue["code"] not in done:
+            what = REMEDIES[issue["code"]](issue, problem, cell, words(issue))
+            if what is not None:
+                done[issue["code"]] = what
+    if not done:
+        return None
+    files = {**job.files, PROBLEM: text(problem), "cell.yaml": text(cell)}
+    what = "; ".join(done.values())
+    return Job(f"{job.name}_followed", job.family, job.seed, files, frozenset(), what), what
+
+
+def follow(result: Result, folder: Path, limit: int = LIMIT) -> tuple[str, Result] | None:
+    """Do what a refusal advises, and plan again; None where it names no number."""
+    changed = followed(result.job, result.plan["issues"])
+    if changed is None:
+        return None
+    job, what = changed
+    return what, single(job, folder, limit)
+
+
+def markdown(rows: Sequence[tuple[Result, tuple[str, Result] | None]]) -> str:
+    """The share of remedies with a number that led to a proven program, and each of them."""
+    named = [(result, *pair) for result, pair in rows if pair is not None]
+    good = sum(after.verdict == VERIFIED for _, _, after in named)
+    share = f"{100.0 * good / len(named):.0f} %" if named else "-"
+    out = [
+        f"- of {len(rows)} refused jobs {len(named)} name a number; followed, {good} verify ({share})",
+        "",
+        "| job | refused by | remedy | then |",
+        "| --- | --- | --- | --- |",
+    ]
+    for result, what, after in named:
+        then = " ".join([after.verdict, *after.codes])
+        out.append(f"| {result.job.name} | {' '.join(result.codes)} | {what} | {then} |")
+    return "\n".join(out) + "\n"

@@ -1,0 +1,117 @@
+"""The table of a run of the corpus, and the list of what went wrong, as Markdown."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+
+from bench.corpus import FAMILIES
+from bench.corpus.run import (
+    CRASH,
+    FALSE,
+    MADE,
+    OTHER,
+    OVER,
+    TRUE,
+    UNPROVEN,
+    VERIFIED,
+    Result,
+)
+
+HEAD = (
+    "family",
+    "jobs",
+    "feasible",
+    "verified",
+    "refused falsely",
+    "infeasible",
+    "true cause",
+    "other cause",
+    "made",
+    "exit 4",
+    "crash",
+    "over time",
+    "check s (median, most)",
+    "plan s (median, most)",
+)
+
+
+def markdown(results: Sequence[Result]) -> str:
+    """The table by family, the shares that are asked for, and every job that did not end as it should."""
+    rows = [_row(name, [r for r in results if r.job.family == name]) for name in FAMILIES]
+    rows = [row for row in rows if row[1] != "0"]
+    lines = [_line(HEAD), _line(["---"] * len(HEAD)), *map(_line, rows), _line(_row("all", results))]
+    return "\n".join([*lines, "", *shares(results), "", *failures(results)]) + "\n"
+
+
+def shares(results: Sequence[Result]) -> list[str]:
+    """The figures that are asked of the whole."""
+    good = [r for r in results if r.job.feasible]
+    bad = [r for r in results if not r.job.feasible]
+    early = [r for r in bad if r.verdict == TRUE]
+    checks = [r.check["seconds"] for r in results if r.check]
+    return [
+        f"- feasible and verified: {_share(_count(good, VERIFIED), len(good))}",
+        f"- infeasible and refused with the true cause: {_share(_count(bad, TRUE), len(bad))}, "
+        f"{_share(sum(r.found_early for r in early), len(early))} of these by `tandem check` already",
+        f"- exit 4: {_count(results, UNPROVEN)}; crash: {_count(results, CRASH)}; "
+        f"over the limit of processor time: {_count(results, OVER)}",
+        f"- processor seconds of `tandem check`: median {_median(checks)}, most "
+        f"{max(checks, default=0):.1f}; "
+        f"of `tandem plan`: median {_median([r.plan['seconds'] for r in results])}, "
+        f"all {sum(r.plan['seconds'] for r in results):.0f}",
+    ]
+
+
+def failures(results: Sequence[Result]) -> list[str]:
+    """A row for each job that did not end as it should: its codes, and the first message."""
+    wrong = [r for r in results if r.verdict not in (VERIFIED, TRUE)]
+    if not wrong:
+        return ["No job ended otherwise than it should."]
+    out = ["| job | what is to come | what came | codes | first message |", "| --- | --- | --- | --- | --- |"]
+    for result in sorted(wrong, key=lambda r: r.job.name):
+        wanted = "feasible" if result.job.feasible else " or ".join(sorted(result.job.codes))
+        errors = [i for i in result.plan["issues"] if i["severity"] == "error"]
+        first = errors[0]["message"] if errors else result.plan.get("crash", "").splitlines()[:1]
+        text = first if isinstance(first, str) else " ".join(first)
+        text = text.replace("|", "/").replace("\n", " ")
+        out.append(_line([result.job.name, wanted, result.verdict, " ".join(result.codes), text[:200]]))
+    return out
+
+
+def _row(name: str, members: Sequence[Result]) -> list[str]:
+    good = [r for r in members if r.job.feasible]
+    bad = [r for r in members if not r.job.feasible]
+    return [
+        name,
+        str(len(members)),
+        str(len(good)),
+        _share(_count(good, VERIFIED), len(good)),
+        str(_count(good, FALSE)),
+        str(len(bad)),
+        _share(_count(bad, TRUE), len(bad)),
+        *(str(_count(bad, kind)) for kind in (OTHER, MADE)),
+        *(str(_count(members, kind)) for kind in (UNPROVEN, CRASH, OVER)),
+        _seconds([r.check["seconds"] for r in members if r.check]),
+        _seconds([r.plan["seconds"] for r in members]),
+    ]
+
+
+def _count(results: Sequence[Result], verdict: str) -> int:
+    return sum(r.verdict == verdict for r in results)
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part} of {whole} ({100.0 * part / whole:.0f} %)" if whole else "-"
+
+
+def _median(values: Sequence[float]) -> str:
+    return f"{statistics.median(values):.1f}" if values else "-"
+
+
+def _seconds(values: Sequence[float]) -> str:
+    return f"{_median(values)}, {max(values):.1f}" if values else "-"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
