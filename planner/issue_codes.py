@@ -59,6 +59,7 @@ CODES: Final[dict[str, str]] = {
     "kerf.foam_file": "a field of a foam file is missing, unknown or out of range",
     "kerf.too_hot": "a slot is wider than what leaves a usable face: the wire burns the foam",
     "kerf.too_cold": "a slot is narrower than what leaves a usable face: the wire drags",
+    "kerf.unsettled": "an end of the wire nearly stands still beside the surface: no slot fits its own speed",
     "kerf.doubt": "the kerf model is used outside of its tests",
     # meshes and parts
     "mesh.unreadable": "a mesh file is of a kind that is not read, or is damaged",
