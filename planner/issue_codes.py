@@ -53,6 +53,7 @@ CODES: Final[dict[str, str]] = {
     "kerf.model": "a kerf model that does not exist",
     "kerf.input": "a power, speed, width or thickness is not a number above 0",
     "kerf.impossible": "no wire, speed or power gives such a kerf",
+    "kerf.melts": "a power at which the wire reaches its limit temperature in air",
     "kerf.file": "a file of test cuts cannot be read, or a value in it is missing or out of range",
     "kerf.few_cuts": "too few test cuts are left, or all at one speed and power",
     "kerf.no_trend": "the kerf of test cuts does not grow with power over speed",

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from planner.claims import Claim, KerfCurve
 from planner.geometry.rigid import inverse
 from planner.hotwire import straight_claims, straight_frames
+from planner.hotwire.kerf_limit import most_power
+from planner.hotwire.kerf_wire import HotWire
 from planner.hotwire.straight_check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight_cut import Cut, make_cut
 from planner.hotwire.straight_exhibits import exhibits
@@ -57,6 +59,7 @@ class StraightJob(Job[Straight]):
             box,
             lambda op: _kerf(op, setup, bow, todo)[0],
             lambda op: _cuts(op, setup, part, bow, todo, _kerf(op, setup, bow, todo)[0]),
+            most_power(HotWire(2.0 * bow.radius, bow.span)),
         )
         issues += check_model(operation, setup, bow, cuts, thickness)
         if has_errors(issues):

@@ -36,16 +36,16 @@ Slots = Callable[[Straight], KerfCurve]
 
 
 def check_heat(
-    op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake
+    op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake, most: float
 ) -> Iterator[Issue]:
     """kerf.too_hot, kerf.too_cold and kerf.unsettled of the cuts of an operation with a power, in the block
-    ``box`` (2, 3), with a power or feed that was tried where there is one."""
+    ``box`` (2, 3), with a power or feed that was tried where there is one; the wire bears ``most`` [W]."""
     if op.power_w is None:
         return
     found = [fault for cut in cuts for fault in _faults(op, cut)]
     if not found:
         return
-    hint = _advice(op, cuts, box, slots, remake)
+    hint = _advice(op, cuts, box, slots, remake, most)
     for cut, code, row, end in found:
         yield _issue(op, cut, code, row, end, hint)
 
@@ -87,11 +87,15 @@ def _issue(op: Straight, cut: Cut, code: str, row: int, end: int, hint: str) -> 
     )
 
 
-def _advice(op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake) -> str:
+def _advice(
+    op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake: Remake, bears: float
+) -> str:
     """A power, and a feed, at which all slots are within the range; or that there is none."""
+    power = op.power_w or 0.0
+    top = min(1.0 / LEAST, 0.9 * bears / power)
 
     def widths(factor: float) -> tuple[float, float]:
-        hot = _with(op, power=(op.power_w or 0.0) * factor)
+        hot = _with(op, power=power * factor)
         curve = slots(hot)
         made = [
             beside(cut.on.row, curve, FEED_SHARE * hot.feed(cut.wanted.cut), box, DAMPING[:2]) for cut in cuts
@@ -100,14 +104,14 @@ def _advice(op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake
         return min(2.0 * float(one.half.min()) / MM for one in made), widest
 
     low, high = op.kerf_range_mm
-    most = _edge(lambda factor: widths(factor)[1] <= high, LEAST, 1.0 / LEAST)
-    least = _edge(lambda factor: widths(factor)[0] >= low, 1.0 / LEAST, LEAST)
+    most = _edge(lambda factor: widths(factor)[1] <= high, LEAST, top)
+    least = _edge(lambda factor: widths(factor)[0] >= low, top, LEAST)
     if most is not None and least is not None and least < most:
         tried = [text for text in _choices(op, least, most, remake) if text]
         if tried:
             return f"{' or '.join(tried)}, as was tried"
     if least is None or (most is None and widths(LEAST)[0] > high):
-        share = "64 times the power" if least is None else "a 64th of the power"
+        share = f"{top:.3g} times the power" if least is None else "a 64th of the power"
         return f"even {share} is too {'little' if least is None else 'much'}: correct power_w or feed_mm_s"
     alike = (
         "let both ends move more alike: less taper, edges of one thickness at both ends (wing: "
@@ -118,7 +122,7 @@ def _advice(op: Straight, cuts: list[Cut], box: FloatArray, slots: Slots, remake
         return f"no power and no feed mends that: one end nearly stands while the other goes on; {alike}"
     return (
         f"no power and no feed holds both ends: where the widest slot is {high:g} mm, at "
-        f"{(op.power_w or 0.0) * most:.3g} W, the narrowest is {widths(most)[0]:.2f} mm; {alike}"
+        f"{power * most:.3g} W, the narrowest is {widths(most)[0]:.2f} mm; {alike}"
     )
 
 
