@@ -172,7 +172,7 @@ def said(entry: dict[str, Any]) -> str:
         return f"{fit}; {entry['count']} cuts at {tests}"
     unit = str(entry["unit"])
     table, value = entry.get("table"), entry.get("value")
-    numbers = [float(row[1]) for row in table] if table else [float(v) for v in np.ravel(value)]
+    numbers = [float(row[1]) for row in table] if table else np.ravel(np.asarray(value, float)).tolist()
     scale, prefix = 1.0, ""
     if unit == "Pa" and max(numbers) >= 1e6:
         scale, prefix = (1e9, "G") if max(numbers) >= 1e10 else (1e6, "M")
