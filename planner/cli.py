@@ -227,17 +227,12 @@ def robots() -> int:
 
 @app.command
 def materials() -> int:
-    """List the materials of wires, foams and sheets, with the sources of their figures."""
-    from planner.materials import foams, wire_materials
-    from planner.sheet_metals import sheet_metals
+    """List the materials of wires, foams and sheets: their figures, each with its value and source."""
+    from planner import materials, sheet_metals
 
-    table = Table("name", "material", "figure", "source")
-    known = [(m.name, m.title, m.sources) for m in wire_materials().values()]
-    known += [(f.name, f.title, f.sources) for f in foams().values()]
-    known += [(s.name, s.title, s.sources) for s in sheet_metals().values()]
-    for name, title, sources in known:
-        for figure, source in sources.items():
-            table.add_row(name, title, figure.replace("_", " "), source)
+    table = Table("name", "material", "figure", "value", "source")
+    for name, title, figure, value, source in [*materials.figures(), *sheet_metals.figures()]:
+        table.add_row(name, title, figure.replace("_", " "), value, source)
     out.print(table)
     return DONE
 

@@ -89,11 +89,11 @@ def _shown(tree: FeatureTree, name: str) -> Tree:
 
 
 def _line(feature: Feature) -> str:
-    from planner.forming.slicing import area
+    from planner.geometry.outlines import sides
 
     way = "down" if feature.sign < 0 else "up"
-    size = abs(area(feature.region)) ** 0.5 / MM
+    long, short = (side / MM for side in sides(feature.region[:, :2]))
     return (
         f"{feature.id} {feature.kind} ({way}) {feature.start / MM:z.2f} to {feature.end / MM:z.2f} mm, "
-        f"{size:.1f} mm across, {len(feature.contours)} contours"
+        f"{long:.1f} x {short:.1f} mm across, {len(feature.contours)} contours"
     )

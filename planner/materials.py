@@ -147,6 +147,48 @@ def wire_material(name: str) -> WireMaterial:
     return known[name]
 
 
+def figures() -> list[tuple[str, str, str, str, str]]:
+    """All figures as people read them: material's name and title, figure, value with its unit, source."""
+    data = _read()
+    return [
+        (name, str(entry["title"]), key, said(value), str(value["source"]))
+        for kind in ("wires", "foams")
+        for name, entry in data[kind].items()
+        for key, value in entry.items()
+        if isinstance(value, dict)
+    ]
+
+
+def said(entry: dict[str, Any]) -> str:
+    """A figure's value, range, table or fit, as the data file has it, with its unit."""
+    if "chi" in entry:
+        tests = (
+            f"{_span(entry['power_per_length_w_m'])} W/m at {_span(entry['speed_mm_s'])} mm/s, "
+            f"{entry['thickness_mm']:g} mm of foam, wire of {entry['wire_diameter_mm']:g} mm"
+        )
+        fit = (
+            f"chi {entry['chi']:.4g}, offset {entry['offset_mm']:.3g} mm, spread {entry['spread_mm']:.3g} mm"
+        )
+        return f"{fit}; {entry['count']} cuts at {tests}"
+    unit = str(entry["unit"])
+    table, value = entry.get("table"), entry.get("value")
+    numbers = [float(row[1]) for row in table] if table else np.ravel(np.asarray(value, float)).tolist()
+    scale, prefix = 1.0, ""
+    if unit == "Pa" and max(numbers) >= 1e6:
+        scale, prefix = (1e9, "G") if max(numbers) >= 1e10 else (1e6, "M")
+    shown = [f"{number / scale:.4g}" for number in numbers]
+    if table:
+        over = "W/m" if unit.endswith("over W/m") else "C"
+        unit = unit.removesuffix(" over W/m")
+        pairs = ", ".join(f"{one} at {float(row[0]):.4g}" for row, one in zip(table, shown, strict=True))
+        return f"{pairs} {over}{'' if unit == '1' else f', in {prefix}{unit}'}"
+    return f"{' to '.join(shown)}{'' if unit == '1' else f' {prefix}{unit}'}"
+
+
+def _span(pair: list[float]) -> str:
+    return f"{pair[0]:.3g} to {pair[1]:.3g}"
+
+
 def _read() -> dict[str, Any]:
     with _FILE.open(encoding="utf-8") as stream:
         data: dict[str, Any] = yaml.safe_load(stream)

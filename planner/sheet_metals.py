@@ -10,6 +10,7 @@ from typing import Any, Final
 import yaml
 
 from planner.issues import Issue, Severity, TandemError
+from planner.materials import said
 from planner.units import DEG, MM
 
 _FILE: Final = Path(__file__).resolve().parent / "data" / "sheets.yaml"
@@ -51,6 +52,20 @@ def sheet_metals() -> dict[str, SheetMetal]:
     with _FILE.open(encoding="utf-8") as stream:
         data: dict[str, Any] = yaml.safe_load(stream)
     return {name: _sheet_metal(name, entry, data["limits"]) for name, entry in data["sheets"].items()}
+
+
+def figures() -> list[tuple[str, str, str, str, str]]:
+    """All figures as people read them: metal's name and title, figure, value with its unit, source."""
+    with _FILE.open(encoding="utf-8") as stream:
+        data: dict[str, Any] = yaml.safe_load(stream)
+    out = []
+    for name, entry in data["sheets"].items():
+        angles = entry["wall_angle"]
+        angles = data["limits"][angles] if isinstance(angles, str) else angles
+        own = {key: value for key, value in entry.items() if _is_figure(value)}
+        own |= {f"wall_angle_{key}": value for key, value in angles.items()}
+        out += [(name, str(entry["title"]), key, said(v), str(v["source"])) for key, v in own.items()]
+    return out
 
 
 def sheet_metal(name: str) -> SheetMetal:

@@ -23,6 +23,9 @@ from planner.segments import Segment
 
 FloatArray = NDArray[np.float64]
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
+FEED_SHARE: Final = 0.97
+"""Share of the feeds at which clocks go where nothing else binds; the rest covers what controllers do in
+ramps and corners. Slots, which follow from the speed, are those of this share."""
 PREFER: Final = 0.5
 """What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
 

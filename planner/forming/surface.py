@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.forming.values import FloatArray, IntArray
 from planner.geometry.mesh import TriangleMesh, check_surface
+from planner.geometry.outlines import sides
 from planner.issues import Issue, TandemError
 from planner.units import MM
 
@@ -139,7 +140,7 @@ def _outer_border(vertices: FloatArray, rim: IntArray) -> IntArray:
 
 
 def _hole(points: FloatArray) -> Issue:
-    middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())
+    middle, size = points.mean(axis=0), max(sides(points[:, :2])[0], float(np.ptp(points[:, 2])))
     return Issue(
         "forming.hole",
         f"the part has a hole, {size / MM:.3g} mm across, at {where(middle)}; a sheet is formed whole, so "

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import LinearRing, Polygon, STRtree
+from shapely import LinearRing, MultiPoint, Polygon, STRtree
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
@@ -74,6 +74,15 @@ def check(rings: Sequence[FloatArray], names: Sequence[str]) -> list[Issue]:
                 what += "lie apart or one in the other, so move or join them"
                 issues.append(Issue("part.outline_overlap", what, field=names[j]))
     return issues
+
+
+def sides(points: FloatArray) -> tuple[float, float]:
+    """Long and short side [m] of the smallest rectangle, turned as it likes, around points (K, 2) [m]."""
+    around = MultiPoint(np.asarray(points)).minimum_rotated_rectangle
+    if around.geom_type != "Polygon":  # all on one line, or at one place
+        return float(around.length), 0.0
+    one, other = np.linalg.norm(np.diff(np.asarray(around.exterior.coords), axis=0), axis=1)[:2].tolist()
+    return max(one, other), min(one, other)
 
 
 def nested(rings: Sequence[FloatArray], corners: Sequence[NDArray[np.bool_]]) -> list[Outline]:

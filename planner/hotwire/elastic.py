@@ -28,7 +28,7 @@ from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
-from planner.targets import Action, Edge, Freedom, Job, ScrewFreedom, Targets
+from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +63,7 @@ class ElasticJob(Job[ElasticWire]):
                 )
             )
         wanted = _wanted(operation, part)
-        curve, feed = _kerf(operation, setup), operation.feed_mm_s * MM
+        curve, feed = _kerf(operation, setup), FEED_SHARE * operation.feed_mm_s * MM
         moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}
         tried, degrees = _sweep(operation, wire, list(moved.values()))
         gravity = wire.load * stock.gravity

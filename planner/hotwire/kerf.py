@@ -19,6 +19,7 @@ from planner import materials
 from planner.claims import KerfCurve
 from planner.hotwire.kerf_flag import DOMAIN, KerfFlag, explain
 from planner.hotwire.kerf_forms import Model, choose
+from planner.hotwire.kerf_limit import refuse_melting
 from planner.hotwire.kerf_wire import TEST_WIRE, HotWire
 from planner.issues import Issue, TandemError
 from planner.materials import Foam
@@ -75,10 +76,11 @@ def width(
     speed across the wire [m/s] and the foam's thickness along the wire [m].
 
     But for the dissertation's form, no kerf is below the wire's diameter. Raises `TandemError`:
-    kerf.unknown_foam, kerf.no_data, kerf.input, kerf.model.
+    kerf.unknown_foam, kerf.no_data, kerf.input, kerf.model, kerf.melts.
     """
     data, form = choose(foam, model)
     power, speed, thickness = _numbers(power_w=power_w, speed_m_s=speed_m_s, thickness_m=thickness_m)
+    refuse_melting(data, wire, float(power.max()))
     middle, low, high = form.width(data, wire, power, speed, thickness)
     shape = np.broadcast_shapes(power.shape, speed.shape, thickness.shape)
     flag = np.broadcast_to(_flags(data, wire, middle, power / wire.length, speed, thickness), shape)
@@ -102,6 +104,7 @@ def speed_for(
     data, form = choose(foam, model, backward=True)
     power, wanted, thickness = _numbers(power_w=power_w, width=width, thickness_m=thickness_m)
     _refuse_narrow(wanted, wire)
+    refuse_melting(data, wire, float(power.max()))
     return _possible(form.speed_for(data, wire, power, wanted, thickness), power, wanted, thickness)
 
 
@@ -118,7 +121,9 @@ def power_for(
     data, form = choose(foam, model, backward=True)
     speed, wanted, thickness = _numbers(speed_m_s=speed_m_s, width=width, thickness_m=thickness_m)
     _refuse_narrow(wanted, wire)
-    return _possible(form.power_for(data, wire, speed, wanted, thickness), speed, wanted, thickness)
+    found = _possible(form.power_for(data, wire, speed, wanted, thickness), speed, wanted, thickness)
+    refuse_melting(data, wire, float(found.max()))
+    return found
 
 
 def curve(

@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from planner.claims import Claim, KerfCurve
 from planner.geometry.rigid import inverse
 from planner.hotwire import straight_claims, straight_frames
+from planner.hotwire.kerf_limit import most_power
+from planner.hotwire.kerf_wire import HotWire
 from planner.hotwire.straight_check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight_cut import Cut, make_cut
 from planner.hotwire.straight_exhibits import exhibits
+from planner.hotwire.straight_heat import check_heat
 from planner.hotwire.straight_lines import Lines, chord, fastest
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted, wanted
@@ -50,6 +53,14 @@ class StraightJob(Job[Straight]):
         cuts = _cuts(operation, setup, part, bow, todo, kerf)
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
         issues += check_drops(operation, cuts, setup)
+        issues += check_heat(
+            operation,
+            cuts,
+            box,
+            lambda op: _kerf(op, setup, bow, todo)[0],
+            lambda op: _cuts(op, setup, part, bow, todo, _kerf(op, setup, bow, todo)[0]),
+            most_power(HotWire(2.0 * bow.radius, bow.span)),
+        )
         issues += check_model(operation, setup, bow, cuts, thickness)
         if has_errors(issues):
             raise TandemError(aggregate(issues))

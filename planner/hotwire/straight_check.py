@@ -37,14 +37,14 @@ SIGHTS: Final = 65
 
 
 def check_cut(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
-    """Issues of one cut's shape and kerf among all surfaces of the part: straight.corner, straight.crossing,
-    straight.slit, straight.lead, kerf.too_hot and kerf.too_cold."""
+    """Issues of one cut's shape among all surfaces of the part: straight.corner, straight.crossing,
+    straight.slit and straight.lead; none where the wires stand for no true way."""
+    if not cut.on.settled:
+        return
     yield from _tight(op, cut)
     yield from _crossing(op, cut)
     yield from _slit(op, cut, ruled, box)
     yield from check_spared(op, cut, ruled, box)
-    if op.power_w is not None:
-        yield from _width(op, cut)
 
 
 def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
@@ -129,28 +129,6 @@ def _slit(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> 
         limit=0.0,
         unit="mm",
     )
-
-
-def _width(op: Straight, cut: Cut) -> Iterator[Issue]:
-    """The slot is neither burnt nor dragged at either end of any ruling."""
-    width, speed = 2.0 * cut.on.half / MM, cut.on.speed / MM
-    low, high = op.kerf_range_mm
-    for code, k, limit, words in (
-        ("kerf.too_hot", int(np.argmax(width)), high, "burns the foam; cut faster or with less power"),
-        ("kerf.too_cold", int(np.argmin(width)), low, "is too cold and drags; cut slower or with more power"),
-    ):
-        value = float(width.ravel()[k])
-        if (value > limit) if code == "kerf.too_hot" else (value < limit):
-            place = np.stack([cut.on.row.foot.start, cut.on.row.foot.end], axis=1).reshape(-1, 3)[k]
-            yield Issue(
-                code,
-                f"{op.name}: on {cut.wanted.segment} the wire, at {speed.ravel()[k]:.2f} mm/s, melts "
-                f"{value:.2f} mm at {_place(place)} and {words}, or taper the part less",
-                field="operations.power_w",
-                value=value,
-                limit=limit,
-                unit="mm",
-            )
 
 
 def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness: float) -> Iterator[Issue]:

@@ -16,6 +16,7 @@ from planner.hotwire.straight_offset import Beside, Row, beside, make_row
 from planner.hotwire.straight_operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight_order import Wanted
 from planner.problem import Ruled
+from planner.targets import FEED_SHARE
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +55,7 @@ def make_cut(
 ) -> Cut:
     """The cut of one surface in the block ``box`` (2, 3); ``radius`` [m] is the wire's, ``contours`` are all
     closed surfaces of the part."""
-    step, feed = op.step_mm * MM, op.feed(wanted.cut)
+    step, feed = op.step_mm * MM, FEED_SHARE * op.feed(wanted.cut)
     plain = step * PLAIN
     step = plain if isinstance(wanted.cut, TrimCut) else step
     ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step)
@@ -64,7 +65,7 @@ def make_cut(
     on = beside(_row(ruled, wanted, start), kerf, feed, box)
     gone = fastest(on.lines, box)
     longest = float(np.nanmax(gone, initial=0.0))
-    if longest > 1.05 * step:  # the wire in the foam moves farther than its guide points
+    if longest > 1.05 * step and on.settled:  # the wire in the foam moves farther than its guide points
         ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step * step / longest)
         if start is not None and isinstance(wanted.cut, SurfaceCut):
             start = choose(ruled, contours, wanted.cut, box, up)

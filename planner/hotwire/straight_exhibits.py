@@ -60,7 +60,15 @@ def _cuts(cuts: list[Cut]) -> dict[str, Any]:
     return {
         "kind": "table",
         "title": "Cuts in order",
-        "columns": ("", "surface", "kind", "targets", "kerf [mm]", "twist [deg]", "slit [mm]"),
+        "columns": (
+            "",
+            "surface",
+            "kind",
+            "targets",
+            "planned kerf [mm]",
+            "twist [deg]",
+            "slit [mm]",
+        ),
         "rows": rows,
     }
 

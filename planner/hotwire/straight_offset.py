@@ -20,6 +20,7 @@ from planner.problem import Ruled
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
+Damping = tuple[tuple[float, int], ...]
 
 SHARPEST: Final = np.deg2rad(60.0)
 """Largest turn at one vertex of the polygon around a convex corner: it stays within 1 / cos 30 deg of half a
@@ -28,8 +29,13 @@ FLAT: Final = np.deg2rad(2.0)
 """A turn below this needs no vertices of its own."""
 CUSP: Final = np.deg2rad(175.0)
 """A turn beyond this is a cusp of the part: the wire goes round it, whatever the sign says."""
-ROUNDS: Final = 8
-"""The kerf follows from the speed, the speed from the way, and the way from the kerf: so often in turn."""
+SETTLED: Final = 1e-7
+"""[m] half kerfs have settled where one more round moves none of them by more."""
+DAMPING: Final[Damping] = ((0.5, 60), (0.25, 120), (0.1, 300), (0.05, 600))
+"""The kerf follows from the speed, the speed from the way, and the way from the kerf: of the step between the
+logarithms of two rounds so much is taken, in at most so many rounds; where that is too much to settle, less
+from the beginning. A wide slot drives its end on, which makes it narrow: whole steps swing for ever around a
+blunt edge at one end and a sharp one at the other."""
 MELTED: Final = 1e-3
 """[m] a slot takes its width from the speed over so much of the way, to and from each place: what the wire
 does within less is melted together. Without it moves shorter than half a kerf would drive the rounds apart.
@@ -60,11 +66,14 @@ class Row:
 @dataclasses.dataclass(frozen=True)
 class Beside:
     """Wires beside a surface: ``row`` where they stand, ``half`` (N, 2) half kerfs [m] at start and end,
-    ``speed`` (N, 2) [m/s] of both guide points where the fastest point in the foam has the feed."""
+    ``speed`` (N, 2) [m/s] of both guide points where the fastest point in the foam has the feed. Where
+    ``settled`` is false no half kerfs were found that fit their own speeds: these are those of wires at one
+    distance all along, which is as near as one comes."""
 
     row: Row
     half: FloatArray
     speed: FloatArray
+    settled: bool = True
 
     @property
     def lines(self) -> Lines:
@@ -113,20 +122,27 @@ def _with_vertices(foot: Lines, before: FloatArray, turn: FloatArray, sense: flo
     return Row(foot[rows], normal, turn[rows])
 
 
-def beside(row: Row, kerf: KerfCurve, feed: float, box: FloatArray) -> Beside:
+def beside(row: Row, kerf: KerfCurve, feed: float, box: FloatArray, damping: Damping = DAMPING) -> Beside:
     """The wires beside a surface with the kerf of their own speeds at both ends, ``feed`` [m/s] being the
-    speed of the fastest point in the box (2, 3)."""
-    made = _settle(row, kerf, feed, box)
-    kept = _clear_of_inner_corners(made)
-    return made if kept.all() else _settle(row[kept], kerf, feed, box)
+    speed of the fastest point in the box (2, 3). ``damping``: how they are looked for, as ``DAMPING``."""
+    made = _settle(row, kerf, feed, box, damping)
+    kept = _clear_of_inner_corners(made) if made.settled else np.ones(len(row.foot), dtype=np.bool_)
+    return made if kept.all() else _settle(row[kept], kerf, feed, box, damping)
 
 
-def _settle(row: Row, kerf: KerfCurve, feed: float, box: FloatArray) -> Beside:
-    speed = np.full((len(row.foot), 2), feed)
-    for _ in range(ROUNDS):
-        half = 0.5 * kerf.at(speed)
-        speed = end_speeds(row.lines(half), feed, box)
-    return Beside(row, half, speed)
+def _settle(row: Row, kerf: KerfCurve, feed: float, box: FloatArray, damping: Damping) -> Beside:
+    """Half kerfs that are those of their own speeds, by damped rounds from those at the feed."""
+    first = 0.5 * kerf.at(np.full((len(row.foot), 2), feed))
+    for share, rounds in damping:
+        half = first
+        for _ in range(rounds):
+            speed = end_speeds(row.lines(half), feed, box)
+            wanted = 0.5 * kerf.at(speed)
+            if np.abs(wanted - half).max() <= SETTLED:
+                return Beside(row, half, speed)
+            half = half * (wanted / half) ** share
+    speed = end_speeds(row.lines(first), feed, box)
+    return Beside(row, 0.5 * kerf.at(speed), speed, False)
 
 
 def end_speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:

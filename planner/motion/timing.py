@@ -25,14 +25,15 @@ from planner.motion.plain_toppra import (
 )
 from planner.motion.rounding import CornerConstraint, Corners, from_stop_to_stop, on_grid, ramps
 from planner.motion.timing_drake import parameterise_drake
+from planner.targets import FEED_SHARE
 
 FloatArray = NDArray[np.float64]
 
 RESERVE: Final = 0.97
 RESERVE_ACCELERATION: Final = 0.74
 RESERVE_CORNER: Final = 0.9
-"""Shares of speeds and accelerations, and of those at rounded corners, that the clock uses: the rest covers
-grid points and what corners do between targets."""
+"""Shares of joint speeds and accelerations, and of those at rounded corners, that the clock uses: the rest
+covers grid points and what corners do between targets. Of feeds it uses ``FEED_SHARE``."""
 ROUNDS: Final = 8
 HARDER: Final = 1.1
 """So often a piece is timed where corners ask for too much, each time with so much more room than that."""
@@ -147,7 +148,7 @@ def _piece(
     """Times of the targets ``first`` to ``last`` of one piece, which lie at the path positions ``knots``, and
     the shares of the accelerations that the corners at its inner ones ask for."""
     steps = np.diff(knots)
-    top = RESERVE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
+    top = FEED_SHARE * steps / np.maximum(limits.least_time[first + 1 : last + 1], 1e-9)
     grid = _grid(spline.x, least)
     at = np.searchsorted(knots, grid, side="right") - 1
     inner = np.clip(at, 0, len(steps) - 1)

@@ -154,6 +154,20 @@ def kerf_range(cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow]) -> st
     return f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
 
 
+def kerf_shown(
+    cuts: Sequence[CutsSurface], windows: Sequence[FeedWindow], proof: Proof | None
+) -> tuple[str, str]:
+    """What the kerf is called, and its range [mm]: of the cut, at the speeds with which the proof saw the
+    wire pass the faces, or without a proof that of the feeds allowed."""
+    passed = {face.segment.key: face.speed for face in (proof.surfaces if proof is not None else ())}
+    speeds = [passed.get(cut.segment.key, np.zeros(0)) for cut in cuts]
+    widths = [cut.kerf.at(speed[np.isfinite(speed)]) / MM for cut, speed in zip(cuts, speeds, strict=True)]
+    if not widths or not all(len(width) for width in widths):
+        return "kerf at the feeds allowed", kerf_range(cuts, windows)
+    low, high = min(float(w.min()) for w in widths), max(float(w.max()) for w in widths)
+    return "kerf of the cut", f"{low:.3g}" if high - low < 5e-4 else f"{low:.2f}–{high:.2f}"
+
+
 def operation_starts(plan: Plan) -> list[float]:
     """The time [s] at which each operation's clock starts when they run one after the other."""
     lengths = [float(op.time[-1]) if len(op.time) else 0.0 for op in plan.operations]

@@ -19,6 +19,8 @@ from planner.units import DEG, MM
 from planner.verify.result import Proof
 
 _CLEARANCE: Final = ("verify.clearance", "verify.wire_clearance")
+_IN_TILES: Final = frozenset({"clearance_mm", "clearance_index", "edge_clearance_mm", "peak_speed_share"})
+"""Figures of the plan's targets alone: of the whole motion they are in tiles."""
 MOST_FACES: Final = 4
 """Cut surfaces with a tile of their own, those nearest to their limit first."""
 
@@ -57,22 +59,23 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
     count = sum(op.targets.count for op in plan.operations)
     time = sum(float(op.time[-1]) for op in plan.operations if len(op.time))
     out = [_tile("targets", f"{count}"), _tile("motion time", *_duration(time))]
+    # one figure for each thing: where the proof has it, the page and the list of rules say the same
+    proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
     if motion.clearance is not None:
-        least = float(np.nanmin(motion.clearance.distance))
-        out.append(_tile("least clearance", f"{least / MM:.1f}", "mm", _too_close(problem, proof, least)))
+        least = proven.get("verify.clearance", float(np.nanmin(motion.clearance.distance)) / MM)
+        out.append(_tile("least clearance", f"{least:.1f}", "mm", _too_close(problem, proof, least * MM)))
     if motion.arms:
-        margin = min(float(a.limit_margin.min()) for a in motion.arms.values())
-        wrist = min(motion.wrist(name) for name in motion.arms)
+        margin = min(float(a.limit_margin.min()) for a in motion.arms.values()) / DEG
+        margin = proven.get("verify.joint_limits", margin)
+        near = margin < problem.settings.joint_margin / DEG
+        out.append(_tile("to a joint limit", f"{margin:.1f}", "°", near))
+        wrist = min(motion.wrist(name) for name in motion.arms) / DEG
+        single = proven.get("verify.singularity", wrist)
+        name = "from a singular posture" if "verify.singularity" in proven else "axis 5 from singular"
+        out.append(_tile(name, f"{single:.1f}", "°", single < problem.settings.singularity_margin / DEG))
         speed = max(float(np.nanmax(np.abs(a.speed) / a.robot.velocity)) for a in motion.arms.values())
-        out.append(
-            _tile("to a joint limit", f"{margin / DEG:.1f}", "°", margin < problem.settings.joint_margin)
-        )
-        out.append(
-            _tile(
-                "axis 5 from singular", f"{wrist / DEG:.1f}", "°", wrist < problem.settings.singularity_margin
-            )
-        )
-        out.append(_tile("highest joint speed", f"{100 * speed:.0f}", "% of limit", speed > 1.0))
+        share = proven.get("verify.joint_speed", 100.0 * speed)
+        out.append(_tile("highest joint speed", f"{share:.0f}", "% of limit", share > 100.0))
     claims = [c for op in plan.operations for c in op.targets.claims]
     for wire in [c for c in claims if isinstance(c, WireJoins)][:1]:
         out.append(_tile("wire, hot length", f"{wire.length / MM:.1f}", "mm"))
@@ -82,9 +85,8 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> str:
     out += [_tile("straight wire", " and ".join(f"{v:g}" for v in spans), "mm")] if spans else []
     cuts = [c for c in claims if isinstance(c, CutsSurface)]
     if cuts:
-        out.append(
-            _tile("kerf", inputs.kerf_range(cuts, [c for c in claims if isinstance(c, FeedWindow)]), "mm")
-        )
+        windows = [c for c in claims if isinstance(c, FeedWindow)]
+        out.append(_tile(*inputs.kerf_shown(cuts, windows, proof), "mm"))
         tolerances = sorted({c.tolerance / MM for c in cuts})
         out.append(
             _tile(
@@ -156,7 +158,7 @@ def _code(text: str) -> str:
 
 def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object]]:
     for name, value in metrics.items():
-        if isinstance(value, int | float | str | bool | np.generic):
+        if name not in _IN_TILES and isinstance(value, int | float | str | bool | np.generic):
             yield name.replace("_", " "), value
 
 

@@ -70,7 +70,7 @@ def render(
     if problem is not None and plan is not None and plan.operations:
         motion = inputs.motion(problem, plan, proof)
         sections += _motion(problem, motion)
-        sections.append(markup.section("setup", "Setup sheet", setup_sheet.sheet(problem, plan)))
+        sections.append(markup.section("setup", "Setup sheet", setup_sheet.sheet(problem, plan, proof)))
     if proof is not None and proof.rules:
         sections.append(markup.section("proof", "Proof from the programs' text", verdicts.rules(proof.rules)))
     sections += _background(plan, extra)

@@ -16,11 +16,12 @@ from planner.claims import (
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import exhibits, markup, standing
-from planner.report.inputs import kerf_range, operation_starts
+from planner.report.inputs import kerf_shown, operation_starts
 from planner.report.markup import Raw
 from planner.report.setup_controller import checks
 from planner.report.setup_tables import block, measure, tools
 from planner.units import DEG, MM
+from planner.verify.result import Proof
 
 FloatArray = NDArray[np.float64]
 _STEPS = {
@@ -32,7 +33,7 @@ _STEPS = {
 }
 
 
-def sheet(problem: Problem, plan: Plan) -> Raw:
+def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> Raw:
     """All of the setup sheet for a plan, a part for each setup."""
     starts = operation_starts(plan)
     parts = []
@@ -50,7 +51,7 @@ def sheet(problem: Problem, plan: Plan) -> Raw:
         for index in made:
             operation = plan.operations[index]
             title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
-            parts.append(markup.figure(title, _work(problem, setup, plan, operation)))
+            parts.append(markup.figure(title, _work(problem, setup, plan, operation, proof)))
             parts.append(markup.figure("Stops with something to do", _stops(operation, starts[index])))
         if setup.number == 1:
             parts.append(markup.figure("Controllers, before the first run", checks(problem, plan)))
@@ -73,7 +74,7 @@ def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
     return None
 
 
-def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) -> Raw:
+def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> Raw:
     targets = operation.targets
     items: list[tuple[object, object]] = []
     for claim in targets.claims:
@@ -84,7 +85,7 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan) 
     own = exhibits.setup_items(targets.exhibits)
     straight = any(isinstance(claim, StraightWire) for claim in targets.claims)
     # the straight wire's process says all this by itself
-    items += own if own and straight else [*_cutting(operation), *own]
+    items += own if own and straight else [*_cutting(operation, proof), *own]
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
     items += (
         [("signals", Raw(", ".join(f"<code>{markup.text(s)}</code>" for s in signals)))] if signals else []
@@ -143,7 +144,7 @@ def _straight(wire: StraightWire) -> list[tuple[object, object]]:
     ]
 
 
-def _cutting(operation: OperationPlan) -> list[tuple[object, object]]:
+def _cutting(operation: OperationPlan, proof: Proof | None) -> list[tuple[object, object]]:
     """Range of speeds in the foam, and of the kerf that they make."""
     claims = operation.targets.claims
     windows = [c for c in claims if isinstance(c, FeedWindow) and c.segment.kind == "cut"]
@@ -154,7 +155,8 @@ def _cutting(operation: OperationPlan) -> list[tuple[object, object]]:
         speeds = f"{markup.fixed(low, 1)} to {markup.fixed(high, 1)} mm/s"
         out.append(("speed of the wire in the foam", Raw(speeds)))
     if cuts:
-        out.append(("kerf that this makes", Raw(f"{markup.text(kerf_range(cuts, windows))} mm")))
+        name, width = kerf_shown(cuts, windows, proof)
+        out.append((name, Raw(f"{markup.text(width)} mm")))
     return out
 
 

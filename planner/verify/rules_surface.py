@@ -80,7 +80,7 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
     outcome = Outcome(
         tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.title
     )
-    return outcome, faces, part_obj(context.surfaces, rows)
+    return outcome, faces, part_obj(context.surfaces, rows, context.rulings)
 
 
 def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.claims import CutsSurface
+from planner.claims import CutsSurface, FollowsRulings
 from planner.geometry.vectors import dots
 from planner.verify.result import CutFace
 
@@ -24,6 +24,10 @@ IntArray = NDArray[np.int64]
 SAMPLE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""
 MOST_SAMPLES = 60_000
+SHOWN = 0.010
+"""Way along a ruling between points of the simulated part [m],"""
+MOST_SHOWN = 60_000
+"""unless that makes more triangles than this."""
 _FINER = 2
 _TURN = 0.003
 """Weight [m] of a turn of the normal against distance, where the nearest place of a sheet is looked for."""
@@ -225,21 +229,42 @@ def closest(points: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> 
     return place, np.stack([1.0 - v - w, v, w], axis=1)
 
 
-def part_obj(claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...]) -> str:
+def part_obj(
+    claims: tuple[CutsSurface, ...], sweeps: tuple[Sweep, ...], rulings: tuple[FollowsRulings, ...] = ()
+) -> str:
     """The simulated part as OBJ text in mm: each wanted face with its vertices moved to where the cut
-    surface is."""
+    surface is. Faces with ``rulings`` have vertices along these too: at their ends alone they would not show
+    what the wire left between them."""
+    ruled = {claim.segment.key: claim for claim in rulings}
     lines = ["# the cut faces as simulated from the programs; stock frame, mm"]
     offset = 1
     for claim, sweep in zip(claims, sweeps, strict=True):
-        normals = vertex_normals(claim.vertices, claim.faces)
-        distance, speed = distance_to_sweep(claim.vertices, normals, sweep)
+        vertices, faces = claim.vertices, claim.faces
+        if claim.segment.key in ruled:
+            vertices, faces = _grid(ruled[claim.segment.key])
+        normals = vertex_normals(vertices, faces)
+        distance, speed = distance_to_sweep(vertices, normals, sweep)
         deviation = np.nan_to_num(distance - 0.5 * claim.kerf.at(speed))
-        moved = claim.vertices + deviation[:, None] * normals
+        moved = vertices + deviation[:, None] * normals
         lines.append(f"o {claim.segment.word}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (moved * 1e3).tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (claim.faces + offset).tolist()]
-        offset += len(claim.vertices)
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + offset).tolist()]
+        offset += len(vertices)
     return "\n".join(lines) + "\n"
+
+
+def _grid(claim: FollowsRulings) -> tuple[FloatArray, IntArray]:
+    """Vertices and triangles of a ruled face with points every ``SHOWN`` along its rulings, wound as the
+    claimed face is; fewer where there are very many rulings."""
+    length = float(np.linalg.norm(claim.end - claim.start, axis=1).max())
+    count = len(claim.start)
+    columns = 1 + int(np.clip(np.ceil(length / SHOWN), 1, max(MOST_SHOWN // (2 * count), 4)))
+    share = np.linspace(0.0, 1.0, columns)[None, :, None]
+    vertices = (1.0 - share) * claim.start[:, None] + share * claim.end[:, None]
+    at = np.arange(count * columns).reshape(count, columns)
+    one, two, three, four = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    faces = np.concatenate([np.stack([one, two, four], axis=1), np.stack([two, three, four], axis=1)])
+    return vertices.reshape(-1, 3), faces
 
 
 def _refined(sweep: Sweep) -> Sweep:

@@ -38,7 +38,7 @@ def test_the_tree_and_the_order_are_printed(part: Path) -> None:
     done = tandem(str(part), "--strategy", "virgin")
     assert done.returncode == 0, done.stderr
     assert "2 features, flat at z = 0.000 mm" in done.stdout
-    assert "1 concave (down) 0.00 to -10.00 mm" in done.stdout
+    assert "1 concave (down) 0.00 to -10.00 mm, 99.9 x 99.9 mm across" in done.stdout  # a radius of 50
     assert "2 convex (up) -10.00 to 4.00 mm" in done.stdout
     assert "order of forming: 2 (moved by +10.00 mm), 1" in done.stdout
 

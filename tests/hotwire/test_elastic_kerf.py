@@ -10,6 +10,7 @@ from planner.hotwire import elastic
 from planner.hotwire.kerf import HotWire, curve
 from planner.issues import TandemError
 from planner.materials import foam
+from planner.targets import FEED_SHARE
 from planner.verify.surface import Sweep, distance_to_sweep, sample_face
 from tests.hotwire import panels
 
@@ -54,7 +55,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     middle = np.abs(points[:, 1]) < 0.08
     # the fastest point in the foam sets the feed: at the ends of the arch or where the wire leaves the block
     share = rate / rate[middle].max()
-    expected = 0.5 * claim.kerf.at(FEED * share)
+    expected = 0.5 * claim.kerf.at(FEED_SHARE * FEED * share)  # clocks go at that share of a feed
     assert np.ptp(expected[middle]) > 5e-5  # the kerf does vary
     got = away[middle & np.isfinite(away)]
     wanted = expected[middle & np.isfinite(away)]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from bench import kerf_bench
-from planner import materials
+from planner import materials, sheet_metals
 from planner.hotwire import kerf, kerf_cuts, kerf_energy, kerf_general, kerf_measured, wire
 from planner.hotwire.kerf import TEST_WIRE, HotWire, KerfFlag
+from planner.hotwire.kerf_limit import most_power
 from planner.issues import TandemError
 
 TABLES = kerf_cuts.dissertation_tables()
@@ -219,6 +220,9 @@ def test_curves_between_given_speeds() -> None:
 def test_a_curve_of_absurd_power_ends() -> None:
     with pytest.raises(TandemError) as caught:
         kerf.curve("xps_30", TEST_WIRE, 1e15, 0.05)
+    assert codes(caught) == ["kerf.melts"]
+    with pytest.raises(TandemError) as caught:  # nearly at rest: metres of kerf
+        kerf.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=[1e-12, 50e-3])
     assert codes(caught) == ["kerf.input"]
 
 
@@ -271,3 +275,42 @@ def test_kerfs_that_cannot_be_are_refused_with_a_remedy() -> None:
     with pytest.raises(TandemError) as caught:
         kerf.power_for("xps_30", TEST_WIRE, 1.0, 10e-3, 0.05, "dissertation")
     assert codes(caught) == ["kerf.impossible"]
+
+
+def test_a_power_that_melts_the_wire_is_refused_with_the_range_of_the_tests() -> None:
+    """The limit against the heat balance of a wire in air, solved for its temperature by scipy."""
+    most = most_power(TEST_WIRE)
+    air = float(kerf_cuts.air_table()["conductivity"].max())
+
+    def surplus(hot: float) -> float:
+        around = np.pi * TEST_WIRE.diameter * 0.7 * 5.670374419e-8 * (hot**4 - 293.15**4)
+        return float(around + np.pi * air * (hot - 293.15) - most / TEST_WIRE.length)
+
+    assert optimize.brentq(surplus, 400.0, 3000.0) - 273.15 == pytest.approx(1300.0, abs=0.1)  # Kanthal D
+    kerf.width("xps_30", TEST_WIRE, 0.99 * most, 5e-3, 0.05)
+    for ask in (
+        lambda: kerf.width("xps_30", TEST_WIRE, [40.0, 1.01 * most], 5e-3, 0.05),
+        lambda: kerf.curve("xps_30", TEST_WIRE, 4000.0, 0.05),
+        lambda: kerf.speed_for("xps_30", TEST_WIRE, 1e4, 2e-3, 0.05),
+        lambda: kerf.power_for("xps_30", TEST_WIRE, 0.045, 15e-3, 0.05),
+    ):
+        with pytest.raises(TandemError) as caught:
+            ask()
+        assert codes(caught) == ["kerf.melts"]
+        assert "35.9 to 54.9 W" in caught.value.issues[0].hint
+
+
+def test_figures_of_materials_are_listed_with_values_and_units() -> None:
+    rows = {(name, key): (value, source) for name, _, key, value, source in materials.figures()}
+    steel, foam = materials.wire_materials()["spring_steel"], materials.foams()["eps_a120"]
+    assert rows["spring_steel", "density"][0] == f"{steel.density:g} kg/m^3"
+    assert rows["spring_steel", "yield"][0] == "1100 MPa"
+    assert rows["spring_steel", "young"][0] == "206 at 20, 195 at 200, 187 at 300, 178 at 400 C, in GPa"
+    assert rows["eps_a120", "kerf"][0].startswith(f"chi {foam.kerf.chi:.4g}, offset 0.664 mm")
+    assert rows["eps_a120", "melt_temperature"][0] == f"{foam.melt_temperature:g} C"
+    for (name, key), (_, source) in rows.items():
+        both = materials.wire_materials() | materials.foams()
+        assert both[name].sources[key] == source
+    sheets = {(name, key): value for name, _, key, value, _ in sheet_metals.figures()}
+    assert sheets["aa1050_o", "tensile"] == "65 to 95 MPa"
+    assert sheets["aa1050_o", "wall_angle_single"] == "65 deg"

@@ -25,7 +25,7 @@ from planner.materials import foams
 from planner.problem import Part, Ruled, Stock
 from planner.processes import PROCESSES
 from planner.segments import Segment
-from planner.targets import ScrewFreedom, Targets
+from planner.targets import FEED_SHARE, ScrewFreedom, Targets
 from tests.hotwire import foam_blocks as blocks
 
 HALF = 0.00075
@@ -377,6 +377,6 @@ def test_a_cut_may_have_a_feed_of_its_own() -> None:
     kerf = next(c.kerf for c in targets.claims if isinstance(c, CutsSurface))
     first, second = (wires(targets)[0][rows(targets, f"cut/{n}")] for n in ("one", "two"))
     wide = [np.ptp(side[:, 0]) - 0.06 for side in (first, second)]
-    np.testing.assert_allclose(wide, kerf.at(np.array([0.002, 0.006])), atol=2e-5)
+    np.testing.assert_allclose(wide, kerf.at(FEED_SHARE * np.array([0.002, 0.006])), atol=2e-5)
     with pytest.raises(ValueError, match="feed_min"):
         blocks.operation(cuts=cuts, feed_min_mm_s=3)

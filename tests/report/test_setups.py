@@ -18,7 +18,7 @@ from planner.problem import Problem, Ruled
 from planner.report import inputs, moments, output, page, replay3d, scene, standing, sweep
 from planner.report.track import SETUP, track
 from planner.segments import Segment
-from planner.verify.result import RuleResult
+from planner.verify.result import CutFace, Proof, RuleResult
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
     """The curve reads 1.75 mm at 3 mm/s and 1.3 mm at 6 mm/s; the bent wire's kerf lies between."""
     problem, plan = two
     text = page.render(problem, plan, None)
-    assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf</span>", text)
+    assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf at the feeds allowed</span>", text)
     table = KerfCurve(np.array([1e-3, 3e-3, 5e-3]), *(np.array([2e-3, 1e-3, 3e-3]),) * 3)
     triangle = np.zeros((3, 3)), np.array([[0, 1, 2]])
     cut = CutsSurface(Segment.read("cut/a"), *triangle, table, 1e-4)
@@ -210,6 +210,20 @@ def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
     assert inputs.kerf_range([cut], []) == "1.00–3.00"
     constant = CutsSurface(Segment.read("cut/a"), *triangle, KerfCurve.constant(1.4e-3), 1e-4)
     assert inputs.kerf_range([constant], []) == "1.4"
+
+
+def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
+    """2 mm at 3 mm/s and 1 mm at 6 mm/s: the wire passed at 4 to 5 mm/s, though 3 to 6 are allowed."""
+    speeds = np.array([3e-3, 6e-3])
+    table = KerfCurve(speeds, *(np.array([2e-3, 1e-3]),) * 3)
+    name, triangle = Segment.read("cut/a"), (np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    cut, window = CutsSurface(name, *triangle, table, 1e-4), FeedWindow(name, 3e-3, 6e-3)
+    three = np.zeros((3, 3)), np.zeros(3), np.ones(3)
+    seen = np.array([4e-3, np.nan, 5e-3])
+    face = CutFace(name, *three, 1e-4, 1.0, 0.95, 0.0, 0.0, speed=seen)
+    proof = Proof("", (), (), {}, (face,), "")
+    assert inputs.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
+    assert inputs.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
 
 
 def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Plan]) -> None:
