@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from planner.claims import KerfCurve
 from planner.geometry.rulings import resample
+from planner.hotwire.straight_even import followed
 from planner.hotwire.straight_leads import Start, choose
 from planner.hotwire.straight_lines import Lines, exit_length, fastest, grown, join
-from planner.hotwire.straight_offset import Beside, Row, beside, make_row
+from planner.hotwire.straight_offset import Beside, Row, make_row
 from planner.hotwire.straight_operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight_order import Wanted
 from planner.problem import Ruled
@@ -61,14 +62,15 @@ def make_cut(
     start = None
     if wanted.ruled.closed and isinstance(wanted.cut, SurfaceCut):
         start = choose(ruled, contours, wanted.cut, box, up)
-    on = beside(_row(ruled, wanted, start), kerf, feed, box)
+    tolerance = op.shape_tol_mm * MM
+    on = followed(_row(ruled, wanted, start), wanted.ruled, kerf, feed, box, tolerance)
     gone = fastest(on.lines, box)
     longest = float(np.nanmax(gone, initial=0.0))
     if longest > 1.05 * step:  # the wire in the foam moves farther than its guide points
         ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step * step / longest)
         if start is not None and isinstance(wanted.cut, SurfaceCut):
             start = choose(ruled, contours, wanted.cut, box, up)
-        on = beside(_row(ruled, wanted, start), kerf, feed, box)
+        on = followed(_row(ruled, wanted, start), wanted.ruled, kerf, feed, box, tolerance)
     clear = op.margin_mm * MM + radius
     if start is not None:
         return _closed(wanted, on, start, plain, clear, box)

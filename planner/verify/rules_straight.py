@@ -129,7 +129,7 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
 def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
     """Speeds (K,) of a wire's points inside the block in a segment."""
     here = (wire.labels == claim.segment.key)[:, None] & wire.inside
-    return np.asarray(local(wire.points, context.motion.time[wire.sample])[here])
+    return np.asarray(local(wire.points, context.motion.time[wire.sample], wire.inside)[here])
 
 
 def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
@@ -145,7 +145,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
                 continue
             seen = True
-            speed = local(wire.points, context.motion.time[wire.sample])
+            speed = local(wire.points, context.motion.time[wire.sample], wire.inside)
             points, speed, rows = between(wire.points, speed, rows)
             normal = guide_normals(claim)
             for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):

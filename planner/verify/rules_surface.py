@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
     """The wire's shapes in the segment of each wanted face."""
     good = [wire for wire in wires if not wire.fault]
-    speeds = [local(wire.points, context.motion.time[wire.sample]) for wire in good]
+    speeds = [local(wire.points, context.motion.time[wire.sample], wire.inside) for wire in good]
     out = []
     for claim in context.surfaces:
         parts = []
