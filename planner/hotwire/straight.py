@@ -19,7 +19,7 @@ from planner.hotwire.straight_exhibits import exhibits
 from planner.hotwire.straight_lines import Lines, chord, fastest
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted, wanted
-from planner.hotwire.straight_passed import check_passed
+from planner.hotwire.straight_passed import check_inner, check_passed
 from planner.hotwire.straight_route import Route, lay_out
 from planner.hotwire.straight_steps import actions, check_drops
 from planner.hotwire.straight_tool import bow_of
@@ -50,6 +50,7 @@ class StraightJob(Job[Straight]):
         box = stock.box
         cuts = _cuts(operation, setup, part, bow, todo, kerf)
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
+        issues += [issue for cut in cuts for issue in check_inner(operation, cut, box)]
         if not has_errors(issues):
             issues += [issue for cut in cuts for issue in check_passed(operation, cut, kerf, box)]
         issues += check_drops(operation, cuts, setup)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import KerfCurve
+from planner.hotwire.straight_inner import guides, unlooped
 from planner.hotwire.straight_lines import Lines, distance_to_polyline, fastest, join, move_across
 from planner.hotwire.straight_offset import MELTED, Beside, Row, beside
 from planner.problem import Ruled
@@ -55,11 +56,12 @@ def melted(lines: Lines, kerf: KerfCurve, feed: float, box: FloatArray) -> Melte
 
 
 def followed(
-    row: Row, wanted: Ruled, kerf: KerfCurve, feed: float, box: FloatArray, tolerance: float
+    row: Row, wanted: Ruled, kerf: KerfCurve, feed: float, box: FloatArray, allowed: tuple[float, float]
 ) -> Beside:
-    """The wires beside a surface, with more of them where the slot grows and shrinks on the way from one
-    to the next, until all are well within ``tolerance`` [m] of half of it."""
-    lines = guides(wanted)
+    """The wires beside a surface, with none where its slot cannot reach, and more of them where the slot
+    grows and shrinks on the way from one to the next, until all are well within the tolerance of half of it.
+    ``allowed`` [m]: that tolerance, and how deep foam may stay."""
+    lines, tolerance = guides(wanted), allowed[0]
 
     def tried(row: Row) -> tuple[Beside, IntArray, FloatArray]:
         made = beside(row, kerf, feed, box)
@@ -67,6 +69,8 @@ def followed(
         return made, passed.number, passed.off(lines).max(axis=1)
 
     best = tried(row)
+    without = unlooped(best[0], wanted, *allowed)
+    best = best if without is None else tried(without)
     for _ in range(ROUNDS):
         made, number, off = best
         to = np.unique(number[(off > WELL * tolerance) & (number > 0)])
@@ -77,13 +81,6 @@ def followed(
             break
         best = other
     return best[0]
-
-
-def guides(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
-    """Both guide lines (M, 3), those of a closed surface ending where they begin."""
-    if not ruled.closed:
-        return ruled.start, ruled.end
-    return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
 
 
 def _halved(row: Row, to: IntArray) -> Row:

@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 from planner.claims import KerfCurve
 from planner.hotwire.straight_cut import Cut
-from planner.hotwire.straight_even import SHARES, Melted, guides, melted
+from planner.hotwire.straight_even import SHARES, Melted, melted
+from planner.hotwire.straight_inner import guides, stays
 from planner.hotwire.straight_lines import join
 from planner.hotwire.straight_operation import Straight
-from planner.issues import Issue
+from planner.issues import Issue, Severity
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
 
+TOLD: Final = 4
+"""So many places are named."""
 SPARE: Final = 0.95
 """Share of the tolerance that a plan may use up: controllers round the speed at corners."""
 
@@ -37,6 +40,34 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     if op.power_w is not None:
         yield from _width(op, cut, passed)
     yield from _off(op, cut, passed)
+
+
+def check_inner(op: Straight, cut: Cut, box: FloatArray) -> Iterator[Issue]:
+    """``straight.corner``: what a round wire leaves in inner corners and curves, as a note, or refused where
+    it is deeper than the operation allows."""
+    left = stays(cut.on, cut.wanted.ruled, op.shape_tol_mm * MM, box)
+    if not left:
+        return
+    deep = left[0].depth / MM
+    volume = sum(one.volume for one in left) / MM**3
+    places = ", ".join(_point(one.point) for one in left[:TOLD])
+    more = f" and {len(left) - TOLD} more places" if len(left) > TOLD else ""
+    what = (
+        f"{op.name}: the wire is round and leaves foam in inner corners of {cut.wanted.segment}, "
+        f"{deep:.2f} mm deep at most, {volume:.0f} mm3 in all, at {places}{more}"
+    )
+    over = deep > op.left_mm
+    yield Issue(
+        "straight.corner",
+        f"{what}; allowed: {op.left_mm:g} mm (left_mm): take a thinner slot, round the corner, or allow more"
+        if over
+        else f"{what}; cut it off by hand, take a thinner slot or round the corner",
+        Severity.ERROR if over else Severity.NOTE,
+        field=str(cut.wanted.segment),
+        value=deep,
+        limit=op.left_mm,
+        unit="mm",
+    )
 
 
 def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
@@ -74,12 +105,18 @@ def _off(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
     if worst <= SPARE * allowed and (inside > allowed).mean() > SPARE * (1.0 - op.share):
         row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
         worst, where = float(inside[row, column]), _place(passed, int(row), float(SHARES[column]))
+    why = "the wire slows down and melts its slot wider faster than it can move aside"
+    remedy = "take less power, which evens the slot, or a larger shape_tol_mm"
+    if op.power_w is None:
+        why, remedy = (
+            "the wire does not follow the surface",
+            "take a larger shape_tol_mm or a smaller step_mm",
+        )
     if worst > SPARE * allowed:
         yield Issue(
             "straight.uneven",
-            f"{op.name}: on {cut.wanted.segment} the wire slows down at {where} and melts its slot wider "
-            f"faster than it can move aside: {worst / MM:.2f} mm are missing or left; take less power, which "
-            "evens the slot, or a larger shape_tol_mm",
+            f"{op.name}: on {cut.wanted.segment} {why}, at {where}: {worst / MM:.2f} mm are missing or left; "
+            f"{remedy}",
             field=str(cut.wanted.segment),
             value=worst / MM,
             limit=allowed / MM,
@@ -88,5 +125,8 @@ def _off(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
 
 
 def _place(passed: Melted, row: int, share: float) -> str:
-    point = (1.0 - share) * passed.lines.start[row] + share * passed.lines.end[row]
+    return _point((1.0 - share) * passed.lines.start[row] + share * passed.lines.end[row])
+
+
+def _point(point: FloatArray) -> str:
     return "[" + ", ".join(f"{value / MM:.1f}" for value in point) + "] mm"
