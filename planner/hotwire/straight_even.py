@@ -21,7 +21,7 @@ IntArray = NDArray[np.intp]
 
 SHARES: Final = np.linspace(0.0, 1.0, 9)
 """Places along the wire, between its guide points, at which its slot is looked at."""
-FINE: Final = 1e-3
+FINE: Final = 7e-4
 """[m] ways between looks."""
 ROUNDS: Final = 4
 """So often ways between wires are halved."""
@@ -48,10 +48,18 @@ class Melted:
         return np.asarray(np.abs(np.stack(near, axis=1) - self.half[:, [0, -1]]))
 
 
-def melted(lines: Lines, kerf: KerfCurve, feed: float, box: FloatArray) -> Melted:
-    """The wires at lines and on the straight ways between them."""
-    lines, number = _finer(lines)
-    speed = _speeds(lines, feed, box)
+def melted(
+    lines: Lines, kerf: KerfCurve, feed: float, box: FloatArray, clock: FloatArray | None = None
+) -> Melted:
+    """The wires at lines (N) and on the straight ways between them, when the fastest point in the foam goes
+    at ``feed`` [m/s], or at the times ``clock`` (N,) [s] of the lines."""
+    lines, number = _finer(lines, box)
+    time = None
+    if clock is not None:
+        count = np.bincount(number)
+        share = (np.arange(len(number)) - np.cumsum(count)[number] + 1) / count[number]
+        time = clock[number] + share * np.diff(clock, prepend=clock[0])[number]
+    speed = _speeds(lines, feed, box, time)
     return Melted(lines, number, speed, 0.5 * kerf.at(speed))
 
 
@@ -91,11 +99,12 @@ def _halved(row: Row, to: IntArray) -> Row:
     return Row(Lines(*foot), normal, np.insert(row.turn, to, 0.0, axis=0))
 
 
-def _finer(lines: Lines) -> tuple[Lines, IntArray]:
-    """Lines with such between them that no end moves farther than ``FINE`` from one to the next, and which
-    of the given ones (N,) each comes to."""
+def _finer(lines: Lines, box: FloatArray) -> tuple[Lines, IntArray]:
+    """Lines with such between them that no guide point, and nothing in the box, moves farther than ``FINE``
+    from one to the next, and which of the given ones (N,) each comes to."""
     way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
-    count = np.maximum(np.ceil(np.maximum(*way) / FINE).astype(np.intp), 1)
+    way.append(np.nan_to_num(fastest(lines, box)[1:]))
+    count = np.maximum(np.ceil(np.max(way, axis=0) / FINE).astype(np.intp), 1)
     to = np.repeat(np.arange(1, len(lines)), count)
     step = np.arange(len(to)) - np.repeat(np.cumsum(count) - count, count) + 1
     share = (step / count[to - 1])[:, None]
@@ -103,9 +112,9 @@ def _finer(lines: Lines) -> tuple[Lines, IntArray]:
     return join([lines[:1], Lines(*ends)]), np.concatenate([[0], to])
 
 
-def _speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
-    """Speeds (N, 9) [m/s] across the wire when the fastest point in the box moves at ``feed``, meant over
-    ``MELTED`` of its way either way."""
+def _speeds(lines: Lines, feed: float, box: FloatArray, time: FloatArray | None) -> FloatArray:
+    """Speeds (N, 9) [m/s] across the wire when the fastest point in the box moves at ``feed``, or at times
+    (N,) [s], meant over ``MELTED`` of its way either way."""
     at = [lines.start + share * (lines.end - lines.start) for share in SHARES]
     moves = np.stack([move_across(lines, points[:-1]) for points in at], axis=1)
     quick = fastest(lines, box)[1:]
@@ -114,4 +123,6 @@ def _speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
     low, high = (gone - MELTED).clip(gone[0]), (gone + MELTED).clip(None, gone[-1])
     way = np.concatenate([np.zeros((1, len(SHARES))), np.cumsum(moves, axis=0)])
     over = [np.interp(high, gone, w) - np.interp(low, gone, w) for w in way.T]
-    return np.asarray(feed * np.stack(over, axis=1) / (high - low)[:, None])
+    time = gone / feed if time is None else time
+    took = np.interp(high, gone, time) - np.interp(low, gone, time)
+    return np.asarray(np.stack(over, axis=1) / np.maximum(took, 1e-9)[:, None])

@@ -42,6 +42,18 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     yield from _off(op, cut, passed)
 
 
+def check_driven(
+    op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray, clock: FloatArray
+) -> Iterator[Issue]:
+    """As :func:`check_passed`, at the times ``clock`` (N,) [s] of the wires on the surface that the arms can
+    keep."""
+    passed = melted(cut.on.lines, kerf, op.feed(cut.wanted.cut), box, clock)
+    why = "the arm cannot turn the bow as fast as the feed asks for, so that it melts a wider slot"
+    if op.power_w is not None:
+        yield from _width(op, cut, passed)
+        yield from _off(op, cut, passed, why)
+
+
 def check_inner(op: Straight, cut: Cut, box: FloatArray) -> Iterator[Issue]:
     """``straight.corner``: what a round wire leaves in inner corners and curves, as a note, or refused where
     it is deeper than the operation allows."""
@@ -93,7 +105,7 @@ def _width(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
             )
 
 
-def _off(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
+def _off(op: Straight, cut: Cut, passed: Melted, why: str = "") -> Iterator[Issue]:
     """All along its way, and all along itself but for the share that may be out, the wire is half its slot
     off the surface."""
     allowed = op.shape_tol_mm * MM
@@ -105,7 +117,7 @@ def _off(op: Straight, cut: Cut, passed: Melted) -> Iterator[Issue]:
     if worst <= SPARE * allowed and (inside > allowed).mean() > SPARE * (1.0 - op.share):
         row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
         worst, where = float(inside[row, column]), _place(passed, int(row), float(SHARES[column]))
-    why = "the wire slows down and melts its slot wider faster than it can move aside"
+    why = why or "the wire slows down and melts its slot wider faster than it can move aside"
     remedy = "take less power, which evens the slot, or a larger shape_tol_mm"
     if op.power_w is None:
         why, remedy = (
