@@ -121,7 +121,8 @@ class FollowsRulings:
     frame].
 
     At every instant, at and between targets, its distance to the two guide lines ``start`` and ``end`` is
-    half the kerf of its speed there, within ``tolerance`` [m].
+    half the kerf of its speed there, within ``tolerance`` [m]. It passes all of both as near as a slot can
+    come: what a round wire cannot reach, in acute inner corners, may stay ``left`` [m] deep.
     """
 
     segment: Segment
@@ -129,6 +130,7 @@ class FollowsRulings:
     end: NDArray[np.float64]
     kerf: KerfCurve
     tolerance: float
+    left: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -116,6 +116,7 @@ CODES: Final[dict[str, str]] = {
     "straight.trim": "a side is to be trimmed where the block has no oversize",
     "straight.corner": "an inner corner or curve is tighter than half a kerf",
     "straight.crossing": "beside one piece of a surface the wire cuts into another",
+    "straight.uneven": "a slot grows and shrinks faster on the way than the wire can follow",
     "straight.slit": "the wire comes to a hole through a slit in the part",
     "straight.lead": "the wire would come to an outline through the part",
     "straight.drop": "what is above a level cut drops by a kerf before it is cut itself",

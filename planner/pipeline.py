@@ -76,6 +76,10 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell)
+    driven = zip(jobs, made.operations, strict=True)
+    slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
+    if has_errors(slow):
+        raise TandemError(slow)
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)

@@ -224,6 +224,12 @@ class Job(abc.ABC, Generic[_Operation]):
     def targets(self) -> Targets:
         """What is to be moved; raises ``TandemError`` where the process cannot make the part."""
 
+    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+        """What is wrong with the motion as the arms can drive it, ``time`` (N,) [s] being the clock of
+        ``targets``; most processes mind their feeds alone, which the clock keeps."""
+        del targets, time
+        return ()
+
     @abc.abstractmethod
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the motion, worked out from the problem alone."""

@@ -28,15 +28,38 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+_NEAR = 1e-5
+"""Parameters that differ by less are one place."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Patch:
     """A surface: ``points`` gives (..., 3) at u and v (...,) in [0, 1]; ``mesh`` is the same surface with
-    normals away from the part. ``right``: dS/du x dS/dv points away from the part.
+    normals away from the part. ``right``: dS/du x dS/dv points away from the part. ``edges`` (E, 2, 2): u and
+    v of both ends of the edges between its facets, where it has such.
     """
 
     points: Callable[[FloatArray, FloatArray], FloatArray]
     mesh: TriangleMesh
     right: bool
+    edges: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 2, 2)))
+
+    def folds(self, across: int, at: float) -> tuple[FloatArray, FloatArray]:
+        """Where (K,), ascending in the other parameter, the line of the value ``at`` of parameter ``across``
+        (0 or 1) passes edges, and by which angles (K,) [rad] it turns there."""
+        a, b = self.edges[..., across], self.edges[..., 1 - across]
+        over = (a[:, 0] - at) * (a[:, 1] - at) <= 0.0
+        over &= np.abs(a[:, 1] - a[:, 0]) > _NEAR
+        a, b = a[over], b[over]
+        place = np.sort(b[:, 0] + (at - a[:, 0]) / (a[:, 1] - a[:, 0]) * (b[:, 1] - b[:, 0]))
+        place = place[(place > 2.0 * _NEAR) & (place < 1.0 - 2.0 * _NEAR)]
+        place = place[np.diff(place, prepend=-1.0) > 2.0 * _NEAR]
+        own = np.full((len(place), 3), at)
+        other = place[:, None] + _NEAR * np.array([-1.0, 0.0, 1.0])
+        sight = self.points(own, other) if across == 0 else self.points(other, own)
+        way = np.diff(sight, axis=1)
+        cross = np.linalg.norm(np.cross(way[:, 0], way[:, 1]), axis=1)
+        return place, np.arctan2(cross, np.sum(way[:, 0] * way[:, 1], axis=1))
 
 
 def of_loft(
@@ -90,7 +113,9 @@ def of_mesh(mesh: TriangleMesh, field: str) -> Patch:
                 out[at] = along(own, place, share[at])
         return out
 
-    return Patch(points, mesh, True)
+    pairs = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    once, used = np.unique(pairs, axis=0, return_counts=True)
+    return Patch(points, mesh, True, uv[once[used > 1]])
 
 
 def _facets(mesh: TriangleMesh, uv: FloatArray) -> Callable[[FloatArray], FloatArray]:

@@ -25,22 +25,31 @@ MOST: Final = 200
 _FINE: Final = 128
 """Cells in which a surface is looked at across the strips."""
 _RULINGS: Final = 240
+_ONE: Final = 2e-5
+"""Folds of two curves that differ by less of the parameter are on one ruling."""
+KINK: Final = 2.0 * DEG
+"""A curve that turns by more than this at one edge between facets has a kink there."""
+APART: Final = 3e-3
+"""[m] facets shorter than this stand for a smooth surface."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Strips:
     """Strips in order; ``deviation`` (N,) [m] is the largest of each from the surface, ``kink`` (N - 1,)
-    [rad] the largest angle between neighbours along the curve that they share.
+    [rad] the largest angle between neighbours along the curve that they share. ``breaks`` (N + 1,) are the
+    values of the parameter across them at which they begin and end.
     """
 
     strips: tuple[Ruled, ...]
     deviation: FloatArray
     kink: FloatArray
+    breaks: FloatArray
 
 
 def cut(patch: Patch, across: Across, tolerance: float, count: int | None, field: str) -> Strips:
     """The surface in ``count`` strips that follow one another in the direction of the parameter ``across``,
-    or in as few as keep within ``tolerance`` [m] of it. Rulings join equal values of the other parameter.
+    or in as few as keep within ``tolerance`` [m] of it. Rulings join equal values of the other parameter;
+    where the facets of a mesh fold a strip, a ruling stands as a corner.
 
     The curves between strips are dense where the surface is bent across them. Raises ``TandemError`` with
     ``part.strips`` where 200 strips are not enough.
@@ -48,7 +57,7 @@ def cut(patch: Patch, across: Across, tolerance: float, count: int | None, field
     near = Nearness(patch.mesh, float(np.ptp(patch.mesh.vertices, axis=0).max()) / 150.0)
     share = _shares(patch, across)
     if count is not None:
-        return _measured(patch, across, share, count, near)
+        return _folded(patch, across, _measured(patch, across, share, count, near))
     number, low = 1, 0
     while True:  # doubled until it is enough, then the least number between
         found = _measured(patch, across, share, number, near)
@@ -77,7 +86,7 @@ def cut(patch: Patch, across: Across, tolerance: float, count: int | None, field
             number, found = middle, tried
         else:
             low = middle
-    return found
+    return _folded(patch, across, found)
 
 
 def _grid(patch: Patch, across: Across, a: FloatArray, b: FloatArray) -> FloatArray:
@@ -120,7 +129,39 @@ def _measured(patch: Patch, across: Across, share: FloatArray, count: int, near:
     apart = near.distance(sight)[0].reshape(count, -1).max(axis=1)
     normals = [outward(s) for s in strips]
     kink = [_angle(one[1], two[0]).max() for one, two in itertools.pairwise(normals)]
-    return Strips(strips, apart, np.array(kink))
+    return Strips(strips, apart, np.array(kink), breaks)
+
+
+def _folded(patch: Patch, across: Across, found: Strips) -> Strips:
+    """The strips with rulings where the mesh folds either of their curves."""
+    if not len(patch.edges):
+        return found
+    folds = [_kinks(patch, across, float(at)) for at in found.breaks]
+    out = []
+    for k, strip in enumerate(found.strips):
+        kinks = np.union1d(folds[k], folds[k + 1])
+        kinks = kinks[np.diff(kinks, prepend=-1.0) > _ONE]
+        even = np.linspace(0.0, 1.0, len(strip.start))
+        near = np.abs(even[:, None] - kinks).min(axis=1, initial=np.inf) < 0.25 / _RULINGS
+        near[[0, -1]] = False
+        place = np.sort(np.concatenate([even[~near], kinks]))
+        rows = _grid(patch, across, found.breaks[k : k + 2], place)
+        corner = np.isin(place, kinks)
+        if (across == "u") == patch.right:
+            rows, corner = rows[:, ::-1], corner[::-1]
+        out.append(Ruled(strip.name, rows[0], rows[1], corner))
+    return dataclasses.replace(found, strips=tuple(out))
+
+
+def _kinks(patch: Patch, across: Across, at: float) -> FloatArray:
+    """Where (K,) the curve at the value ``at`` has kinks of its own: folds of more than ``KINK``. Where all
+    facets are so small that folds lie closer together than ``APART``, they stand for a smooth curve."""
+    place, turn = patch.folds(0 if across == "u" else 1, at)
+    place, turn = place[turn > KINK], turn[turn > KINK]
+    ends = np.concatenate([[0.0], place, [1.0]])
+    points = _grid(patch, across, np.array([at]), ends)[0]
+    way = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.asarray(place[(np.maximum(way[:-1], way[1:]) > APART) | (turn > CORNER_ANGLE)])
 
 
 def _angle(a: FloatArray, b: FloatArray) -> FloatArray:

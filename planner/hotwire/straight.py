@@ -7,6 +7,8 @@ between), ``straight_frames`` (poses and freedoms), ``straight_check`` (what mus
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,7 @@ from planner.hotwire.straight_heat import check_heat
 from planner.hotwire.straight_lines import Lines, chord, fastest
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_order import Wanted, wanted
+from planner.hotwire.straight_passed import check_driven, check_inner, check_passed
 from planner.hotwire.straight_route import Route, lay_out
 from planner.hotwire.straight_steps import actions, check_drops
 from planner.hotwire.straight_tool import bow_of
@@ -46,12 +49,13 @@ class StraightJob(Job[Straight]):
         """
         operation, setup, part = self.operation, self.setup, self.part
         stock, bow = setup.stock, bow_of(operation, setup)
-        todo = wanted(operation, setup, part)
-        kerf, thickness = _kerf(operation, setup, bow, todo)
+        todo, kerf, thickness, cuts = self._planned
         ruled = () if part is None else part.ruled
         box = stock.box
-        cuts = _cuts(operation, setup, part, bow, todo, kerf)
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
+        issues += [issue for cut in cuts for issue in check_inner(operation, cut, box)]
+        if not has_errors(issues):
+            issues += [issue for cut in cuts for issue in check_passed(operation, cut, kerf, box)]
         issues += check_drops(operation, cuts, setup)
         issues += check_heat(
             operation,
@@ -74,6 +78,31 @@ class StraightJob(Job[Straight]):
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         return _targets(operation, setup, self.claims(), bow, todo, cuts, route, pose, (first, last), issues)
+
+    @functools.cached_property
+    def _planned(self) -> tuple[list[Wanted], KerfCurve, float, list[Cut]]:
+        """What is to be cut, the slot over the speed, the foam's thickness [m] that it counts with, the
+        cuts."""
+        operation, setup, part = self.operation, self.setup, self.part
+        bow = bow_of(operation, setup)
+        todo = wanted(operation, setup, part)
+        kerf, thickness = _kerf(operation, setup, bow, todo)
+        return todo, kerf, thickness, _cuts(operation, setup, part, bow, todo, kerf)
+
+    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+        """``straight.uneven``, ``kerf.too_hot`` and ``kerf.too_cold`` where the arms cannot turn the bow as
+        fast as the feed asks for."""
+        stock, (_, kerf, _, cuts) = self.setup.stock, self._planned
+        pose = targets.pose[self.operation.arms[0]]
+        pose = pose if stock.held_by is None else inverse(stock.grip) @ pose
+        kinds = np.array([segment.key for segment in targets.segment])
+        out: list[Issue] = []
+        for cut in cuts:
+            last = np.flatnonzero(kinds == cut.wanted.segment.at("in").key)[-1:]
+            rows = np.concatenate([last, np.flatnonzero(kinds == cut.wanted.segment.key)])
+            clock = straight_frames.clock(cut.on.lines, pose[rows], time[rows])
+            out += check_driven(self.operation, cut, kerf, stock.box, clock)
+        return aggregate(out)
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""

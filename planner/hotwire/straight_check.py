@@ -48,23 +48,9 @@ def check_cut(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray)
 
 
 def _tight(op: Straight, cut: Cut) -> Iterator[Issue]:
-    """Inner corners stay round; inner curves tighter than half a kerf cannot be cut."""
+    """Inner curves tighter than half a kerf cannot be cut."""
     made, name = cut.on, cut.wanted.segment
     lines, foot = made.lines, made.row.foot
-    inner = np.minimum(made.row.turn, 0.0)
-    left = made.half * (1.0 / np.maximum(np.cos(0.5 * inner), 0.05) - 1.0)
-    if left.max() > op.shape_tol_mm * MM:
-        k = int(np.argmax(left.max(axis=1)))
-        yield Issue(
-            "straight.corner",
-            f"{op.name}: {name} has an inner corner that the wire leaves round: {left.max() / MM:.2f} mm "
-            f"stay at {_place(foot.start[k])}; take a thinner slot or round the corner",
-            Severity.WARNING,
-            field=str(name),
-            value=float(left.max() / MM),
-            limit=op.shape_tol_mm,
-            unit="mm",
-        )
     for ends, feet, e in ((lines.start, foot.start, 0), (lines.end, foot.end, 1)):
         move, way = np.diff(ends, axis=0), np.diff(feet, axis=0)
         back = (np.sum(move * way, axis=1) < 0.0) & (np.linalg.norm(way, axis=1) > 1e-7)

@@ -61,7 +61,7 @@ def claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
         mesh = tessellate(cut.ruled, SURFACE_CHORD)
         out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
         start, end = _closed(cut.ruled)
-        out.append(FollowsRulings(cut.segment, start, end, kerf, tolerance))
+        out.append(FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
         if op.power_w is not None:
             low, high = op.kerf_range_mm
             out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from planner.claims import KerfCurve
 from planner.geometry.rulings import resample
+from planner.hotwire.straight_even import followed
 from planner.hotwire.straight_leads import Start, choose
 from planner.hotwire.straight_lines import Lines, exit_length, fastest, grown, join
-from planner.hotwire.straight_offset import Beside, Row, beside, make_row
+from planner.hotwire.straight_offset import SHARPEST, Beside, Row, make_row
 from planner.hotwire.straight_operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight_order import Wanted
 from planner.problem import Ruled
@@ -23,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 CHORD: Final = 0.1
 """Share of the tolerance that straight moves between rulings may cost."""
+SHARE: Final = 0.6
+"""Share of the tolerance that corners of the polygon around a convex corner may cost."""
 LEAST_LEAD: Final = 2e-3
 """[m] least way in and out, where the surface itself begins in the air."""
 PLAIN: Final = 3.0
@@ -62,24 +65,32 @@ def make_cut(
     start = None
     if wanted.ruled.closed and isinstance(wanted.cut, SurfaceCut):
         start = choose(ruled, contours, wanted.cut, box, up)
-    on = beside(_row(ruled, wanted, start), kerf, feed, box)
+    allowed = op.shape_tol_mm * MM, op.left_mm * MM
+    sharpest = _sharpest(0.5 * float(kerf.at(np.array([feed]))[0]), allowed[0])
+    on = followed(_row(ruled, wanted, start, sharpest), wanted.ruled, kerf, feed, box, allowed)
     gone = fastest(on.lines, box)
     longest = float(np.nanmax(gone, initial=0.0))
     if longest > 1.05 * step and on.settled:  # the wire in the foam moves farther than its guide points
         ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step * step / longest)
         if start is not None and isinstance(wanted.cut, SurfaceCut):
             start = choose(ruled, contours, wanted.cut, box, up)
-        on = beside(_row(ruled, wanted, start), kerf, feed, box)
+        on = followed(_row(ruled, wanted, start, sharpest), wanted.ruled, kerf, feed, box, allowed)
     clear = op.margin_mm * MM + radius
     if start is not None:
         return _closed(wanted, on, start, plain, clear, box)
     return _open(wanted, on, plain, clear, radius, box)
 
 
-def _row(ruled: Ruled, wanted: Wanted, start: Start | None) -> Row:
+def _row(ruled: Ruled, wanted: Wanted, start: Start | None, sharpest: float) -> Row:
     if start is not None:
-        return make_row(ruled, start.first, start.backward)
-    return make_row(ruled, 0, wanted.cut.reverse)
+        return make_row(ruled, start.first, start.backward, sharpest)
+    return make_row(ruled, 0, wanted.cut.reverse, sharpest)
+
+
+def _sharpest(half: float, tolerance: float) -> float:
+    """The largest turn [rad] at one vertex around a convex corner, at which the wire stands off by 1 / cos of
+    half of it: no more than ``SHARE`` of the tolerance [m] farther than ``half`` a slot."""
+    return min(SHARPEST, 2.0 * float(np.arccos(half / (half + SHARE * tolerance))))
 
 
 def _closed(wanted: Wanted, on: Beside, start: Start, step: float, clear: float, box: FloatArray) -> Cut:

@@ -74,6 +74,21 @@ def _carried(x: FloatArray, first: FloatArray) -> FloatArray:
     return out
 
 
+def clock(lines: Lines, pose: FloatArray, time: FloatArray) -> FloatArray:
+    """Times (N,) [s] of wires (N) of which some stand at the bow's poses (K, 4, 4), in the same order, at
+    ``time`` (K,) [s]: what lies between two of these is passed evenly."""
+    at: list[int] = []
+    for x, foot in zip(pose[:, :3, 0], pose[:, :3, 3], strict=True):
+        first = at[-1] if at else 0
+        off = np.zeros(len(lines) - first)
+        for ends in (lines.start[first:], lines.end[first:]):
+            off += np.linalg.norm(np.cross(ends - foot, x), axis=1)
+        at.append(first + int(np.argmin(off)))
+    way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
+    gone = np.concatenate([[0.0], np.cumsum(np.maximum(*way))])
+    return np.interp(gone, gone[at], time)
+
+
 def freedoms(
     op: Straight, stock: Stock, span: float, first: FloatArray, last: FloatArray
 ) -> tuple[Freedom, ...]:

@@ -81,8 +81,9 @@ class Beside:
         return self.row.lines(self.half)
 
 
-def make_row(ruled: Ruled, first: int = 0, backward: bool = False) -> Row:
-    """Where wires stand beside a surface; a closed one from ruling ``first`` once around and back to it."""
+def make_row(ruled: Ruled, first: int = 0, backward: bool = False, sharpest: float = SHARPEST) -> Row:
+    """Where wires stand beside a surface; a closed one from ruling ``first`` once around and back to it.
+    ``sharpest`` [rad]: largest turn at one vertex around a convex corner."""
     count = len(ruled.start)
     order = np.arange(count + 1 if ruled.closed else count)
     order = (first - order if backward else first + order) % count if ruled.closed else order
@@ -97,7 +98,7 @@ def make_row(ruled: Ruled, first: int = 0, backward: bool = False) -> Row:
         corner[[0, -1]] = False
     foot = Lines(ruled.start[order], ruled.end[order])
     turn = _turns(before, after, foot.direction, -1.0 if backward else 1.0) * corner[:, None]
-    return _with_vertices(foot, before, turn, -1.0 if backward else 1.0)
+    return _with_vertices(foot, before, turn, -1.0 if backward else 1.0, sharpest)
 
 
 def _turns(before: FloatArray, after: FloatArray, direction: FloatArray, sense: float) -> FloatArray:
@@ -107,11 +108,11 @@ def _turns(before: FloatArray, after: FloatArray, direction: FloatArray, sense: 
     return np.asarray(np.where(np.abs(angle) > CUSP, np.abs(angle), sense * angle))
 
 
-def _with_vertices(foot: Lines, before: FloatArray, turn: FloatArray, sense: float) -> Row:
+def _with_vertices(foot: Lines, before: FloatArray, turn: FloatArray, sense: float, sharpest: float) -> Row:
     """The row with as many vertices at every corner as its turn needs."""
     largest = np.abs(turn).max(axis=1)
     inner = turn.min(axis=1) < -FLAT
-    parts = np.where(inner | (largest < FLAT), 1, np.ceil(largest / SHARPEST)).astype(np.intp)
+    parts = np.where(inner | (largest < FLAT), 1, np.ceil(largest / sharpest)).astype(np.intp)
     rows = np.repeat(np.arange(len(foot)), parts)
     number = np.arange(len(rows)) - np.repeat(np.cumsum(parts) - parts, parts)
     part = turn[rows] / parts[rows, None]

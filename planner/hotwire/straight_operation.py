@@ -111,6 +111,9 @@ class Straight(HotWireOperation):
     ] = "all"
     wire_material: Annotated[str, Field(max_length=60, description="for the setup sheet")] = ""
     shape_tol_mm: Annotated[float, Field(ge=0.01, le=50)] = 0.3
+    left_mm: Annotated[
+        float, Field(ge=0, le=100, description="how deep foam may stay where a round wire cannot reach")
+    ] = 5.0
     step_mm: Annotated[
         float, Field(ge=0.2, le=50, description="travel of the fastest point between targets")
     ] = 4.0

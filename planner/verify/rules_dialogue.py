@@ -398,7 +398,7 @@ def _slot(context: Context, wires: tuple[Wire, ...], place: Place) -> float:
             rows = np.flatnonzero((wire.labels == key) & np.isin(wire.sample, motion.node_sample))
             if wire.fault or wire.setup != context.setup_of(claim) or not len(rows):
                 continue
-            speed = local(wire.points, motion.time[wire.sample])[rows]
+            speed = local(wire.points, motion.time[wire.sample], wire.inside)[rows]
             for guide, normal in zip((claim.start, claim.end), normals, strict=True):
                 _, half = off_guide(wire.points[rows], speed, guide, normal, claim)
                 widths.append(2.0 * half)

@@ -74,7 +74,8 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             if not len(row):
                 continue
             row = rows[row]
-            speed = local(wire.points, context.motion.time[wire.sample]) if speed is None else speed
+            if speed is None:
+                speed = local(wire.points, context.motion.time[wire.sample], wire.inside)
             points = wire.points[row, column]
             base = Segment.read(label).at("").key
             cut = next((c for c in context.surfaces if c.segment.key == base), None)

@@ -15,10 +15,12 @@ from planner.verify.context import Context, Outcome, mm
 from planner.verify.result import CutFace
 from planner.verify.rules_wire import FEED_SLACK, wire_issue
 from planner.verify.speed import during, local
+from planner.verify.unreached import unreached
 from planner.verify.wire import Wire
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 ROUNDED = 1e-4
 """What rounded targets may take from a margin [m]."""
@@ -129,12 +131,12 @@ def kerf(context: Context, faces: tuple[CutFace, ...], wires: tuple[Wire, ...]) 
 def _in_foam(context: Context, wire: Wire, claim: KerfWithin) -> FloatArray:
     """Speeds (K,) of a wire's points inside the block in a segment."""
     here = (wire.labels == claim.segment.key)[:, None] & wire.inside
-    return np.asarray(local(wire.points, context.motion.time[wire.sample])[here])
+    return np.asarray(local(wire.points, context.motion.time[wire.sample], wire.inside)[here])
 
 
 def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """All along a ruled surface, at and between targets, the straight wire is half a kerf off both guide
-    lines, on their outer side, and passes all of both."""
+    lines, on their outer side, and passes all of both as near as a round wire can."""
     issues: list[Issue] = []
     worst, limit, where = 0.0, None, ""
     for claim in context.rulings:
@@ -145,7 +147,7 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             if wire.fault or wire.setup != context.setup_of(claim) or len(rows) < 2:
                 continue
             seen = True
-            speed = local(wire.points, context.motion.time[wire.sample])
+            speed = local(wire.points, context.motion.time[wire.sample], wire.inside)
             points, speed, rows = between(wire.points, speed, rows)
             normal = guide_normals(claim)
             for name, guide, side in zip(("start", "end"), (claim.start, claim.end), normal, strict=True):
@@ -161,11 +163,8 @@ def rulings(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     measure = (mm(float(off[i])), mm(claim.tolerance), "mm")
                     issues.append(wire_issue(context, wire, "verify.rulings", what, int(rows[i]), *measure))
                 whole = np.flatnonzero(during(wire.labels == label))
-                far = float(half.max()) + claim.tolerance + PASSED
-                missed = _missed(wire.points[whole], np.diff(whole) == 1, guide, far)
-                if missed > 0.0:
-                    what = f"the wire does not pass {mm(missed):.1f} mm of the {name} line of {claim.segment}"
-                    issues.append(Issue("verify.rulings", what, field=str(claim.segment)))
+                passes = wire.points[whole], np.diff(whole) == 1
+                issues += _missed(claim, name, guide, float(half.max()), passes)
         if not seen:
             issues.append(Issue("verify.rulings", f"{claim.segment} is not cut", field=str(claim.segment)))
     return Outcome(tuple(issues), mm(worst), limit, "mm", where or "no such claim")
@@ -247,13 +246,50 @@ def off_guide(
     return off, half
 
 
-def _missed(points: FloatArray, joined: NDArray[np.bool_], guide: FloatArray, within: float) -> float:
-    """Length [m] of a guide line that no sheet between two stations passes within a distance [m]."""
+def _missed(
+    claim: FollowsRulings, name: str, guide: FloatArray, half: float, passes: tuple[FloatArray, BoolArray]
+) -> list[Issue]:
+    """Places of a guide line that no sheet between two stations passes as near as a round wire can with half
+    a slot of ``half`` [m], and those at which that leaves more than is allowed."""
+    places, share = _marks(guide)
+    far = _passed(*passes, places)
+    within = claim.tolerance + PASSED
+    rows = np.flatnonzero(far > half + within)
+    more = unreached(claim, places[rows], half)
+    missed = rows[far[rows] > half + within + more]
+    issues = []
+    if len(missed):
+        long = mm(len(missed) * share)
+        what = f"the wire does not pass {long:.1f} mm of the {name} line of {claim.segment}"
+        issues.append(Issue("verify.rulings", what, field=str(claim.segment)))
+    left = float(more.max(initial=0.0))
+    if left > claim.left + PASSED:
+        k = int(rows[int(np.argmax(more))])
+        what = (
+            f"at {_place(places[k])} of {claim.segment} a round wire leaves {mm(min(left, 1.0)):.2f} mm "
+            f"or more on the part; allowed: {mm(claim.left):g} mm"
+        )
+        measure = {"value": mm(min(left, 1.0)), "limit": mm(claim.left), "unit": "mm"}
+        issues.append(Issue("verify.rulings", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
+    return issues
+
+
+def _place(point: FloatArray) -> str:
+    return "[" + ", ".join(f"{mm(float(value)):.1f}" for value in point) + "] mm"
+
+
+def _marks(guide: FloatArray) -> tuple[FloatArray, float]:
+    """Places (K, 3) along a guide line and the length [m] that each stands for."""
     step = np.linalg.norm(np.diff(guide, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     count = max(int(np.ceil(along[-1] / GUIDE_STEP)), 1)
     marks = np.linspace(0.0, along[-1], count + 1)
     places = np.stack([np.interp(marks, along, guide[:, i]) for i in range(3)], axis=1)
+    return places, float(along[-1]) / len(places)
+
+
+def _passed(points: FloatArray, joined: BoolArray, places: FloatArray) -> FloatArray:
+    """How near (K,) [m] a sheet between two stations that belong together passes each place (K, 3)."""
     start, end = points[:, 0], points[:, -1]
     way = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
     far = np.empty(len(places))
@@ -266,4 +302,4 @@ def _missed(points: FloatArray, joined: NDArray[np.bool_], guide: FloatArray, wi
         share = -dots(a, edge) / np.maximum(dots(edge, edge), 1e-30)
         distance = np.linalg.norm(a + np.clip(share, 0.0, 1.0)[..., None] * edge, axis=2)
         far[low : low + chunk] = np.where(joined, distance, np.inf).min(axis=1)
-    return float((far > within).mean() * along[-1]) if (far > within).any() else 0.0
+    return far

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.claims import CutsSurface
 from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
@@ -14,6 +15,7 @@ from planner.verify.findings import at_sample
 from planner.verify.result import CutFace
 from planner.verify.speed import during, local
 from planner.verify.surface import Sweep, cut_face, deepest, part_obj
+from planner.verify.unreached import unreached
 from planner.verify.wire import Wire, end_error, to_block
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +24,7 @@ FloatArray = NDArray[np.float64]
 def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
     """The wire's shapes in the segment of each wanted face."""
     good = [wire for wire in wires if not wire.fault]
-    speeds = [local(wire.points, context.motion.time[wire.sample]) for wire in good]
+    speeds = [local(wire.points, context.motion.time[wire.sample], wire.inside) for wire in good]
     out = []
     for claim in context.surfaces:
         parts = []
@@ -41,7 +43,10 @@ def sweeps(context: Context, wires: tuple[Wire, ...]) -> tuple[Sweep, ...]:
 def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[CutFace, ...], str]:
     """The cut surface is within tolerance of the wanted one for the wanted share of it, and in that segment
     the wire nowhere runs much deeper into the part."""
-    faces = tuple(cut_face(claim, row) for claim, row in zip(context.surfaces, rows, strict=True))
+    faces = tuple(
+        _reachable(context, claim, cut_face(claim, row))
+        for claim, row in zip(context.surfaces, rows, strict=True)
+    )
     issues = _gouges(context, rows)
     for face in faces:
         if face.share < face.wanted_share:
@@ -81,6 +86,20 @@ def surface(context: Context, rows: tuple[Sweep, ...]) -> tuple[Outcome, tuple[C
         tuple(issues), 100 * worst.share, 100 * worst.wanted_share, "% within tolerance", worst.title
     )
     return outcome, faces, part_obj(context.surfaces, rows, context.rulings)
+
+
+def _reachable(context: Context, claim: CutsSurface, face: CutFace) -> CutFace:
+    """The face with what a round wire cannot reach of it as good as it can be, where so much of it is off
+    that this counts."""
+    ruled = next((one for one in context.rulings if one.segment == claim.segment), None)
+    high = np.flatnonzero(face.deviation > face.tolerance)
+    if ruled is None or face.share >= face.wanted_share or not len(high):
+        return face
+    speed = face.speed[np.isfinite(face.speed)]
+    more = unreached(ruled, face.points[high], 0.5 * float(claim.kerf.at(speed).max()))
+    good = np.abs(face.deviation) <= face.tolerance
+    good[high] = (face.deviation[high] <= more + face.tolerance) & (more <= ruled.left)
+    return dataclasses.replace(face, share=float(face.area[good].sum() / max(face.area.sum(), 1e-30)))
 
 
 def _gouges(context: Context, rows: tuple[Sweep, ...]) -> list[Issue]:

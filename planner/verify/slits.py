@@ -119,7 +119,8 @@ def _way(context: Context, wire: Wire, rows: IntArray, claim: CutsSurface) -> Wa
         return None
     away = across / np.linalg.norm(across)
     low, high = int(rows.min()), int(rows.max()) + 1
-    speed = local(wire.points[low:high], context.motion.time[wire.sample[low:high]])[rows - low]
+    time = context.motion.time[wire.sample[low:high]]
+    speed = local(wire.points[low:high], time, wire.inside[low:high])[rows - low]
     half = float(0.5 * claim.kerf.at(speed[wire.inside[rows]]).max(initial=0.0))
     return Way(rows, foot, along, away, np.cross(along, away), half)
 

@@ -34,6 +34,8 @@ _TURN = 0.003
 _LEAN = 0.2
 """A sheet may lean by so much (sine) over the wanted face's normal and still face its way."""
 _EDGE = 1e-9
+CREASE = float(np.cos(np.deg2rad(20.0)))
+"""Facets that lean away from the mean normal of a vertex by more than 20 degrees meet at an edge there."""
 _SIDE_SAMPLES = 1000
 """So many samples of a face tell on which side of a sheet it lies."""
 
@@ -89,6 +91,9 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
         if len(smooth) == len(corners)
         else np.repeat(_flat(corners)[:, None], 3, axis=1)
     )
+    # at an edge of the part the mean of both sides is the normal of neither
+    flat = np.broadcast_to(_flat(corners)[:, None], smooth.shape)
+    smooth = np.where((dots(smooth, flat) < CREASE)[..., None], flat, smooth)
     for _ in range(12):
         edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         large = edge > SAMPLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ IntArray = NDArray[np.int64]
 EDGE = 0.004
 """Longest edge of the triangles that walls are divided into [m], within ``MOST``."""
 MOST = 40_000
-_NEIGHBOURS = 12
+_PAIRS = 400_000
 _SAME = 1e-7
 
 
@@ -35,30 +36,61 @@ class Walls:
 
     def off(self, points: FloatArray) -> tuple[FloatArray, IntArray]:
         """Distance (N,) [m] of points (N, 3) to the nearest wall, negative on the part's side, and the
-        surface (N,) it belongs to. NaN where the nearest place is on the border of a surface: what is beyond
-        it is not known."""
-        middle = self.corners.mean(axis=1)
-        count = min(_NEIGHBOURS, len(middle))
-        _, near = cKDTree(middle).query(points, k=count)
-        near = near.reshape(len(points), count)
+        surface (N,) it belongs to. NaN where the nearest place is on the border of a surface: there it ends,
+        and what is beyond it is not known."""
         best = np.full(len(points), np.inf)
-        found = np.empty((len(points), count))
-        places, weights = np.empty((*found.shape, 3)), np.empty((*found.shape, 3))
-        for i in range(count):
-            places[:, i], weights[:, i] = closest(points, *np.moveaxis(self.corners[near[:, i]], 1, 0))
-            found[:, i] = np.linalg.norm(points - places[:, i], axis=1)
-            best = np.minimum(best, found[:, i])
-        # at an edge or a corner all its triangles count
-        same = found <= best[:, None] + _SAME
-        normal = np.einsum("nk,nki->ni", same, self.normal[near])
-        row = np.arange(len(points))
-        first = np.argmin(found, axis=1)
-        outward = dots(points - places[row, first], normal) >= 0.0
-        tri, share = near[row, first], weights[row, first]
-        # an edge is met where the corner across it has no weight
-        edge = np.roll(share < 1e-9, -2, axis=1) & self.border[tri]
+        for own, tree, _ in self._near:
+            best = np.minimum(best, _apart(points, self.corners[own[tree.query(points, k=1)[1]]]))
+        # a triangle may be the nearest whose middle is not
+        found = [tree.query_ball_point(points, best + reach) for _, tree, reach in self._near]
+        lists = [
+            [own[np.asarray(one, dtype=np.int64)] for one in rows]
+            for (own, _, _), rows in zip(self._near, found, strict=True)
+        ]
+        near = [np.concatenate(one) for one in zip(*lists, strict=True)]
+        off, owner = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+        counts = np.array([len(one) for one in near], dtype=np.int64)
+        parts = np.cumsum(counts) // _PAIRS
+        for number in np.unique(parts):
+            rows = np.flatnonzero(parts == number)
+            row = np.repeat(np.arange(len(rows)), counts[rows])
+            tri = np.concatenate([near[k] for k in rows])
+            off[rows], owner[rows] = self._nearest(points[rows], row, tri)
+        return off, owner
+
+    @functools.cached_property
+    def _near(self) -> list[tuple[IntArray, cKDTree, float]]:
+        """The triangles, those of about one size together, by their middles, and how far [m] corners are
+        from these at most."""
+        middle = self.corners.mean(axis=1)
+        far = np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)
+        size = np.ceil(np.log2(np.maximum(far, _SAME)) / 2.0).astype(np.int64)
+        groups = [np.flatnonzero(size == one) for one in np.unique(size)]
+        return [(own, cKDTree(middle[own]), float(far[own].max()) + _SAME) for own in groups]
+
+    def _nearest(self, points: FloatArray, row: IntArray, tri: IntArray) -> tuple[FloatArray, IntArray]:
+        """As :meth:`off`, where triangles ``tri`` (K,) may be nearest to points ``row`` (K,), in ascending
+        order and none of the N left out."""
+        place, share = closest(points[row], *np.moveaxis(self.corners[tri], 1, 0))
+        way = points[row] - place
+        found = np.linalg.norm(way, axis=1)
+        begin = np.searchsorted(row, np.arange(len(points)))
+        best = np.minimum.reduceat(found, begin)
+        same = found <= best[row] + _SAME
+        # an edge is met where the corner across it has no weight; at a corner of the border triangles meet
+        # that have no edge on it, and all that are as near count
+        edge = same & (np.roll(share < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
+        normal = np.add.reduceat(np.where(same[:, None], self.normal[tri], 0.0), begin)
+        order = np.lexsort((tri, found, row))[begin]
+        outward = dots(way[order], normal) >= 0.0
         off = np.where(outward, best, -best)
-        return np.where(edge.any(axis=1), np.nan, off), self.owner[tri]
+        return np.where(np.logical_or.reduceat(edge, begin), np.nan, off), self.owner[tri[order]]
+
+
+def _apart(points: FloatArray, corners: FloatArray) -> FloatArray:
+    """Distance (N,) [m] of points (N, 3) to one triangle (N, 3, 3) each."""
+    place, _ = closest(points, *np.moveaxis(corners, 1, 0))
+    return np.asarray(np.linalg.norm(points - place, axis=1))
 
 
 def walls(claims: tuple[CutsSurface, ...]) -> Walls:

@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+import shapely
 from pydantic import ValidationError
 
 from planner.hotwire import straight
@@ -81,15 +82,50 @@ def test_a_block_deeper_than_the_throat_says_how_deep_a_bow_must_be() -> None:
     assert "bow.throat" not in issues(blocks.part(middle), blocks.setup(block, throat=0.2))
 
 
-def test_an_inner_corner_that_stays_round_is_a_warning_and_a_tight_curve_an_error() -> None:
-    notch = blocks.prism("notch", [(-0.1, 0.06), (-0.002, 0.06), (0.0, 0.03), (0.002, 0.06), (0.1, 0.06)])
-    assert issues(blocks.part(notch))["straight.corner"].severity is Severity.WARNING
+def _valley(half_width: float, depth: float) -> Part:
+    points = [(-0.1, 0.06), (-half_width, 0.06), (0.0, 0.06 - depth), (half_width, 0.06), (0.1, 0.06)]
+    return blocks.part(blocks.prism("valley", points))
+
+
+@pytest.mark.parametrize(("half_width", "depth"), [(0.03, 0.03), (0.01, 0.02), (0.006, 0.03)])
+def test_what_a_round_wire_leaves_in_an_inner_corner_is_told(half_width: float, depth: float) -> None:
+    """By hand: between the sides of a corner that turns by t and an arc of half the slot h stay h (1 / cos
+    (t/2) - 1) in depth and h^2 (tan(t/2) - t/2) of area."""
+    note = issues(_valley(half_width, depth))["straight.corner"]
+    t, h = 2.0 * np.arctan2(depth, half_width), 0.75
+    assert note.severity is Severity.NOTE
+    assert note.value == pytest.approx(h / np.cos(0.5 * t) - h, rel=1e-3)
+    volume = 200.0 * h * h * (np.tan(0.5 * t) - 0.5 * t)
+    assert float(note.message.split(" mm3")[0].split()[-1]) == pytest.approx(volume, rel=0.02, abs=0.6)
+
+
+def test_more_foam_than_may_stay_is_refused_until_more_may() -> None:
+    steep = _valley(0.002, 0.03)
+    issue = refusal("straight.corner", steep)
+    assert issue.value == pytest.approx(10.525, abs=0.01)
+    assert issue.limit == 5.0
+    assert issues(steep, left_mm=10.6)["straight.corner"].severity is Severity.NOTE
+
+
+def _groove(width: float) -> Part:
     x = np.linspace(-0.1, 0.1, 2001)
-    groove = 0.06 - 0.002 * np.exp(-((x / 0.0006) ** 2))
-    tight = blocks.prism("tight", np.column_stack([x, groove]), corner=False)
-    issue = refusal("straight.corner", blocks.part(tight))
-    assert issue.value == pytest.approx(0.75)
-    assert "radius" in issue.message
+    z = 0.06 - 0.002 * np.exp(-((x / width) ** 2))
+    return blocks.part(blocks.prism("tight", np.column_stack([x, z]), corner=False))
+
+
+@pytest.mark.parametrize("width", [0.0006, 0.0009])
+def test_an_inner_curve_tighter_than_half_a_slot_is_left_out(width: float) -> None:
+    """shapely's parallel of the surface says where the middle of a slot may be at all."""
+    part = _groove(width)
+    note = issues(part)["straight.corner"]
+    line = part.ruled[0].start[:, [0, 2]]
+    solid = shapely.Polygon([*line, (0.1, -0.1), (-0.1, -0.1)])
+    free = solid.buffer(0.00075, quad_segs=256).boundary
+    left = shapely.distance(shapely.points(line[900:1101]), free).max() - 0.00075
+    assert note.severity is Severity.NOTE
+    assert note.value == pytest.approx(1e3 * left, abs=0.07)  # the wires' steps, well within the tolerance
+    refused = refusal("straight.corner", part, left_mm=0.1)
+    assert "round the corner" in refused.message or "radius" in refused.message
 
 
 def test_a_gap_narrower_than_the_slot_is_refused() -> None:

@@ -88,7 +88,7 @@ def test_each_point_of_a_wire_has_its_own_speed():
     angle = 0.1 * time
     r = np.linspace(0.0, 0.4, 41) + 0.03 * time[:, None]
     points = np.stack([r * np.cos(angle)[:, None], r * np.sin(angle)[:, None], 0.0 * r], axis=-1)
-    speed = local(points, time)
+    speed = local(points, time, np.ones(points.shape[:2], dtype=bool))
     assert np.abs(speed - 0.1 * r)[1:-1].max() < 1e-6
 
 

@@ -31,8 +31,18 @@ _TRIED: Final = 240
 _SPOTS: Final = 32
 _FEW: Final = 6
 _MOST: Final = 30
+_FLAT: Final = 0.8
+"""A surface whose mean normal is longer than this is nearly flat."""
+_FAN: Final = float(np.deg2rad(6.0))
+_FAN_HALF: Final = 6
+_FINE: Final = 1e-4
+"""Turns in its own plane, by so much either way [rad], in so many steps, and down to so much."""
 _AROUND: Final = 400
 """Turns all over, the nearest of which is some 15 degrees off."""
+
+
+Cloud = tuple[FloatArray, FloatArray, FloatArray]
+"""Points and normals (N, 3) with weights (N,)."""
 
 
 class _Target:
@@ -77,6 +87,36 @@ def found(
         change, best = float(np.abs(after - best).max()), after
         if change < 1e-9:
             break
+    return _straight(best, (points, normals, weight), goal, bound, middle)
+
+
+def _straight(
+    pose: FloatArray, cloud: Cloud, goal: _Target, bound: FloatArray, middle: FloatArray
+) -> FloatArray:
+    """The pose turned about the mean normal so that least lies beyond the borders: on planes alone, a nearly
+    flat surface turns freely in its own."""
+    axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
+    size = float(np.linalg.norm(axis))
+    if size < _FLAT:
+        return pose
+    best, spread = pose, _FAN
+
+    def apart(one: FloatArray) -> float:
+        own = _at(one, cloud[0])
+        at, _ = goal.near(own, cloud[1] @ one[:3, :3].T)
+        return float(cloud[2] @ np.sum((own - goal.points[at]) ** 2, axis=1))
+
+    while spread > _FINE:
+        tried = []
+        for angle in np.linspace(-spread, spread, 2 * _FAN_HALF + 1):
+            turn = np.eye(4)
+            turn[:3, :3] = _rotation(angle * axis / size)
+            after = turn @ best
+            seen = _at(after, bound)
+            after[:3, 3] += middle - 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+            tried.append((apart(after), abs(float(angle)), after))
+        best = min(tried, key=lambda one: one[:2])[2]
+        spread /= _FAN_HALF
     return best
 
 
@@ -99,10 +139,6 @@ def found_piece(piece: Samples, whole: Samples) -> FloatArray:
     for _ in range(_MOST):
         best = _step(best, (points, normals, weight), goal, np.arange(len(points)))
     return np.asarray(np.linalg.inv(best), dtype=np.float64)
-
-
-Cloud = tuple[FloatArray, FloatArray, FloatArray]
-"""Points and normals (N, 3) with weights (N,)."""
 
 
 def _best(
