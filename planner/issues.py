@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 from planner.issue_codes import CODES
 
@@ -23,11 +23,23 @@ class Severity(StrEnum):
 
 
 @dataclasses.dataclass(frozen=True)
+class Remedy:
+    """A change that was tried and helps: ``move_mm`` in the world of an obstacle, the stock or the base of an
+    arm, or ``home_deg``, an arm's posture at home; ``name`` is the obstacle's or the arm's."""
+
+    what: Literal["obstacle", "stock", "base", "home"]
+    name: str
+    move_mm: tuple[float, float, float] | None = None
+    home_deg: tuple[float, ...] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Issue:
     """One finding.
 
     ``value`` and ``limit`` are in ``unit`` (mm, deg, s ... as a person reads them). ``index`` is the
     target's index, ``time`` is in seconds on the job's clock, ``bodies`` names a joint or a pair of bodies.
+    ``remedy`` is what the hint says as data, where a change was tried.
     Raises ``KeyError`` when ``code`` is not in the table of codes.
     """
 
@@ -47,6 +59,7 @@ class Issue:
     unit: str | None = None
     hint: str | None = None
     count: int = 1
+    remedy: Remedy | None = None
 
     def __post_init__(self) -> None:
         if self.code not in CODES:
@@ -64,6 +77,9 @@ class Issue:
         known = dict(data)
         known["severity"] = Severity(known.get("severity", "error"))
         known["bodies"] = tuple(known.get("bodies", ()))
+        if (remedy := known.get("remedy")) is not None:
+            plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in remedy.items()}
+            known["remedy"] = Remedy(**plain)
         return Issue(**known)
 
     def __str__(self) -> str:

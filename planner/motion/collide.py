@@ -60,7 +60,20 @@ class Checker:
         self._rungs_shape = (int(shape[0]), int(shape[1]))
         self.collided = np.zeros(shape, dtype=bool)
         self.known = np.zeros(shape, dtype=bool)
-        self.checks = 0
+        self.checks = self.rounds = 0
+        self.suspect: FloatArray | None = None
+        able = np.stack([np.asarray(r.ok.any(axis=-1)) for r in rungs.values()])
+        self.possible = np.asarray(np.logical_and.reduce(able, axis=0))
+
+    def whole(self, rows: IndexArray) -> None:
+        """Checks all samples of targets ``rows`` (K,) that every arm can take."""
+        where = np.argwhere(self.possible[rows] & ~self.known[rows])
+        self.check(rows[where[:, 0]], where[:, 1])
+
+    def free(self, row: int) -> NDArray[np.bool_]:
+        """(S,) samples of one target that every arm can take and that collide with nothing."""
+        self.whole(np.array([row]))
+        return np.asarray(self.possible[row] & ~self.collided[row])
 
     def check(self, index: IndexArray, sample: IndexArray) -> None:
         """Checks states (B,), (B,) that are not known yet."""
@@ -74,14 +87,17 @@ class Checker:
         self.known[index, sample] = True
         self.checks += len(index)
 
-    def coarse(self) -> FloatArray:
-        """Checks all samples of every 12th target; cost (N, S) of samples between that are suspect."""
+    def cost(self) -> FloatArray | None:
+        """What samples (N, S) cost for what is known of collisions [s], inf where they collide; None as long
+        as no path has."""
+        return None if self.suspect is None else np.where(self.collided, np.inf, self.suspect)
+
+    def coarse(self) -> None:
+        """Checks all samples of every 12th target; samples between that are suspect cost something."""
         rows, samples = self._rungs_shape
         at = np.unique(np.append(np.arange(0, rows, COARSE), rows - 1))
-        possible = np.stack([np.asarray(r.ok.any(axis=-1)) for r in self._rungs.values()]).all(axis=0)
-        where = np.argwhere(np.asarray(possible)[at])
-        self.check(at[where[:, 0]], where[:, 1])
+        self.whole(at)
         suspect = np.zeros((rows, samples))
         for a, b in itertools.pairwise(at):
             suspect[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT
-        return suspect
+        self.suspect = suspect

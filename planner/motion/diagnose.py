@@ -1,5 +1,4 @@
-"""Says why there is no path: which targets, joints or bodies are in the way, and whether moving the stock
-would help."""
+"""Says why there is no path: which targets, joints or bodies are in the way, and what is free around them."""
 
 from __future__ import annotations
 
@@ -10,39 +9,38 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.cell import clearance
 from planner.issues import Issue, TandemError
-from planner.motion.joints import Dense
+from planner.motion.joints import Dense, clear
 from planner.motion.placement import reach_gap
-from planner.motion.reach import Grid, Reach, reach, sample
+from planner.motion.reach import Grid, Reach, full_turn, slides_only
 from planner.motion.scene import Scene, holders
-from planner.motion.search import Blocked
-from planner.motion.subset import subset
+from planner.motion.search import Blocked, Dead
 from planner.targets import Targets
 from planner.units import DEG, MM
 
 FloatArray = NDArray[np.float64]
 
-SHIFTS: Final = (0.05, 0.1, 0.2, 0.3)
-SUBSAMPLE: Final = 24
+REACH: Final = 0.2
+"""Distances [m] up to this are told."""
+
+MOST_PAIRS: Final = 4
+"""Pairs of bodies that a message names."""
 
 
 def no_path(scene: Scene, targets: Targets, grid: Grid, blocked: Blocked) -> list[Issue]:
     """Issues that say why the ladder has no path."""
     if blocked.few is not None:
         few, rows = blocked.few
-        help_ = shift_that_helps(scene, targets)
         some = no_path(scene, few, grid, dataclasses.replace(blocked, few=None))
-        return [_in_job(issue, targets, rows, help_) for issue in some]
+        return [_in_job(issue, targets, rows) for issue in some]
     out = [issue for arm, r in blocked.reach.items() if (issue := _unreached(scene, targets, grid, arm, r))]
     if not out and blocked.common < targets.count:
         out = [_broken(targets, blocked.common)]
-    if not out:
-        out = [_collision(scene, targets, blocked)]
-    help_ = shift_that_helps(scene, targets)
-    return [dataclasses.replace(issue, hint=help_ or issue.hint) for issue in out]
+    return out or [_collision(scene, targets, blocked)]
 
 
-def _in_job(issue: Issue, targets: Targets, rows: NDArray[np.intp], help_: str | None) -> Issue:
+def _in_job(issue: Issue, targets: Targets, rows: NDArray[np.intp]) -> Issue:
     """An issue of some of the targets, ``rows`` (K,), as one of the whole job."""
     if issue.index is None or issue.target is None:
         return issue
@@ -53,7 +51,6 @@ def _in_job(issue: Issue, targets: Targets, rows: NDArray[np.intp], help_: str |
         message=issue.message.replace(issue.target, name),
         index=index,
         target=name,
-        hint=help_ or issue.hint,
     )
 
 
@@ -148,16 +145,147 @@ def _broken(targets: Targets, index: int) -> Issue:
 
 
 def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
-    """The first target of the last path that collides, with the pair of bodies."""
+    """Where all paths end, which samples are free before and after it, and what blocks those there."""
     if blocked.hit is not None:
         return describe(scene, targets, blocked.hit[1], blocked.hit[0])
-    if blocked.path is None or blocked.collided is None or scene.model is None:
+    dead = blocked.dead
+    if dead is None or scene.model is None:
         raise ValueError("a search that failed without collisions has another reason")
-    rows = np.arange(targets.count)
-    hit = np.flatnonzero(blocked.collided[rows, blocked.path.path.sample])
-    closed = np.flatnonzero(blocked.collided.all(axis=1))
-    index = int(closed[0]) if len(closed) else int(hit[0]) if len(hit) else 0
-    return describe(scene, targets, {a: q[index] for a, q in blocked.path.q.items()}, index, len(hit) or 1)
+    open_ = bool(dead.free.any())
+    looked = np.flatnonzero((dead.next if open_ else dead.possible) & ~dead.free)
+    if not len(looked):
+        return _broken(targets, dead.index)
+    blocks, best = _blocking(scene, targets, dead, looked)
+    name, count = targets.name(dead.index), len(looked)
+    every = (
+        f"{count} sample{'s' if count > 1 else ''} of {_names(targets)}"
+        if targets.freedoms
+        else "one posture"
+    )
+    shares = ", ".join(f"{block} at {block.count if count > 1 else 'it'}" for block in blocks)
+    before = _intervals(targets, dead.grid, dead.index - 1, dead.reached) if dead.index else ""
+    if open_:
+        free = _intervals(targets, dead.grid, dead.index, dead.free)
+        what = (
+            f"no free path goes past target {name}: free there is {free}, but the arms come from "
+            f"{before}; the {every} that they could go on to collide: {shares}"
+        )
+    else:
+        what = f"nothing is free at target {name}: the {every} in reach there all collide: {shares}"
+        what += f"; free before it is {before}" if before else ""
+        if dead.later is not None:
+            grid, index, free_later = dead.later
+            what += f", from {targets.name(index)} on {_intervals(targets, grid, index, free_later)}"
+        elif dead.index + 1 < targets.count:
+            what += ", after it nothing" if before else "; nothing is free after it either"
+    tried = len(dead.tried)
+    choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"
+    return Issue(
+        "motion.collision",
+        f"{what}; the best of them leaves {_close(best / MM, scene.settings.clearance / MM)} mm, allowed is "
+        f"{scene.settings.clearance / MM:.1f} mm at least ({choices} tried)",
+        index=dead.index,
+        target=name,
+        bodies=blocks[0].pair,
+        value=best / MM,
+        limit=scene.settings.clearance / MM,
+        unit="mm",
+        count=count,
+        hint=f"{_else(targets)}, move the obstacle, or lower clearance_mm",
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """Two things of the cell (arms, obstacles, the stock) that are too near each other: at ``count`` samples,
+    ``pair`` being the bodies that are so most often."""
+
+    things: tuple[str, str]
+    pair: tuple[str, str]
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.pair[0]} with {self.pair[1]}"
+
+
+def _blocking(
+    scene: Scene, targets: Targets, dead: Dead, samples: NDArray[np.intp]
+) -> tuple[list[Block], float]:
+    """Things that are too near each other at ``samples`` (K,) of the target where paths end: those that block
+    most, then those that block most of the rest, until all are explained; and the distance [m] that the best
+    sample leaves."""
+    if scene.model is None:
+        raise ValueError("without a model nothing is in the way")
+    q = {arm: r.q[dead.index, samples] for arm, r in dead.rungs.items()}
+    index = np.full(len(samples), dead.index)
+    wanted = scene.settings.clearance
+    found: dict[tuple[str, str], set[int]] = {}
+    for ignore, rows in scene.by_kind(targets, index):
+        part = scene.model.stack({arm: v[rows] for arm, v in q.items()})
+        every = clearance.gradients_at(scene.model, part, wanted, ignore)
+        for row, near in zip(rows.tolist(), every, strict=True):
+            for a, b in near.bodies[near.distance < wanted].tolist():
+                first, second = sorted((scene.model.body_name(a), scene.model.body_name(b)))
+                found.setdefault((first, second), set()).add(row)
+    least = scene.least(targets, q, index, REACH).distance
+    wire, wire_pairs = scene.edge_clearance(targets, q, index)
+    for row in np.flatnonzero(wire < wanted).tolist():
+        first, second = sorted(wire_pairs[row])
+        found.setdefault((first, second), set()).add(row)
+    together: dict[tuple[str, str], set[int]] = {}
+    for (a, b), hit in found.items():
+        together.setdefault((_thing(a), _thing(b)), set()).update(hit)
+    out: list[Block] = []
+    left = set(range(len(samples)))
+    while left and len(out) < MOST_PAIRS and together:
+        things = max(sorted(together), key=lambda t: len(together[t] & left))
+        if not together[things] & left:
+            break
+        own = [pair for pair in sorted(found) if (_thing(pair[0]), _thing(pair[1])) == things]
+        out.append(Block(things, max(own, key=lambda pair: len(found[pair])), len(together[things])))
+        left -= together.pop(things)
+    return out, float(np.minimum(least, wire).max())
+
+
+def _thing(body: str) -> str:
+    """The arm that a body belongs to, or the body."""
+    return body.partition("/")[0]
+
+
+def _close(value: float, limit: float) -> str:
+    """A figure with as many digits as tell it from the limit."""
+    return f"{value:.1f}" if abs(value - limit) > 0.1 else f"{value:.3f}"
+
+
+def _intervals(targets: Targets, grid: Grid, index: int, samples: NDArray[np.bool_]) -> str:
+    """The intervals of each freedom over some samples (S,) of a target, as people read them."""
+    out = []
+    for j, freedom in enumerate(targets.freedoms):
+        if float((freedom.upper - freedom.lower).max()) <= 0.0:
+            continue
+        values, place = np.unique(grid.values[index, :, j].round(9), return_inverse=True)
+        used = np.bincount(place.reshape(-1), weights=samples) > 0
+        unit, scale = ("mm", MM) if slides_only(freedom) else ("deg", DEG)
+        runs = _runs(used, full_turn(freedom))
+        if full_turn(freedom) and used.all():
+            told = "any"
+        else:
+            told = " and ".join(_run(values[a] / scale, values[b] / scale) for a, b in runs) + f" {unit}"
+        out.append(f"{freedom.name} {told}")
+    return ", ".join(out) or "the only posture"
+
+
+def _run(low: float, high: float) -> str:
+    return f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
+
+
+def _runs(used: NDArray[np.bool_], ring: bool) -> list[tuple[int, int]]:
+    """First and last of the runs of true ones; on a ring a run may go on from the end to the beginning."""
+    edge = np.diff(np.concatenate([[0], used.astype(np.intp), [0]]))
+    runs = list(zip(np.flatnonzero(edge > 0).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True))
+    if ring and len(runs) > 1 and used[0] and used[-1]:
+        runs = [*runs[1:-1], (runs[-1][0], runs[0][1])]
+    return runs
 
 
 def describe(
@@ -216,6 +344,11 @@ def _tried(targets: Targets) -> str:
     return f"every freedom ({', '.join(names)})" if len(names) > 1 else "every freedom"
 
 
+def _names(targets: Targets) -> str:
+    names = [f.name for f in targets.freedoms if float((f.upper - f.lower).max()) > 0.0]
+    return " and ".join(names) or "no freedom"
+
+
 def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], samples: Dense) -> None:
     """Raises :class:`TandemError` where a linear move between targets leaves reach or passes too near
     something."""
@@ -239,35 +372,3 @@ def require_moves(scene: Scene, targets: Targets, branch: Mapping[str, int], sam
         row = int(hit[0])
         at = {arm: q[row] for arm, q in samples.q.items()}
         raise TandemError(describe(scene, targets, at, int(samples.move[row]), len(hit)))
-
-
-def clear(scene: Scene, targets: Targets, samples: Dense) -> NDArray[np.bool_]:
-    """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
-    target."""
-    near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
-    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move)
-
-
-def shift_that_helps(scene: Scene, targets: Targets) -> str | None:
-    """The shortest shift of the stock along the world's axes after which every arm has a branch for all of a
-    sample of the targets, as a sentence; None if none does."""
-    if any(targets.frame.get(arm, "stock") != "stock" for arm in targets.arms):
-        return None
-    for size in SHIFTS:
-        for axis in range(3):
-            for sign in (1.0, -1.0):
-                shift = np.zeros(3)
-                shift[axis] = sign * size
-                if _reaches(scene, targets, shift):
-                    way = f"{sign * size / MM:+.0f} mm in {'xyz'[axis]}"
-                    return f"moving the stock by {way} would bring every target within reach of all arms"
-    return None
-
-
-def _reaches(scene: Scene, targets: Targets, shift: FloatArray) -> bool:
-    rows = np.unique(np.linspace(0, targets.count - 1, min(SUBSAMPLE, targets.count)).astype(np.intp))
-    few = subset(targets, rows)
-    moved = scene.stock.copy()
-    moved[:3, 3] += shift
-    table = reach(dataclasses.replace(scene, stock=moved, model=None), few, sample(few, np.deg2rad(20.0)))
-    return all(r.branches for r in table.values())

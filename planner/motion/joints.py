@@ -96,6 +96,13 @@ def dense(
     return Dense(move, share, out)
 
 
+def clear(scene: Scene, targets: Targets, samples: Dense) -> NDArray[np.bool_]:
+    """(K,) whether samples of the moves keep clearance; the edge between targets is taken from the nearer
+    target."""
+    near = np.where(samples.share >= 0.5, samples.move, samples.move - 1)
+    return scene.free(targets, samples.q, np.maximum(near, 0), samples.move)
+
+
 def joint_path(scene: Scene, targets: Targets, samples: Dense, speed: FloatArray) -> JointPath:
     """Splines through the samples, by the length of the way in the joints (each by its speed limit (J,)) and
     in space; in cuts by the way of the guarded point, so that an even speed of it is one of the spline too.

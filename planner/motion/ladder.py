@@ -128,29 +128,51 @@ class Ladder:
 
     def shortest(self, blocked: FloatArray | None = None) -> Path | None:
         """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids."""
+        path = self.farthest(blocked)
+        return path if path is not None and len(path.sample) == len(self._node) else None
+
+    def farthest(self, blocked: FloatArray | None = None) -> Path | None:
+        """The path of least cost to the last target that any path reaches, all of them if it can be; it is as
+        long as that. None if no sample of the first target is allowed."""
         costs, choice = self._forward(blocked)
-        last = costs[-1]
-        if not np.isfinite(last).any():
+        ends = np.asarray(np.isfinite(costs).any(axis=1))
+        count = len(ends) if ends.all() else int(np.argmin(ends))
+        if count == 0:
             return None
-        rows, samples, width = self._node.shape
-        states = np.empty(rows, dtype=np.intp)
-        states[-1] = int(np.argmin(last))
+        samples, width = self._node.shape[1:]
+        states = np.empty(count, dtype=np.intp)
+        states[-1] = int(np.argmin(costs[count - 1]))
         flat = self._origin.reshape(len(self._grid.before), -1, samples * width)
-        for i in range(rows - 1, 0, -1):
+        for i in range(count - 1, 0, -1):
             states[i - 1] = flat[choice[i - 1, states[i]], i - 1, states[i]]
         turns = np.unravel_index(states % width, self._turns)
         return Path(
             dict(zip(self._arms, self._branches, strict=True)),
             states // width,
             {arm: np.asarray(t) for arm, t in zip(self._arms, turns, strict=True)},
-            float(last.min()),
+            float(costs[count - 1].min()),
         )
+
+    def reached(self, blocked: FloatArray | None = None) -> NDArray[np.bool_]:
+        """(N, S) samples that some path reaches from the first target."""
+        costs, _ = self._forward(blocked)
+        rows, samples, width = self._node.shape
+        return np.asarray(np.isfinite(costs).reshape(rows, samples, width).any(axis=-1))
+
+    def after(self, i: int, reached: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(S,) samples of target i to which a step leads from one of those ``reached`` (S,) at the target
+        before, whether or not they are allowed."""
+        steps = np.isfinite(self._time[:, i - 1]) & (self._grid.before >= 0)
+        return np.asarray((steps & reached[np.maximum(self._grid.before, 0)]).any(axis=0))
+
+    def close(self, i: int, before: int, sample: int) -> None:
+        """Forbids the step to ``sample`` of target i from sample ``before`` of the one before it."""
+        self._time[self._grid.before[:, sample] == before, i - 1, sample] = np.inf
 
     def furthest(self, blocked: FloatArray | None = None) -> int:
         """Index of the first target that no path reaches; N if there is none."""
-        costs, _ = self._forward(blocked)
-        reached = np.asarray(np.isfinite(costs).any(axis=1))
-        return int(np.argmin(reached)) if not reached.all() else len(reached)
+        path = self.farthest(blocked)
+        return 0 if path is None else len(path.sample)
 
     def _forward(self, blocked: FloatArray | None) -> tuple[FloatArray, NDArray[np.int8]]:
         """Cost (N, S*T) to reach every state and the kind of step (N-1, S*T) that reaches it best."""

@@ -15,7 +15,7 @@ from planner.cell.plant import CellModel
 from planner.issues import Issue, Severity, TandemError, aggregate
 from planner.motion import aim, corridor, diagnose, entry, halts, least_feed, rounding, thinning, transit
 from planner.motion.avoid import Avoid
-from planner.motion.joints import Dense, dense, tcp_ways
+from planner.motion.joints import Dense, clear, dense, tcp_ways
 from planner.motion.paths import find
 from planner.motion.scene import Scene
 from planner.motion.search import Found, speed_limits
@@ -183,7 +183,7 @@ def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np
     rows = np.flatnonzero(look[samples.move])
     some = Dense(samples.move[rows], samples.share[rows], {arm: v[rows] for arm, v in samples.q.items()})
     lost = np.isnan(np.concatenate(list(some.q.values()), axis=1)).any(axis=1)
-    return np.asarray(some.move[lost | ~diagnose.clear(scene, targets, some)])
+    return np.asarray(some.move[lost | ~clear(scene, targets, some)])
 
 
 def _joined(

@@ -26,6 +26,9 @@ IndexArray = NDArray[np.intp]
 SKIP_ENDS = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
 
+TRANSIT = "transit"
+"""Kind of segments in which joined TCPs go from one work to the next and keep their relative pose."""
+
 HELD = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.vectors import dots
 from planner.motion.collide import Others
-from planner.motion.diagnose import clear
-from planner.motion.joints import Dense, dense
+from planner.motion.joints import Dense, clear, dense
 from planner.motion.ladder import LARGEST_STEP, Path
 from planner.motion.reach import Grid, full_turn, sample
 from planner.motion.scene import HELD, Scene

@@ -14,7 +14,7 @@ from planner.cell import plant
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate
-from planner.motion import diagnose, entry
+from planner.motion import diagnose, entry, remedy
 from planner.motion.operation import plan_operation
 from planner.motion.paths import find
 from planner.motion.placement import Place, Search, Trace
@@ -40,8 +40,31 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
     found for all of them; bases that may be moved are found with the first place and stay. Raises
     :class:`TandemError` with the reasons when there is no plan.
     """
-    tell = progress or _silent
     problem, targets = with_room(problem, targets)
+    at = [0]
+    try:
+        return _solve(problem, targets, progress or _silent, at)
+    except TandemError as error:
+        raise TandemError(_advised(problem, targets, at[0], error.issues)) from error
+
+
+def _advised(
+    problem: Problem, targets: Sequence[Targets], operation: int, issues: Sequence[Issue]
+) -> list[Issue]:
+    """The issues of an operation that has no path, with a change that helps."""
+
+    def plans(changed: Problem) -> bool:
+        try:
+            _solve(changed, targets, _silent, [0])
+        except TandemError:
+            return False
+        return True
+
+    return remedy.advised(problem, targets, operation, issues, plans)
+
+
+def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: list[int]) -> Plan:
+    """As :func:`solve`; ``at`` is set to the operation that is planned."""
     tell("cell", 0.0)
     metrics: dict[str, Any] = {"stages": {}}
     bases = {arm.name: arm.base for arm in problem.cell.arms}
@@ -49,7 +72,7 @@ def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | Non
     operations: list[OperationPlan] = []
     for stand in stands(problem, targets):
         stand = stand if not places else stand.based(bases)
-        place, made = _settle(problem, stand, metrics, tell)
+        place, made = _settle(problem, stand, metrics, tell, at)
         bases.update(place.bases)
         places += [place.stock] * len(stand.setups)
         operations += made
@@ -73,9 +96,10 @@ def check(problem: Problem, targets: Sequence[Targets]) -> list[Issue]:
     problem, targets = with_room(problem, targets)
     bases: Mapping[str, FloatArray] | None = None
     for stand in stands(problem, targets):
-        place, reasons = _look(problem, stand if bases is None else stand.based(bases))
+        at = [0]
+        place, reasons = _look(problem, stand if bases is None else stand.based(bases), at)
         if place is None:
-            return reasons
+            return _advised(problem, targets, at[0], reasons)
         bases = {**(bases or {}), **place.bases}
     return []
 
@@ -143,7 +167,7 @@ def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
 
 
 def _settle(
-    problem: Problem, stand: Stand, metrics: dict[str, Any], tell: Progress
+    problem: Problem, stand: Stand, metrics: dict[str, Any], tell: Progress, at: list[int]
 ) -> tuple[Place, list[OperationPlan]]:
     """A place and the plans of all operations of one stand."""
     stages = metrics["stages"]
@@ -152,13 +176,13 @@ def _settle(
     stages["cell"] = stages.get("cell", 0.0) + time.perf_counter() - lap
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        return place, _plan(problem, stand, models, place, tell)
+        return place, _plan(problem, stand, models, place, tell, at)
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
     places, trace = stand.search(problem.settings).run(stand.each(models))
     stages["placement"] = stages.get("placement", 0.0) + time.perf_counter() - lap
-    place, operations = _first_that_works(problem, stand, models, places, trace, tell)
+    place, operations = _first_that_works(problem, stand, models, places, trace, tell, at)
     name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
     metrics[name] = trace.metrics(place.number)
     metrics[f"{name}_score_deg"] = float(np.rad2deg(place.score))
@@ -166,13 +190,19 @@ def _settle(
 
 
 def _plan(
-    problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place, tell: Progress
+    problem: Problem,
+    stand: Stand,
+    models: Sequence[CellModel],
+    place: Place,
+    tell: Progress,
+    at: list[int],
 ) -> list[OperationPlan]:
     out = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
         for index, job in zip(setup.operations, jobs, strict=True):
             tell("motion", index / len(problem.operations))
+            at[0] = index
             name, settings = problem.operations[index].name, problem.settings
             out.append(plan_operation(name, setup.cell, job, settings, place.stock, placed, place.bases))
     return out
@@ -185,11 +215,12 @@ def _first_that_works(
     places: Sequence[Place],
     trace: Trace,
     tell: Progress,
+    at: list[int],
 ) -> tuple[Place, list[OperationPlan]]:
     reasons: tuple[Issue, ...] = ()
     for place in places[:PLACES_TRIED]:
         try:
-            return place, _plan(problem, stand, models, place, tell)
+            return place, _plan(problem, stand, models, place, tell, at)
         except TandemError as error:
             reasons = reasons or error.issues
     raise TandemError([_unplaced(trace), *reasons])
@@ -204,28 +235,32 @@ def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -
             entry.require_home(scene, job)
 
 
-def _look(problem: Problem, stand: Stand) -> tuple[Place | None, list[Issue]]:
+def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, list[Issue]]:
     """A place at which every operation of a stand has a path, or why there is none."""
     models = stand.models()
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        reasons = _no_path(problem, stand, models, place)
+        reasons = _no_path(problem, stand, models, place, at)
         return (None if reasons else place), reasons
     places, trace = stand.search(problem.settings).run(stand.each(models))
     reasons = []
     for place in places[:PLACES_TRIED]:
-        reasons = _no_path(problem, stand, models, place)
+        reasons = _no_path(problem, stand, models, place, at)
         if not reasons:
             return place, []
     return None, [_unplaced(trace), *reasons]
 
 
-def _no_path(problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place) -> list[Issue]:
+def _no_path(
+    problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place, at: list[int]
+) -> list[Issue]:
+    """Why operations have no path; ``at`` is set to the first of them."""
     out: list[Issue] = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
-        for job in jobs:
+        for index, job in zip(setup.operations, jobs, strict=True):
             scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
+            at[0] = at[0] if out else index
             grid, found = find(scene, job)
             if isinstance(found, Blocked):
                 out += diagnose.no_path(scene, job, grid, found)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planner.geometry.rigid import exp_rotation, from_parts, interpolate, inverse, log_rotation
 from planner.motion.rrt import connect
-from planner.motion.scene import Scene
+from planner.motion.scene import TRANSIT, Scene
 from planner.motion.search import Found
 from planner.motion.subset import subset
 from planner.segments import Segment
@@ -21,7 +21,6 @@ from planner.targets import Edge, Freedom, TableFreedom, Targets
 
 FloatArray = NDArray[np.float64]
 
-TRANSIT: Final = "transit"
 SAME_SHAPE: Final = 1e-6
 """Relative poses of the TCPs that differ by less [m, rad] count as the same."""
 
