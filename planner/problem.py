@@ -341,7 +341,8 @@ class Problem:
 
     ``cell`` and ``stock`` are as the first operation finds them; ``changes`` {index of an operation: change}
     are made before later ones; :attr:`setups` are what each operation finds. ``source`` is what the file
-    said, with the cell inside and file names made absolute, so that it can be carried along.
+    said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
+    codes of errors that the user takes upon himself.
     """
 
     name: str
@@ -354,6 +355,7 @@ class Problem:
     digest: str
     source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     changes: Mapping[int, Change] = dataclasses.field(default_factory=dict)
+    accept: tuple[str, ...] = ()
 
     @property
     def setups(self) -> tuple[Setup, ...]:
