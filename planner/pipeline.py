@@ -11,6 +11,7 @@ from typing import Any
 
 from planner import plan_io, problem_bundle, problem_file, processes
 from planner.catalogue import bundled
+from planner.cell import standing
 from planner.files import RESULT, claim_folder, is_file, write_folder
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.motion import solve
@@ -83,7 +84,8 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell)
-    made = dataclasses.replace(made, issues=(*made.issues, *_unused(problem, made.issues)))
+    issues = (*_stands(problem), *made.issues)
+    made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
@@ -98,7 +100,7 @@ def check(problem: Problem) -> tuple[Issue, ...]:
     notes = _notes(problem)
     try:
         targets = _targets(problem, processes.jobs(problem))
-        found = [*notes, *(issue for item in targets for issue in item.issues)]
+        found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
         found += [*write.refusals(problem, targets), *solve.check(problem, targets)]
         return aggregate([*found, *_unused(problem, found)])
     except TandemError as error:
@@ -109,7 +111,7 @@ def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
     """The targets of all jobs, with what the problem accepts of their issues. Raises ``TandemError`` with the
     errors of all of them."""
     out: list[Targets] = []
-    told: list[Issue] = []
+    told = _stands(problem)
     for job in jobs:
         try:
             made = job.targets()
@@ -121,6 +123,11 @@ def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
     if len(out) < len(jobs) or has_errors(told):
         raise TandemError(aggregate(told))
     return out
+
+
+def _stands(problem: Problem) -> list[Issue]:
+    """What is to be told of what the blocks stand on."""
+    return list(judged(standing.issues(problem), problem.accept))
 
 
 def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
@@ -139,7 +146,7 @@ def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
 
 def _notes(problem: Problem) -> tuple[Issue, ...]:
     """What was put right, or is to be known, on the way from the file to the part."""
-    return problem.part.notes if problem.part is not None else ()
+    return (*(problem.part.notes if problem.part is not None else ()), *problem.notes)
 
 
 def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:

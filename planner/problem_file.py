@@ -15,7 +15,16 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner import cell_file, controller_uses, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
+from planner import (
+    cell_file,
+    controller_uses,
+    gripping,
+    part_file,
+    part_sheet_file,
+    sheet_file,
+    stock_file,
+    yaml_lines,
+)
 from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issue_codes import ACCEPTABLE
@@ -124,6 +133,11 @@ def build(document: Document, models: OperationModels) -> Problem:
             cell = _cell(spec.cell, document)
         except TandemError as error:
             issues += error.issues
+    if cell is not None and spec is not None and spec.stock is not None:
+        try:
+            cell = stock_file.with_gripper(cell, spec.stock)
+        except TandemError as error:
+            issues += [_placed(issue, document) for issue in error.issues]
     if cell is not None:
         issues += _names(cell, operations, document)
         issues += [_placed(issue, document) for issue in controller_uses.faults(cell, operations)]
@@ -164,10 +178,18 @@ def build(document: Document, models: OperationModels) -> Problem:
         changes=changes,
         accept=spec.accept,
     )
+    problem = gripping.with_choices(problem, _without_grip(spec, setups))
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
+    issues = gripping.advised(problem, issues)
     if issues:
         raise TandemError(issues)
     return _with_first_steps(problem)
+
+
+def _without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
+    """Operations before which an arm takes up a block, without a word of how."""
+    first = {0} if spec.stock is not None and spec.stock.grip is None else set()
+    return first | {i for i, setup in setups.items() if setup.held_by is not None and setup.grip is None}
 
 
 def _with_first_steps(problem: Problem) -> Problem:

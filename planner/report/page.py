@@ -44,6 +44,7 @@ def render(
     found = aggregate(
         [
             *(part.notes if part is not None else ()),
+            *(problem.notes if problem is not None else ()),
             *(plan.issues if plan else ()),
             *(i for op in (plan.operations if plan else ()) for i in op.issues),
             *(proof.issues if proof else ()),
