@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, TandemError, accepted
 
 if TYPE_CHECKING:
     from planner.batch.collect import Item
@@ -121,14 +121,14 @@ class _Shown:
 
     def hear(self, event: Event) -> None:
         """Show an event."""
-        from planner.batch import job
+        from planner.batch import job, summary
 
         if isinstance(event, job.Finished):
             if event.name in self._jobs:
                 self._bar.remove_task(self._jobs.pop(event.name))
             self._bar.advance(self._all)
             if event.done.state != "verified":
-                issue = next(iter(event.done.issues), None)
+                issue = summary.worst(event.done)
                 said = f": {issue}" if issue is not None else ""
                 text = f"{event.name}: {event.done.state}{said}"
                 self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -165,7 +165,7 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
 
     table = Table("name", "status", *(summary.FIGURES[name] for name in SHOWN), "planned in s", "issues")
     for row in rows:
-        issue = summary.worst(row)
+        issue = summary.worst(row.done)
         told = " ".join(filter(None, (summary.counted(row), issue.code if issue is not None else "")))
         table.add_row(
             row.item.name,
@@ -176,6 +176,11 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
             style=STYLE.get(row.done.state, "red"),
         )
     out.print(table)
+    for row in rows:
+        taken = accepted(row.done.issues)
+        if taken:
+            what = f"{row.item.name}: accepted by the problem, not by Tandem: {', '.join(taken)}"
+            out.print(what, markup=False, soft_wrap=True)
     verified = sum(row.done.state == "verified" for row in rows)
     kept = sum(row.kept for row in rows)
     again = f", {kept} of them finished before" if kept else ""

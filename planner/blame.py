@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from planner.issues import Issue
+from planner.issues import Issue, Severity
 
 GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "align", "gcode"} | {
     "wire.unknown_material",
@@ -44,5 +44,6 @@ GIVEN_WRONG = {"problem", "part", "targets", "mesh", "cell", "output", "kerf", "
 
 
 def given_wrong(issues: Iterable[Issue]) -> bool:
-    """Whether all issues are faults of what was given (exit code 2), not of what is feasible (3)."""
-    return all(issue.code in GIVEN_WRONG or issue.code.split(".")[0] in GIVEN_WRONG for issue in issues)
+    """Whether all errors are faults of what was given (exit code 2), not of what is feasible (3)."""
+    codes = [issue.code for issue in issues if issue.severity is Severity.ERROR]
+    return all(code in GIVEN_WRONG or code.split(".")[0] in GIVEN_WRONG for code in codes)

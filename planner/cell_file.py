@@ -20,6 +20,7 @@ from planner.problem import Arm, Cell, Obstacle
 from planner.schema import Angle, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tooling import (
     FormingTool,
+    Gripper,
     Mill,
     Tool,
     ball_tool,
@@ -104,6 +105,7 @@ class BowFile(Strict):
 class _GripperFile(Strict):
     """What all tools have that hold a block."""
 
+    name: Annotated[Name | None, Field(description="what people call it; none: by its kind")] = None
     reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
     holding_n: Annotated[
         float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
@@ -249,6 +251,10 @@ class CellFile(Strict):
     name: str = "cell"
     arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
     obstacles: tuple[ObstacleFile, ...] = ()
+    grippers: Annotated[
+        tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
+        Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
+    ] = ()
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -274,7 +280,32 @@ def build(spec: CellFile, folder: Path) -> Cell:
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
-    return Cell(spec.name, tuple(arms), obstacles, controller)
+    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec))
+
+
+def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
+    """The grippers that lie ready, each with a name of its own."""
+    out: list[Gripper] = []
+    for number, one in enumerate(spec.grippers):
+        plate = isinstance(one, GripperPlateFile)
+        size = (
+            f"{one.width_mm:g}x{one.depth_mm:g}"
+            if isinstance(one, GripperPlateFile)
+            else f"{2 * one.radius_mm:g}"
+        )
+        usual = f"{'plate' if plate else 'cup'}_{size}".replace(".", "_")
+        named = one.model_copy(update={"name": one.name or usual})
+        try:
+            made = tool(named, Path())
+        except ValueError as error:
+            raise TandemError(
+                Issue("problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}")
+            ) from error
+        if made.name.lower() in [other.name.lower() for other in out]:
+            what = f"grippers.{number}: the name '{made.name}' is given more than once; name them apart"
+            raise TandemError(Issue("problem.duplicate_name", what, field=f"grippers.{number}"))
+        out += [made] if isinstance(made, Gripper) else []
+    return tuple(out)
 
 
 def shape(spec: ShapeFile, folder: Path) -> Shape:
@@ -297,9 +328,10 @@ def tool(spec: ToolFile, folder: Path) -> Tool:
     if isinstance(spec, BowFile):
         return bow(spec.span_mm * MM, spec.throat_mm * MM, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
     if isinstance(spec, GripperPlateFile):
-        return gripper_plate(spec.width_mm * MM, spec.depth_mm * MM, spec.reach_mm * MM, spec.holding_n)
+        size = spec.width_mm * MM, spec.depth_mm * MM
+        return gripper_plate(*size, spec.reach_mm * MM, spec.holding_n, spec.name)
     if isinstance(spec, VacuumCupFile):
-        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n)
+        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n, spec.name)
     if isinstance(spec, BallToolFile | DiskToolFile | HeatToolFile):
         return _forming_tool(spec)
     if isinstance(spec, MillFile):

@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -35,7 +35,7 @@ from planner import (
 )
 from planner.blame import given_wrong
 from planner.files import unhurried
-from planner.issues import Issue, Severity, TandemError, has_errors
+from planner.issues import Issue, Severity, TandemError, accepted, has_errors
 from planner.problem_compare import Difference, differences
 
 if TYPE_CHECKING:
@@ -107,6 +107,7 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
     if has_errors(issues):
         return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
     out.print(f"{loaded.name}: nothing in the way of a plan was found")
+    _tell_accepted(accepted(issues))
     return DONE
 
 
@@ -156,6 +157,7 @@ def verify(
     out.print(
         f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
     )
+    _tell_accepted(loaded.accept)
     if key is not None and not _signed(folder, loaded, proof, key):
         return NOT_PROVEN
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
@@ -310,12 +312,13 @@ def token(action: service_commands.Token) -> int:
 
 @app.command
 def issues() -> int:
-    """List every issue code with its meaning."""
-    from planner.issue_codes import CODES
+    """List every issue code with its meaning, and what a problem may accept."""
+    from planner.issue_codes import ACCEPTABLE, CODES
 
     table = Table("code", "meaning")
     for code, meaning in CODES.items():
-        table.add_row(code, meaning)
+        may = " (may be accepted)" if code in ACCEPTABLE else ""
+        table.add_row(code, meaning + may)
     out.print(table)
     return DONE
 
@@ -412,11 +415,18 @@ def _summary(outcome: object, output: Path, seconds: float) -> None:
     cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
     out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
+    _tell_accepted(outcome.accepted)
     stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
     spent = f" ({stages})" if stages else ""
     out.print(
         f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
     )
+
+
+def _tell_accepted(codes: Sequence[str]) -> None:
+    """What a verdict leaves to the user, beside it."""
+    if codes:
+        out.print(f"accepted by the problem, not by Tandem: {', '.join(codes)}", highlight=False)
 
 
 def _laps(plan: Plan) -> dict[str, float]:

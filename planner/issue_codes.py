@@ -18,11 +18,15 @@ CODES: Final[dict[str, str]] = {
     "problem.unknown_arm": "an operation names an arm that the cell does not have",
     "problem.unknown_process": "an operation names a process that is not built in",
     "problem.not_finite": "a number is NaN or infinite",
+    "problem.accepted": "a problem accepts a finding that does not occur",
     # blocks that are held, and what is known of them
     "stock.gripper": "the arm that is to hold the block carries no gripper",
     "stock.foam_missing": "something needs the block's foam, which the problem does not name",
     "stock.too_heavy": "the block and its gripper are beyond the payload of the arm that holds them",
     "stock.grip_force": "a gripper does not hold the block firmly enough",
+    "stock.grip_chosen": "which gripper of the cell was chosen for a block, and where it holds it",
+    "stock.support": "the support of a block does not reach the floor, or the block does not rest on it",
+    "stock.hangs": "nothing is stated on which a block stands",
     "stock.footprint": "the gripper's face does not lie within the block's or the part's bottom face",
     # catalogue and cell
     "catalogue.missing_data": "a data file that is part of Tandem is missing or cannot be read",
@@ -193,6 +197,7 @@ CODES: Final[dict[str, str]] = {
     "verify.stop_before_logic": "an arm does not stop before a signal, wait or synchronisation point",
     "verify.tool_data": "the tool data of a program are not those of the cell",
     "verify.work_object": "a work object is not where the stock stands",
+    "verify.rests": "a block is not held or borne as it must be",
     "verify.base_frames": "the base frame that a program states is not the problem's",
     "verify.move_kinds": "a move whose path is not known, or ConfL is not as the arm needs it",
     "verify.zone_size": "a zone takes more than half of the shorter move beside it",
@@ -384,3 +389,14 @@ CODES: Final[dict[str, str]] = {
     # internal
     "internal.error": "Tandem itself failed; nothing was written",
 }
+
+ACCEPTABLE: Final[dict[str, str]] = {
+    "forming.force": "the robots press far harder than their payload says",
+    "forming.wall_angle": "a pass forms a steeper wall than the metal is known to bear at once",
+    "forming.die_far": "a full die is away from the walls that it is to hold",
+    "straight.drop": "what is cut off drops by a slot before it is cut itself",
+    "stock.support": "the support of a block does not reach the floor, or the block does not rest on it",
+}
+"""Errors that a problem may accept by name (``accept:``), and what is accepted with each. They speak of what
+the user may know better than Tandem: forces, metal, how a block is really held up. What makes a motion wrong
+(collisions, limits, a wire that snaps, a slot of the wrong width) is never among them."""

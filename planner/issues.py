@@ -7,11 +7,11 @@ subject, what was got, what is allowed and what to do.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
-from planner.issue_codes import CODES
+from planner.issue_codes import ACCEPTABLE, CODES
 
 
 class Severity(StrEnum):
@@ -40,6 +40,8 @@ class Issue:
     ``value`` and ``limit`` are in ``unit`` (mm, deg, s ... as a person reads them). ``index`` is the
     target's index, ``time`` is in seconds on the job's clock, ``bodies`` names a joint or a pair of bodies.
     ``remedy`` is what the hint says as data, where a change was tried.
+    ``accepted`` is of what is an error unless the problem accepts it by name: False until that is looked at
+    (:func:`judged`), True where the problem does.
     Raises ``KeyError`` when ``code`` is not in the table of codes.
     """
 
@@ -60,6 +62,7 @@ class Issue:
     hint: str | None = None
     count: int = 1
     remedy: Remedy | None = None
+    accepted: bool | None = None
 
     def __post_init__(self) -> None:
         if self.code not in CODES:
@@ -91,7 +94,8 @@ class Issue:
         place = f"{', '.join(where)}: " if where else ""
         many = f" ({self.count} times)" if self.count > 1 else ""
         hint = f"; {self.hint}" if self.hint else ""
-        return f"{self.severity.value} [{self.code}] {place}{self.message}{many}{hint}"
+        accepted = " accepted by the problem:" if self.accepted else ""
+        return f"{self.severity.value} [{self.code}]{accepted} {place}{self.message}{many}{hint}"
 
 
 class TandemError(Exception):
@@ -106,6 +110,29 @@ class TandemError(Exception):
 def has_errors(issues: Iterable[Issue]) -> bool:
     """Whether any issue is an error."""
     return any(issue.severity is Severity.ERROR for issue in issues)
+
+
+def judged(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...]:
+    """The issues; those that are errors unless accepted are errors now, with how to accept them, or accepted
+    where ``accept`` has their codes. Raises ``ValueError`` for one that nobody may accept."""
+    return tuple(_judge(issue, accept) for issue in issues)
+
+
+def _judge(issue: Issue, accept: Collection[str]) -> Issue:
+    if issue.accepted is None:
+        return issue
+    if issue.code not in ACCEPTABLE:
+        raise ValueError(f"{issue.code} is not in the table of what a problem may accept")
+    if issue.code in accept:
+        return dataclasses.replace(issue, severity=Severity.WARNING, accepted=True)
+    how = f"where it is known and wanted, accept it in the problem: accept: [{issue.code}]"
+    hint = f"{issue.hint}; {how}" if issue.hint else how
+    return dataclasses.replace(issue, severity=Severity.ERROR, accepted=None, hint=hint)
+
+
+def accepted(issues: Iterable[Issue]) -> tuple[str, ...]:
+    """Codes of the issues that a problem accepts, in order of the alphabet."""
+    return tuple(sorted({issue.code for issue in issues if issue.accepted}))
 
 
 def aggregate(issues: Iterable[Issue]) -> tuple[Issue, ...]:

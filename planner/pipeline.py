@@ -5,18 +5,21 @@ one page.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from planner import plan_io, problem_bundle, problem_file, processes
 from planner.catalogue import bundled
+from planner.cell import standing
 from planner.files import RESULT, claim_folder, is_file, write_folder
-from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.motion import solve
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
 from planner.report import output
+from planner.targets import Job, Targets
 from planner.verify import kinds, margins, partial, program_text, prove
 from planner.verify.partial import Partial
 from planner.verify.result import Proof
@@ -45,6 +48,11 @@ class Outcome:
         """All issues of part, planning and proof, repeats counted."""
         return aggregate((*_notes(self.problem), *self.plan.issues, *self.proof.issues))
 
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Codes of errors that the problem accepts and that are there: they stand beside the verdict."""
+        return accepted(self.plan.issues)
+
     def save(self, folder: str | Path, progress: Progress | None = None) -> None:
         """Write the result folder: programs only if verified, plan, report, replay, simulated part."""
         tell = progress or _silent
@@ -70,7 +78,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     tell = progress or _silent
     tell("targets", 0.0)
     jobs = processes.jobs(problem)
-    targets = [job.targets() for job in jobs]
+    targets = _targets(problem, jobs)
     claims = processes.claims(problem, jobs)
     refused = [*write.refusals(problem, targets), *kinds.unproven(claims)]
     if refused:
@@ -80,6 +88,8 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     slow = [issue for job, motion in driven for issue in job.driven(motion.targets, motion.time)]
     if has_errors(slow):
         raise TandemError(slow)
+    issues = (*_stands(problem), *made.issues)
+    made = dataclasses.replace(made, issues=aggregate([*issues, *_unused(problem, issues)]))
     tell("programs", 0.0)
     made = dataclasses.replace(made, issues=(*made.issues, *write.notes(made, problem)))
     programs = write.programs(made, problem)
@@ -93,16 +103,54 @@ def check(problem: Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
     notes = _notes(problem)
     try:
-        targets = [job.targets() for job in processes.jobs(problem)]
-        found = [*notes, *(issue for item in targets for issue in item.issues)]
-        return aggregate([*found, *write.refusals(problem, targets), *solve.check(problem, targets)])
+        targets = _targets(problem, processes.jobs(problem))
+        found = [*notes, *_stands(problem), *(issue for item in targets for issue in item.issues)]
+        found += [*write.refusals(problem, targets), *solve.check(problem, targets)]
+        return aggregate([*found, *_unused(problem, found)])
     except TandemError as error:
         return (*notes, *error.issues)
 
 
+def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
+    """The targets of all jobs, with what the problem accepts of their issues. Raises ``TandemError`` with the
+    errors of all of them."""
+    out: list[Targets] = []
+    told = _stands(problem)
+    for job in jobs:
+        try:
+            made = job.targets()
+        except TandemError as error:
+            told += error.issues
+        else:
+            out.append(dataclasses.replace(made, issues=judged(made.issues, problem.accept)))
+            told += out[-1].issues
+    if len(out) < len(jobs) or has_errors(told):
+        raise TandemError(aggregate(told))
+    return out
+
+
+def _stands(problem: Problem) -> list[Issue]:
+    """What is to be told of what the blocks stand on."""
+    return list(judged(standing.issues(problem), problem.accept))
+
+
+def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
+    """Notes of what the problem accepts and nobody has found."""
+    return [
+        Issue(
+            "problem.accepted",
+            f"accept: {code} does not occur; take it out, lest it hides one that comes later",
+            Severity.NOTE,
+            field=f"accept.{number}",
+        )
+        for number, code in enumerate(problem.accept)
+        if code not in accepted(found)
+    ]
+
+
 def _notes(problem: Problem) -> tuple[Issue, ...]:
     """What was put right, or is to be known, on the way from the file to the part."""
-    return problem.part.notes if problem.part is not None else ()
+    return (*(problem.part.notes if problem.part is not None else ()), *problem.notes)
 
 
 def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:

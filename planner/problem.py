@@ -19,7 +19,7 @@ from planner.handshake import Handshake
 from planner.issues import Issue
 from planner.materials import Foam
 from planner.sheet_metals import SheetMetal
-from planner.tooling import Tool
+from planner.tooling import Gripper, Tool
 
 FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
@@ -51,12 +51,14 @@ class Obstacle:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``."""
+    """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``.
+    ``grippers``: those that lie ready, from which one is chosen for a block that an arm holds."""
 
     name: str
     arms: tuple[Arm, ...]
     obstacles: tuple[Obstacle, ...]
     controller: Controller
+    grippers: tuple[Gripper, ...] = ()
 
     def arm(self, name: str) -> Arm:
         """The arm of that name; raises ``KeyError``."""
@@ -213,6 +215,19 @@ class Sheet:
 
 
 @dataclasses.dataclass(frozen=True)
+class Pedestal:
+    """What Tandem is to make for a block to stand on: ``kind`` of it, its ``sides`` and ``heights`` [m] in
+    stock, and the ``share`` of the block's sides that it may be wide, or ``beyond`` them by which it is wider
+    [m]."""
+
+    kind: Literal["table", "pedestal"]
+    sides: tuple[float, ...]
+    heights: tuple[float, ...]
+    share: float
+    beyond: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
 class Stock:
     """The block: ``size`` (3,) [m] of the datum block; frame at the centre of its bottom face, z up through
     the block.
@@ -222,9 +237,11 @@ class Stock:
     None where the placement search is to find it, with ``attitude`` (3, 3), its rotation up to a yaw about
     the world's vertical, which ``any_attitude`` leaves open for a block that is held. ``support``: shapes
     in the stock frame that stand under the block and move with it (a pedestal). ``held_by``: the arm whose
-    tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame; ``place`` is then the
-    pose about which the holder moves the block. ``sheet``: the block is a sheet, clamped along its rim; z
-    runs through its thickness, and ``support`` is its clamp.
+    tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame, which may be chosen;
+    ``place`` is then the pose about which the holder moves the block. ``sheet``: the block is a sheet,
+    clamped along its rim; z runs through its thickness, and ``support`` is its clamp. ``pedestal``: what
+    stands under the block is made, as high as its place wants it (``planner.cell.standing``), in place of
+    ``support``.
     """
 
     size: FloatArray
@@ -236,6 +253,8 @@ class Stock:
     foam: Foam | None = None
     held_by: str | None = None
     grip: FloatArray = dataclasses.field(default_factory=lambda: np.eye(4))
+    grip_chosen: bool = False
+    pedestal: Pedestal | None = None
     sheet: Sheet | None = None
 
     @property
@@ -341,7 +360,8 @@ class Problem:
 
     ``cell`` and ``stock`` are as the first operation finds them; ``changes`` {index of an operation: change}
     are made before later ones; :attr:`setups` are what each operation finds. ``source`` is what the file
-    said, with the cell inside and file names made absolute, so that it can be carried along.
+    said, with the cell inside and file names made absolute, so that it can be carried along. ``accept``:
+    codes of errors that the user takes upon himself. ``notes``: what was chosen on the way from the file.
     """
 
     name: str
@@ -354,6 +374,8 @@ class Problem:
     digest: str
     source: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     changes: Mapping[int, Change] = dataclasses.field(default_factory=dict)
+    accept: tuple[str, ...] = ()
+    notes: tuple[Issue, ...] = ()
 
     @property
     def setups(self) -> tuple[Setup, ...]:

@@ -13,11 +13,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner import cell_file, controller_uses, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
+from planner import (
+    cell_file,
+    controller_uses,
+    gripping,
+    part_file,
+    part_sheet_file,
+    sheet_file,
+    stock_file,
+    yaml_lines,
+)
 from planner.cell_file import CellFile
 from planner.files import is_file
+from planner.issue_codes import ACCEPTABLE
 from planner.issues import Issue, TandemError
 from planner.part_file import PartFile
 from planner.problem import Cell, Change, Fixed, Operation, Problem, Settings
@@ -55,6 +65,12 @@ class SettingsFile(Strict):
         )
 
 
+def _acceptable(code: str) -> str:
+    if code not in ACCEPTABLE:
+        raise ValueError(f"this cannot be accepted; what can be is {', '.join(sorted(ACCEPTABLE))}")
+    return code
+
+
 class ProblemFile(Strict):
     """A whole problem file, schema version 1. Each operation is checked against its process's own schema."""
 
@@ -69,6 +85,10 @@ class ProblemFile(Strict):
     )
     part: PartFile | None = None
     settings: SettingsFile = SettingsFile()
+    accept: Annotated[
+        tuple[Annotated[str, Field(max_length=60), AfterValidator(_acceptable)], ...],
+        Field(max_length=20, description="codes of errors that are known and wanted, see below"),
+    ] = ()
     operations: Annotated[list[dict[str, Any]], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -113,6 +133,11 @@ def build(document: Document, models: OperationModels) -> Problem:
             cell = _cell(spec.cell, document)
         except TandemError as error:
             issues += error.issues
+    if cell is not None and spec is not None and spec.stock is not None:
+        try:
+            cell = stock_file.with_gripper(cell, spec.stock)
+        except TandemError as error:
+            issues += [_placed(issue, document) for issue in error.issues]
     if cell is not None:
         issues += _names(cell, operations, document)
         issues += [_placed(issue, document) for issue in controller_uses.faults(cell, operations)]
@@ -151,11 +176,20 @@ def build(document: Document, models: OperationModels) -> Problem:
         digest=digest(source),
         source=source,
         changes=changes,
+        accept=spec.accept,
     )
+    problem = gripping.with_choices(problem, _without_grip(spec, setups))
     issues = [_placed(issue, document) for issue in stock_file.check_setups(problem)]
+    issues = gripping.advised(problem, issues)
     if issues:
         raise TandemError(issues)
     return _with_first_steps(problem)
+
+
+def _without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
+    """Operations before which an arm takes up a block, without a word of how."""
+    first = {0} if spec.stock is not None and spec.stock.grip is None else set()
+    return first | {i for i, setup in setups.items() if setup.held_by is not None and setup.grip is None}
 
 
 def _with_first_steps(problem: Problem) -> Problem:

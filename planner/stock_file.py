@@ -3,6 +3,7 @@ their values in SI units."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -16,23 +17,35 @@ from planner.cell_file import PoseFile, ShapeFile, ToolFile
 from planner.geometry.rigid import from_rpy
 from planner.issues import Issue, TandemError
 from planner.materials import Foam, foam
-from planner.problem import Arm, Change, Problem, Setup, Stock
+from planner.problem import Arm, Cell, Change, Pedestal, Problem, Setup, Stock
 from planner.schema import Angle, FileName, Name, Positive, Strict
 from planner.tooling import Gripper
 from planner.units import DEG, GRAVITY, MM
 
+TABLE: Final = Pedestal(
+    "table", tuple(0.2 * k for k in range(1, 21)), tuple(0.05 * k for k in range(10, 23)), 1.0, 0.1
+)
+PEDESTAL: Final = Pedestal(
+    "pedestal", tuple(0.04 * k for k in range(1, 26)), tuple(0.1 * k for k in range(2, 16)), 0.6
+)
+"""What `support: table` and `support: pedestal` stand for: tables by 200 mm along their sides and 50 mm of
+height, pedestals by 40 mm and 100 mm, which leave wires and tools room beside them."""
 SHAKES: Final = 3.0
 """Times its weight that a gripper must hold a block with: the arm's accelerations, and foam that gives."""
 
 
 def _word_or_mapping(value: object) -> str:
     """Which alternative a value is meant to be, so that its faults are told of that one alone."""
-    return "mapping" if isinstance(value, dict | BaseModel) else "word"
+    return "mapping" if isinstance(value, dict | list | tuple | BaseModel) else "word"
 
 
 Auto = Annotated[Literal["auto"], Tag("word")]
 Choice = Discriminator(_word_or_mapping)
 PlaceFile = Annotated[Auto | Annotated[PoseFile, Tag("mapping")], Choice]
+SupportFile = Annotated[
+    Annotated[Literal["table", "pedestal"], Tag("word")] | Annotated[tuple[ShapeFile, ...], Tag("mapping")],
+    Choice,
+]
 Extra = Annotated[float, Field(ge=0, le=5000)]
 Sides = tuple[Extra, Extra]
 FLAT_ANGLE: Final = 1.0 * DEG
@@ -57,7 +70,7 @@ class StockFile(Strict):
     size_mm: tuple[Positive, Positive, Positive]
     place: PlaceFile = "auto"
     roll_pitch_deg: tuple[Angle, Angle] | None = None
-    support: tuple[ShapeFile, ...] = ()
+    support: SupportFile = ()
     oversize_mm: tuple[Sides, Sides, Sides] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
     foam: (
         Annotated[
@@ -68,7 +81,12 @@ class StockFile(Strict):
         | None
     ) = None
     held_by: Name | None = None
-    grip: PoseFile = PoseFile()
+    grip: Annotated[
+        PoseFile | None, Field(description="none: chosen, the middle of the block where that will do")
+    ] = None
+    gripper: Annotated[
+        Name | None, Field(description="one of the cell's grippers; none: the mounted one, or one that fits")
+    ] = None
 
 
 class SetupFile(Strict):
@@ -80,7 +98,7 @@ class SetupFile(Strict):
     ]
     place: PlaceFile | None = None
     roll_pitch_deg: tuple[Angle, Angle] | None = None
-    support: tuple[ShapeFile, ...] | None = None
+    support: SupportFile | None = None
     oversize_mm: tuple[Sides, Sides, Sides] | None = None
     held_by: Annotated[Name | Literal["nobody"], Field(description="nobody: the block stands")] | None = None
     grip: PoseFile | None = None
@@ -92,12 +110,32 @@ def stock(spec: StockFile, folder: Path) -> Stock:
     return Stock(
         np.array(spec.size_mm) * MM,
         **_placed(spec.place, spec.roll_pitch_deg),
-        support=tuple(cell_file.shape(s, folder) for s in spec.support),
+        **_support(spec.support, folder),
         oversize=_oversize(spec.oversize_mm),
         foam=_foam(spec.foam, folder),
         held_by=spec.held_by,
-        grip=spec.grip.matrix(),
+        grip=(spec.grip or PoseFile()).matrix(),
     )
+
+
+def with_gripper(cell: Cell, spec: StockFile) -> Cell:
+    """The cell with the gripper that the block names mounted on the arm that holds it. Raises ``TandemError``
+    for a name that the cell does not have."""
+    if spec.gripper is None:
+        return cell
+    found = next((tool for tool in cell.grippers if tool.name == spec.gripper), None)
+    if found is None or spec.held_by not in [arm.name for arm in cell.arms]:
+        known = ", ".join(tool.name for tool in cell.grippers) or "none"
+        what = (
+            f"stock.gripper: got {spec.gripper}; the cell's grippers are {known}"
+            if found is None
+            else "stock.gripper: a gripper is named for a block that no arm holds; give held_by"
+        )
+        raise TandemError(Issue("problem.field", what, field="stock.gripper"))
+    arms = tuple(
+        dataclasses.replace(arm, tool=found) if arm.name == spec.held_by else arm for arm in cell.arms
+    )
+    return dataclasses.replace(cell, arms=arms, grippers=())
 
 
 def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) -> Change:
@@ -123,7 +161,7 @@ def change(spec: SetupFile, arms: tuple[Arm, ...], folder: Path, number: int) ->
     elif spec.roll_pitch_deg is not None:
         issues.append(Issue("problem.field", f"{field}.roll_pitch_deg needs place; add it", field=field))
     if spec.support is not None:
-        fields["support"] = tuple(cell_file.shape(s, folder) for s in spec.support)
+        fields |= _support(spec.support, folder)
     if spec.oversize_mm is not None:
         fields["oversize"] = _oversize(spec.oversize_mm)
     if spec.held_by is not None:
@@ -149,6 +187,9 @@ def first_steps(problem: Problem) -> tuple[str, ...]:
     if several:
         steps += [f"Mount the tool {arm.tool.name} on arm {arm.name}." for arm in first.cell.arms]
     if first.stock.held_by is not None:
+        tool = first.cell.arm(first.stock.held_by).tool
+        if not several and tool in first.cell.grippers:
+            steps.append(f"Mount the tool {tool.name} on arm {first.stock.held_by}.")
         steps.append(f"Fix the block to the gripper of arm {first.stock.held_by} as the setup sheet says.")
     elif several:
         steps.append("Clamp the block as the setup sheet says.")
@@ -188,7 +229,7 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
             field="stock.foam",
         )
         return
-    if block.support:
+    if block.support or block.pedestal:
         yield Issue(
             "problem.field",
             f"{field}.support: a block that arm {name} holds stands on nothing; give support: [], and "
@@ -260,6 +301,12 @@ def _placed(place: Literal["auto"] | PoseFile, lean: tuple[float, float] | None)
     roll, pitch = np.array(lean or (0.0, 0.0)) * DEG
     attitude = from_rpy((0, 0, 0), (roll, pitch, 0))[:3, :3] if pose is None else pose[:3, :3]
     return {"place": pose, "attitude": attitude, "any_attitude": pose is None and lean is None}
+
+
+def _support(given: SupportFile, folder: Path) -> dict[str, Any]:
+    if isinstance(given, str):
+        return {"support": (), "pedestal": TABLE if given == "table" else PEDESTAL}
+    return {"support": tuple(cell_file.shape(s, folder) for s in given), "pedestal": None}
 
 
 def _oversize(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -106,7 +106,11 @@ def test_a_held_block_weighs_what_its_foam_weighs(tmp_path: Path) -> None:
         ),
         ({"held_by": "right", "grip": {"xyz_mm": [0, 0, 3]}}, "stock.footprint", "3.0 mm off"),
         ({"held_by": "right", "grip": {"rpy_deg": [180, 0, 0]}}, "stock.footprint", "180.0 degrees"),
-        ({"held_by": "right", "oversize_mm": [[0, 0], [0, 0], [8, 0]]}, "stock.footprint", "with 8 as its z"),
+        (
+            {"held_by": "right", "grip": {}, "oversize_mm": [[0, 0], [0, 0], [8, 0]]},
+            "stock.footprint",
+            "with 8 as its z",
+        ),
     ],
 )
 def test_what_cannot_be_held_is_refused(tmp_path: Path, stock: dict, code: str, word: str) -> None:

@@ -31,7 +31,8 @@ class Item:
 def collect(given: Sequence[Path], leave_out: Path) -> list[Item]:
     """Items of all that is given; what lies in ``leave_out``, where results go, is none.
 
-    A folder stands for every problem file beneath it. Raises ``TandemError`` with all faults found: nothing
+    A folder stands for every problem file beneath it, and for every YAML file that cannot be read. Raises
+    ``TandemError`` with all faults found: nothing
     there (``problem.missing_file``), or a batch file's own.
     """
     found: list[Item] = []
@@ -74,11 +75,15 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _kind(path: Path) -> str | None:
-    """``tandem`` for a problem file, ``batch`` for a batch file, by a top-level key; None for others."""
+    """``tandem`` for a problem file, ``batch`` for a batch file, by a top-level key; None for others.
+
+    What cannot be read counts as a problem file: nobody can say that it is none, and its row says what is
+    wrong with it.
+    """
     try:
         data = yaml_lines.read(path).data
     except TandemError:
-        return None
+        return "tandem"
     return next((key for key in (BATCH, "tandem") if key in data), None)
 
 

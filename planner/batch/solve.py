@@ -41,7 +41,7 @@ def solve(
     problem = None
     try:
         problem = pipeline.load(source / PROBLEM)
-        hear(called.issues(problem.part.notes if problem.part is not None else ()))
+        hear(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
         outcome = called.outcome(pipeline.plan(problem, tell))
         hear(outcome.issues)
         outcome.save(result, tell)

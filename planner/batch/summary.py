@@ -8,8 +8,9 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+from planner.batch.job import Done
 from planner.batch.run import Row
-from planner.issues import Issue, Severity
+from planner.issues import Issue, Severity, accepted
 
 FIGURES: Final[dict[str, str]] = {
     "targets": "targets",
@@ -44,22 +45,25 @@ def value_text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def worst(row: Row) -> Issue | None:
+def worst(done: Done) -> Issue | None:
     """The issue that says most about a job: the first error, else the first warning."""
     for severity in (Severity.ERROR, Severity.WARNING):
-        for issue in row.done.issues:
+        for issue in done.issues:
             if issue.severity is severity:
                 return issue
     return None
 
 
 def counted(row: Row) -> str:
-    """How many errors, warnings and notes a job has: ``1 error, 2 warnings``."""
+    """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
+    accepts."""
     told = []
     for severity in Severity:
         count = sum(issue.severity is severity for issue in row.done.issues)
         if count:
             told.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
+    taken = accepted(row.done.issues)
+    told += [f"accepted: {' '.join(taken)}"] if taken else []
     return ", ".join(told)
 
 
@@ -71,20 +75,21 @@ def figure_text(name: str, value: float | None) -> str:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, varied fields,
-    figures, planning time [s], first error or warning."""
+    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, those that the
+    problem accepts, varied fields, figures, planning time [s], first error or warning."""
     paths = varied(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
-    heads = ["name", "origin", "state", "issues", *paths, *FIGURES, "planning_s", "message"]
+    heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
     writer.writerow(heads)
     for row in rows:
         codes = " ".join(dict.fromkeys(issue.code for issue in row.done.issues))
         values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
         figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
-        said = worst(row)
+        said = worst(row.done)
         message = said.message if said is not None else ""
-        cells = [row.item.name, row.item.origin, row.done.state, codes, *values, *figures]
+        taken = " ".join(accepted(row.done.issues))
+        cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
         writer.writerow([_harmless(cell) for cell in (*cells, f"{row.done.seconds:.3f}", message)])
     return stream.getvalue()
 

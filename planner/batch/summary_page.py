@@ -96,7 +96,7 @@ def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, widt
     cells = [Raw(shown), Raw(name), Raw(tag), *values, *figures, row.done.seconds]
     kind = ' class="has"' if row.done.issues else ""
     line = f"<tr{kind}>{''.join(_cell(cell) for cell in cells)}</tr>"
-    said = worst(row)
+    said = worst(row.done)
     if not row.done.issues:
         return line
     text = html.escape(counted(row))

@@ -18,7 +18,7 @@ from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
 from planner import catalogue
 from planner.catalogue import RobotData
-from planner.cell import kept
+from planner.cell import kept, standing
 from planner.cell.bodies import body_poses, collect, own_shapes
 from planner.cell.bounds import Bounds, prepare
 from planner.cell.distance import Solid
@@ -52,6 +52,7 @@ class _Shared:
     solids: tuple[Solid, ...]
     bounds: Bounds
     placed: object | None = None
+    heights: dict[float, CellModel] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -159,8 +160,17 @@ class CellModel:
 
     def with_stock(self, pose: FloatArray) -> CellModel:
         """The same cell with the stock (and its support) at another pose (4, 4) in the world; nothing is
-        rebuilt. A held stock stays in its holder's tool."""
-        return dataclasses.replace(self, stock_pose=np.array(pose, dtype=np.float64))
+        rebuilt but a pedestal of another height. A held stock stays in its holder's tool."""
+        pose = np.array(pose, dtype=np.float64)
+        if self.stock.pedestal is None or self.stock.held_by is not None:
+            return dataclasses.replace(self, stock_pose=pose)
+        known = self._shared.heights  # of what is made for the block: one model for each
+        known.setdefault(_height(self.stock_pose), self)
+        if _height(pose) not in known:
+            made = build(self.cell, self.stock, pose, self.bases)
+            made._shared.heights = known
+            known[_height(pose)] = made
+        return dataclasses.replace(known[_height(pose)], stock_pose=pose, bases=self.bases)
 
     def with_bases(self, bases: Mapping[str, FloatArray]) -> CellModel:
         """The same cell with the named arms' bases at other poses (4, 4) in the world; nothing is rebuilt."""
@@ -210,6 +220,7 @@ def _new(
     meshcat: Any,
 ) -> CellModel:
     _check_names(cell)
+    stock = standing.with_support(cell, stock, np.asarray(stock_pose))
     if stock.held_by is not None and stock.support:
         raise ValueError("a held stock has no support")
     placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}
@@ -333,3 +344,7 @@ def _names(plant: MultibodyPlant, cell: Cell, instances: list[Any]) -> dict[int,
         if plant.HasBodyNamed(fixed):
             names[int(plant.GetBodyByName(fixed).index())] = fixed
     return names
+
+
+def _height(pose: FloatArray) -> float:
+    return round(float(pose[2, 3]), 7)

@@ -100,5 +100,6 @@ def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
             value=float(distance[k]) / MM,
             limit=FAR / MM,
             unit="mm",
+            accepted=False,
         )
     ]

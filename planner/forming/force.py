@@ -30,6 +30,9 @@ FACTOR: Final = 0.0716
 OF_THICKNESS, OF_DIAMETER, OF_SCALLOP = 1.57, 0.41, 0.09
 """Powers of the lengths in mm."""
 MPA: Final = 1e6
+FAR: Final = 2.0
+"""Forces beyond so many times what a payload leaves are refused unless the problem accepts them: arms that
+push slowly bear more than they may swing about, but not any force. The factor is assumed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,9 +108,7 @@ def estimate(
 
 def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, carried: float) -> Issue | None:
     """A warning where the force is beyond the weight of the ``payload`` [kg] less what is ``carried`` [kg]
-    (forming.force).
-
-    A payload is what an arm may swing about; pushing slowly it often bears more, so this stops no plan.
+    (forming.force); to be accepted where it is beyond `FAR` times that.
     """
     free = max(payload - carried, 0.0) * GRAVITY
     if found.force <= free:
@@ -123,6 +124,7 @@ def payload_issue(found: ForceEstimate, arm: str, robot: str, payload: float, ca
         limit=free,
         unit="N",
         hint="take thinner or softer sheet, a smaller tool or a larger robot, or state a measured force",
+        accepted=False if found.force > FAR * free else None,
     )
 
 

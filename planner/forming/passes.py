@@ -195,4 +195,5 @@ def _torn(one: Pass, angle: float, before: float, limit: float) -> Issue:
         limit=limit / DEG,
         unit="deg",
         hint="leave passes to auto, or give wall angles between",
+        accepted=False,
     )

@@ -74,7 +74,7 @@ class StraightJob(Job[Straight]):
         first, last = straight_frames.stretch(route.lines, box, operation.margin_mm * MM, bow.span)
         pose = straight_frames.poses(route.lines, box, first, last)
         issues += check_bow(operation, bow, route.lines, route.segment, box, pose)
-        issues += check_holder(operation, setup, cuts, route.lines, route.segment)
+        issues += check_holder(operation, setup, part, cuts, route.lines, route.segment)
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         return _targets(operation, setup, self.claims(), bow, todo, cuts, route, pose, (first, last), issues)

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import gripping
 from planner.geometry.rigid import inverse, transform
 from planner.geometry.shapes import Shape, corners
 from planner.hotwire import kerf as kerfs
@@ -19,7 +20,7 @@ from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_section import holds, pieces_across
 from planner.hotwire.straight_spared import check_spared
 from planner.issues import Issue, Severity
-from planner.problem import Ruled, Setup
+from planner.problem import Part, Ruled, Setup
 from planner.segments import Segment
 from planner.tooling import Bow
 from planner.units import MM
@@ -189,7 +190,12 @@ def _depth(lines: Lines, pose: FloatArray, box: FloatArray, margin: float) -> Fl
 
 
 def check_holder(
-    op: Straight, setup: Setup, cuts: list[Cut], lines: Lines, segment: tuple[Segment, ...]
+    op: Straight,
+    setup: Setup,
+    part: Part | None,
+    cuts: list[Cut],
+    lines: Lines,
+    segment: tuple[Segment, ...],
 ) -> Iterator[Issue]:
     """No wire that cuts comes within the margin of the plate that holds the block, and what is cut free is
     what the plate holds."""
@@ -206,6 +212,7 @@ def check_holder(
             "the part falls when it is cut free; move the grip below the part",
             field="stock.grip",
             arm=holder,
+            hint=gripping.advice(setup, part, op.margin_mm * MM),
         )
         return
     to_stock = inverse(setup.stock.grip) @ inverse(tool.tcp)
@@ -225,6 +232,7 @@ def check_holder(
                 index=k,
                 limit=op.margin_mm,
                 unit="mm",
+                hint=gripping.advice(setup, part, op.margin_mm * MM),
             )
             return
 

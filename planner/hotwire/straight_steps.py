@@ -72,6 +72,7 @@ def check_drops(op: Straight, cuts: list[Cut], setup: Setup) -> Iterator[Issue]:
             field=str(cut.wanted.segment),
             value=slot,
             unit="mm",
+            accepted=False,
         )
 
 

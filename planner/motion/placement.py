@@ -2,8 +2,9 @@
 margin.
 
 A seeded search from coarse to fine over few targets and few spins, batched over candidates: random places and
-heuristic ones, then generations of shrinking steps around the best. What collides is sorted out afterwards on
-the best ones.
+heuristic ones, then generations of shrinking steps around the best. Places of round figures, which people can
+clamp by, are refined from the best ones on and go before them where they cost next to nothing. What collides
+is sorted out afterwards on the best ones.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import clearance
+from planner.cell import clearance, standing
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import exp_rotation, from_parts
 from planner.motion.chain import Chain
@@ -46,6 +47,18 @@ UPRIGHT: Final = np.array(
 
 ENOUGH: Final = np.deg2rad(40.0)
 """Margins wider than this count no more."""
+
+ROUND: Final = 0.005
+"""[m] round figures of a place: positions are multiples of this,"""
+
+TURN: Final = np.deg2rad(15.0)
+"""turns [rad] of this; turns by quarters to a base go before them."""
+
+ROUNDED: Final = ((HALF, 0.98), (TURN, 0.985))
+"""Steps of turns with the share of the best margin for which places with them are taken."""
+
+ROUNDS: Final = 3
+ROUND_CHILDREN: Final = 6
 
 APART: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
@@ -93,9 +106,10 @@ class Search:
         start: FloatArray | None = None,
         seed: int | None = None,
         cells: Sequence[Cell] | None = None,
+        in_air: bool = False,
     ) -> None:
         """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some lie; ``cells`` are
-        the cells of the jobs where their tools differ."""
+        the cells of the jobs where their tools differ; ``in_air``: a support may end above the floor."""
         self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
@@ -103,6 +117,10 @@ class Search:
         self._leans = stock.leans_freely
         self._own = 7 if self._leans else 4
         self._start = start
+        stands = not self._fixed and stock.held_by is None and stock.sheet is None
+        self._levels = standing.levels(cell, stock) if stands else np.zeros(0)
+        self._borne = stands and bool(stock.support) and not in_air
+        self._ground = standing.Ground.of(cell)
         self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
         self._look(shifted=False)
 
@@ -137,19 +155,68 @@ class Search:
             seen.append(children)
             known.append(offered)
             points, scores = np.concatenate([points, children]), np.concatenate([scores, offered])
-        every, all_scores = np.concatenate(seen), np.concatenate(known)
-        finalists = self._distinct(every, all_scores)
-        fine = self._score(every[finalists], self._fine)
-        places = [
-            Place(self._stock_pose(every[k]), self._bases(every[k]), float(s), int(k))
-            for k, s in zip(finalists, fine, strict=True)
-            if s > 0.0
-        ]
-        places.sort(key=lambda p: -p.score)
+        groups = [(np.concatenate(seen), np.concatenate(known), 1.0)]
+        if not self._fixed and self._stock.held_by is None:
+            groups += [(*self._rounded(*groups[0][:2], step), worth) for step, worth in ROUNDED]
+        every, all_scores = np.concatenate([g[0] for g in groups]), np.concatenate([g[1] for g in groups])
+        places: list[tuple[float, Place]] = []
+        first = 0
+        for points, scores, worth in groups:
+            finalists = self._distinct(points, scores)
+            fine = self._score(points[finalists], self._fine)
+            places += [
+                (-s / worth, Place(self._stock_pose(points[k]), self._bases(points[k]), float(s), first + k))
+                for k, s in zip(finalists, fine.tolist(), strict=True)
+                if s > 0.0
+            ]
+            first += len(points)
+        places.sort(key=lambda item: item[0])
+        ordered = [place for _, place in places]
         if models:
-            places = list(itertools.islice((p for p in places if self._stands_free(models, p)), WANTED))
+            free = (place for place in ordered[: 2 * LAST] if self._stands_free(models, place))
+            ordered = list(itertools.islice(free, WANTED))
         positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
-        return places, Trace(positions, all_scores)
+        return ordered, Trace(positions, all_scores)
+
+    def _rounded(self, points: FloatArray, scores: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+        """Points with round figures and their scores, refined from the best of ``points`` on; they turn by
+        multiples of ``step`` [rad]."""
+        points = self._snapped(points[np.argsort(-scores, kind="stable")[:PARENTS]], step)
+        scores = self._score(points, self._coarse)
+        seen, known = [points], [scores]
+        for generation in range(ROUNDS):
+            best = np.argsort(-scores, kind="stable")[:PARENTS]
+            size = 0.3 * self._spread() * 0.5**generation
+            steps = self._rng.normal(size=(len(best), ROUND_CHILDREN, points.shape[1])) * size
+            children = (points[best][:, None] + steps).reshape(-1, points.shape[1])
+            children = np.unique(self._snapped(children, step), axis=0)
+            offered = self._score(children, self._coarse)
+            seen.append(children)
+            known.append(offered)
+            points, scores = np.concatenate([points[best], children]), np.concatenate([scores[best], offered])
+        return np.concatenate(seen), np.concatenate(known)
+
+    def _snapped(self, points: FloatArray, step: float) -> FloatArray:
+        """Points whose block turns by multiples of ``step`` against the first arm's base, with a corner a
+        round way along x and y from that base, and its underside a round way above the floor; bases
+        likewise."""
+        base = self._cell.arms[0].base
+        ahead = float(np.arctan2(base[1, 0], base[0, 0]))
+        axes = np.array([[np.cos(ahead), -np.sin(ahead)], [np.sin(ahead), np.cos(ahead)]])
+        out = points.copy()
+        out[:, 3] = ahead + np.round((points[:, 3] - ahead) / step) * step
+        for k in range(len(self._movable)):
+            at = self._own + 3 * k
+            out[:, at : at + 2] = np.round(points[:, at : at + 2] / ROUND) * ROUND
+            out[:, at + 2] = np.round(points[:, at + 2] / step) * step
+        for row in out:
+            pose = self._stock_pose(row)
+            corner = (pose @ np.append(self._stock.lower, 1.0))[:3]
+            seen = axes.T @ (corner[:2] - base[:2, 3])
+            row[:2] += axes @ (np.round(seen / ROUND) * ROUND - seen)
+            under = float(standing.underside(self._stock, pose[None])[0]) - self._ground.floor
+            row[2] = pose[2, 3] + (0.0 if len(self._levels) else np.round(under / ROUND) * ROUND - under)
+        return out
 
     def _first(self) -> FloatArray:
         """Random places within the arms' reach, some with the block's edges along the world's axes."""
@@ -191,7 +258,10 @@ class Search:
             return self._stock.place
         turn = exp_rotation(np.array([0.0, 0.0, point[3]]))
         turn = turn @ (exp_rotation(point[4:7]) if self._leans else self._stock.attitude)
-        return from_parts(turn, point[:3])
+        place = from_parts(turn, point[:3])
+        if len(self._levels):
+            place[2, 3] = self._levels[int(np.argmin(np.abs(self._levels - point[2])))]
+        return place
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
         """Bases of the movable arms: moved in the world, turned about their own vertical."""
@@ -215,6 +285,10 @@ class Search:
             bases = {a.name: np.array([m[a.name] for m in moved])[:, None] for a in self._movable}
             scores = [margin(f, stock, bases, self._settings) for f in few]
             out[first : first + 64] = np.min(scores, axis=0)
+            if self._borne:  # a support that does not reach the floor bears nothing
+                off = standing.air(self._ground, self._stock, stock[:, 0]) - standing.FEET
+                some = out[first : first + 64]
+                out[first : first + 64] = np.where(off > 1e-9, np.minimum(some, -1.0 - off), some)
         return out
 
     def _distinct(self, points: FloatArray, scores: FloatArray) -> list[int]:

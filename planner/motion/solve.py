@@ -144,12 +144,12 @@ class Stand:
         """The model of each job, given those of the setups."""
         return [model for model, jobs in zip(models, self.jobs, strict=True) for _ in jobs]
 
-    def search(self, settings: Settings) -> Search:
-        """The search of a place for all operations."""
+    def search(self, settings: Settings, in_air: bool) -> Search:
+        """The search of a place for all operations; ``in_air``: a support may end above the floor."""
         first = self.setups[0]
         jobs = [(setup.cell, job) for setup, some in zip(self.setups, self.jobs, strict=True) for job in some]
         cells = [cell for cell, _ in jobs]
-        return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells)
+        return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells, in_air=in_air)
 
 
 def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
@@ -180,13 +180,17 @@ def _settle(
     _require_home(problem, stand, models)
     tell("placement", 0.0)
     lap = time.perf_counter()
-    places, trace = stand.search(problem.settings).run(stand.each(models))
+    places, trace = _search(problem, stand).run(stand.each(models))
     stages["placement"] = stages.get("placement", 0.0) + time.perf_counter() - lap
     place, operations = _first_that_works(problem, stand, models, places, trace, tell, at)
     name = "placement" if "placement" not in metrics else f"placement_{stand.setups[0].number}"
     metrics[name] = trace.metrics(place.number)
     metrics[f"{name}_score_deg"] = float(np.rad2deg(place.score))
     return place, operations
+
+
+def _search(problem: Problem, stand: Stand) -> Search:
+    return stand.search(problem.settings, "stock.support" in problem.accept)
 
 
 def _plan(
@@ -242,7 +246,7 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
         place = Place(stand.place, {}, 0.0, 0)
         reasons = _no_path(problem, stand, models, place, at)
         return (None if reasons else place), reasons
-    places, trace = stand.search(problem.settings).run(stand.each(models))
+    places, trace = _search(problem, stand).run(stand.each(models))
     reasons = []
     for place in places[:PLACES_TRIED]:
         reasons = _no_path(problem, stand, models, place, at)

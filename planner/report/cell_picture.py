@@ -55,7 +55,7 @@ class Picture:
 def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -> Picture:
     """The cell from the side where the arms stand apart, on a clear ground with a shadow."""
     poses = stand(scene, moment.setup, moment.place, {arm: q[None] for arm, q in moment.q.items()})
-    pieces = (*scene.pieces, *mounted(moment.setup))
+    pieces = (*scene.pieces, *mounted(moment.setup, moment.place))
     solid = {id(piece): piece.solid.moved(poses[piece.body][0] @ piece.pose) for piece in pieces}
     opaque, block = [], []
     for piece in pieces:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.cell import plant
-from planner.issues import Issue, TandemError, aggregate, has_errors
+from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import moments, page, replay3d
@@ -34,7 +34,7 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
     extra = Extra(moments.pictures(model, problem, plan), model.pairs_filtered, issues=issues)
     out["report.html"] = page.render(problem, plan, proof, extra)
     if proof is not None:
-        out["proof.json"] = _verdict(proof)
+        out["proof.json"] = _verdict(proof, accepted(plan.issues))
         if proof.part_obj:
             out["simulated_part.obj"] = proof.part_obj
     return out
@@ -58,8 +58,9 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
     return page.render(problem, None, None, Extra(shown, filtered, issues=issues))
 
 
-def _verdict(proof: Proof) -> str:
-    """The proof as JSON: verdict, rules, issues, faces without their points."""
+def _verdict(proof: Proof, taken: Sequence[str]) -> str:
+    """The proof as JSON: verdict, what the problem accepts beside it, rules, issues, faces without their
+    points."""
     faces = [
         {"segment": face.title, **{k: v for k, v in vars(face).items() if isinstance(v, float)}}
         for face in proof.surfaces
@@ -67,6 +68,7 @@ def _verdict(proof: Proof) -> str:
     found = aggregate(proof.issues)
     data = {
         "ok": proof.ok and not has_errors(found),
+        "accepted": list(taken),
         "problem_digest": proof.problem_digest,
         "rules": [dataclasses.asdict(rule) for rule in proof.rules],
         "issues": [issue.to_dict() for issue in found],

@@ -25,8 +25,14 @@ MOST_FACES: Final = 4
 """Cut surfaces with a tile of their own, those nearest to their limit first."""
 
 
-def header(problem: Problem | None, plan: Plan | None, proof: Proof | None, errors: bool) -> str:
-    """Name, verdict and a line that says what this is about."""
+def header(
+    problem: Problem | None,
+    plan: Plan | None,
+    proof: Proof | None,
+    errors: bool,
+    accepted: Sequence[str] = (),
+) -> str:
+    """Name, verdict with what the problem ``accepted`` beside it, and a line that says what this is about."""
     if plan is None:
         word, kind = ("No plan", "bad") if errors else ("Nothing planned", "warn")
     elif proof is None:
@@ -46,7 +52,12 @@ def header(problem: Problem | None, plan: Plan | None, proof: Proof | None, erro
             f'<p class="soft">{html.escape(work)} · {html.escape(arms)} · '
             f"cell {html.escape(problem.cell.name)} · problem {_code(problem.digest[:12])}</p>"
         )
-    return f'<header><h1>{html.escape(name)}</h1><span class="verdict {kind}">{word}</span></header>{lines}'
+    verdict = f'<span class="verdict {kind}">{word}</span>'
+    if accepted:
+        verdict += (
+            f' <span class="verdict warn">Accepted by the problem: {html.escape(", ".join(accepted))}</span>'
+        )
+    return f"<header><h1>{html.escape(name)}</h1>{verdict}</header>{lines}"
 
 
 def _title(robot: str) -> str:

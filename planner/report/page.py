@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.claims import FollowsRulings
-from planner.issues import Issue, aggregate, has_errors
+from planner.issues import Issue, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import exhibits, inputs, markup, motion_charts, overview, placement, setup_sheet, verdicts
@@ -44,6 +44,7 @@ def render(
     found = aggregate(
         [
             *(part.notes if part is not None else ()),
+            *(problem.notes if problem is not None else ()),
             *(plan.issues if plan else ()),
             *(i for op in (plan.operations if plan else ()) for i in op.issues),
             *(proof.issues if proof else ()),
@@ -76,7 +77,7 @@ def render(
     sections += _background(plan, extra)
     title = problem.name if problem is not None else "Problem"
     tiles = overview.tiles(problem, plan, proof) if plan is not None and problem is not None else ""
-    head = overview.header(problem, plan, proof, has_errors(found))
+    head = overview.header(problem, plan, proof, has_errors(found), accepted(found))
     return _document(title, head, tiles, [s for s in sections if s])
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,7 +63,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     animation = MeshcatAnimation(FPS)
     film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FPS).astype(int))
     _look(meshcat, model, run)
-    _bodies(film, model, problem, run)
+    _bodies(film, model, problem, plan.places, run)
     _parts(meshcat, problem)
     if run.wire is not None:
         _wire(film, run.wire, run.shown, run.wire_radius)
@@ -132,7 +133,9 @@ def _look(meshcat: Any, model: CellModel, run: Track) -> None:
     meshcat.SetCameraPose(eye, target)
 
 
-def _bodies(film: _Film, model: CellModel, problem: Problem, run: Track) -> None:
+def _bodies(
+    film: _Film, model: CellModel, problem: Problem, places: Sequence[FloatArray], run: Track
+) -> None:
     """Robots and fixed bodies, tools and blocks of all setups, each shown in the setups that have it."""
     scene = scenes.extract(model)
     poses = scene.poses(run.q)
@@ -145,7 +148,7 @@ def _bodies(film: _Film, model: CellModel, problem: Problem, run: Track) -> None
     film.move(BLOCK, run.block)
     sets: dict[str, tuple[list[scenes.Piece], NDArray[np.bool_]]] = {}
     for index, setup in enumerate(problem.setups):
-        for name, pieces in _groups(setup).items():
+        for name, pieces in _groups(setup, places[index]).items():
             path = next(
                 (p for p, (known, _) in sets.items() if p.startswith(name) and _same(known, pieces)), ""
             )
@@ -158,10 +161,10 @@ def _bodies(film: _Film, model: CellModel, problem: Problem, run: Track) -> None
         film.show(path, seen)
 
 
-def _groups(setup: Setup) -> dict[str, list[scenes.Piece]]:
+def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
     """Pieces of a setup by the path of what they move with."""
     out: dict[str, list[scenes.Piece]] = {}
-    for piece in scenes.mounted(setup):
+    for piece in scenes.mounted(setup, place):
         arm, _, kind = piece.body.partition("/")
         out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK}/{piece.body}", []).append(piece)
     return out

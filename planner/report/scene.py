@@ -13,6 +13,7 @@ from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, S
 
 from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
 from planner.cell.solids import drake_shape
+from planner.cell.standing import with_support
 from planner.geometry.shapes import Shape
 from planner.problem import Setup
 from planner.report import solids, standing
@@ -88,9 +89,9 @@ def extract(model: CellModel) -> Scene:
     return Scene(model, tuple(sorted(pieces, key=lambda p: p.body)))
 
 
-def mounted(setup: Setup) -> tuple[Piece, ...]:
+def mounted(setup: Setup, place: FloatArray) -> tuple[Piece, ...]:
     """What a setup adds: bodies "<arm>/tool" and "<arm>/edge" in the flange's frame, "stock" and "support" in
-    the stock's."""
+    the stock's, which is at ``place`` (4, 4)."""
     out = []
     for arm in setup.cell.arms:
         out += [_piece(f"{arm.name}/tool", shape, TOOL_COLOUR) for shape in arm.tool.shapes]
@@ -99,7 +100,8 @@ def mounted(setup: Setup) -> tuple[Piece, ...]:
             out.append(_piece(f"{arm.name}/edge", _seen(solid), HOT))
     out.append(_piece("stock", standing.box(setup), STOCK_COLOUR))
     if setup.stock.held_by is None:
-        out += [_piece("support", shape, SUPPORT_COLOUR) for shape in setup.stock.support]
+        support = with_support(setup.cell, setup.stock, place).support
+        out += [_piece("support", shape, SUPPORT_COLOUR) for shape in support]
     return tuple(out)
 
 

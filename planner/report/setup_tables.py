@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import catalogue
+from planner.cell import standing as standing_on
 from planner.claims import HoldsStock
 from planner.geometry.rigid import to_quaternion, to_rpy
 from planner.plans import Plan
-from planner.problem import Setup
+from planner.problem import Setup, Stock
 from planner.report import markup, standing
 from planner.report.markup import Raw
 from planner.tooling import Gripper
@@ -77,6 +78,7 @@ def block(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
         if isinstance(tool, Gripper):
             width, depth = (markup.fixed(v / MM, 0) for v in tool.footprint)
             items.append(("face of the gripper, centred on its TCP [mm]", Raw(f"{width} × {depth}")))
+            items += _clamped_by(setup.stock)
         if held is not None:
             items.append(
                 (
@@ -87,6 +89,11 @@ def block(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
     name = "place: x, y, z in the world [mm]"
     if stock.held_by is not None:
         name = "place about which it is moved: x, y, z in the world [mm]"
+    if stock.held_by is None and stock.sheet is None:
+        items.append(
+            ("stands on", standing_on.told(setup.cell, stock, np.asarray(plan.places[setup.number - 1])))
+        )
+        items += _from_bases(setup, plan)
     chosen = "the problem" if stock.place is not None else "the placement search"
     items += [
         (name, place),
@@ -95,6 +102,39 @@ def block(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
         ("place chosen by", chosen),
     ]
     return markup.facts(items)
+
+
+def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
+    """Where the block is from the base of each arm: one bottom corner, its edges, its underside."""
+    stock, place = setup.stock, np.asarray(plan.places[setup.number - 1])
+    out: list[tuple[object, object]] = []
+    for arm in setup.cell.arms:
+        base = np.asarray(plan.bases.get(arm.name, arm.base))
+        seen = np.linalg.inv(base) @ place
+        corner = (seen @ np.append(stock.lower, 1.0))[:3]
+        along = seen[:2, 0] if np.linalg.norm(seen[:2, 0]) > 0.5 else seen[:2, 1]
+        turn = float(np.arctan2(along[1], along[0])) / DEG
+        off = abs((turn + 45.0) % 90.0 - 45.0)
+        edges = (
+            "edges parallel to the base" if off < 0.005 else f"edges turned by {markup.fixed(turn, 2)} deg"
+        )
+        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", Raw(f"{_point(corner)}; {edges}")))
+    return out
+
+
+def _clamped_by(stock: Stock) -> list[tuple[object, object]]:
+    """Where the middle of a gripper is, from two edges of the block's bottom face."""
+    middle = np.linalg.inv(stock.grip)
+    across = middle[:2, 3] - stock.lower[:2]
+    turn = float(np.arctan2(middle[1, 0], middle[0, 0])) / DEG
+    turned = "its sides along the block's" if abs(turn) < 1e-6 else f"turned by {markup.fixed(turn, 1)} deg"
+    x, y = (markup.fixed(float(v) / MM, 1) for v in across)
+    edges = f"{x} mm from edge −x, {y} mm from edge −y"
+    by = "Tandem" if stock.grip_chosen else "the problem"
+    return [
+        ("middle of the gripper on the block's bottom face", Raw(f"{edges}; {turned}")),
+        ("grip chosen by", by),
+    ]
 
 
 def measure(setup: Setup, plan: Plan, operation: int) -> Raw:

@@ -26,6 +26,8 @@ def issues(found: Sequence[Issue]) -> Raw:
         message = markup.text(issue.message)
         if issue.count > 1:
             message += f' <span class="soft">({issue.count} times)</span>'
+        if issue.accepted:
+            message = f"<b>Accepted by the problem:</b> {message}"
         if issue.hint:
             message += f'<br><span class="soft">{markup.text(issue.hint)}</span>'
         rows.append(

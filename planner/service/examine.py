@@ -70,7 +70,7 @@ def examine(
         return Examined(uploaded.told(error.issues))
     files = problem_bundle.bundle(read)
     text = files.pop(PROBLEM).decode()
-    found = list(read.part.notes) if read.part is not None else []
+    found = [*(read.part.notes if read.part is not None else ()), *read.notes]
     if reach:
         from planner import pipeline  # loads Drake
 

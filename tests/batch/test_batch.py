@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from planner import cli, pipeline
+from planner import batch_commands, cli, pipeline
 from planner.batch import run as batch
 from planner.batch import summary, summary_page
 from planner.batch.collect import Item, collect
@@ -248,9 +248,9 @@ def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:
     (tmp_path / "a" / "cell.yaml").write_text("arms: []\n")
     (tmp_path / "a" / "broken.yaml").write_text("tandem: [")
     found = collect([tmp_path], tmp_path / "out")
-    assert [item.name for item in found] == ["B", "a-deep", "a", "a-small"]
+    assert [item.name for item in found] == ["B", "a-broken", "a-deep", "a", "a-small"]
     again = collect([tmp_path / "a" / "problem.yaml", tmp_path / "a", Path("wing")], tmp_path / "out")
-    assert [item.name for item in again] == ["a", "deep", "a-2", "small", "wing"]
+    assert [item.name for item in again] == ["a", "broken", "deep", "a-2", "small", "wing"]
     (tmp_path / "empty").mkdir()
     with pytest.raises(TandemError) as caught:
         collect([tmp_path / "nowhere", tmp_path / "empty"], tmp_path / "out")
@@ -260,6 +260,42 @@ def test_files_folders_and_bundled_names_are_found(tmp_path: Path) -> None:
 def row(state: State = "verified", name: str = "a", **more: object) -> Row:
     item = Item(name, "p.yaml", lambda: pipeline.load("p"), {"settings.seed": 3})
     return Row(item, dataclasses.replace(Done(name, state), **more))  # type: ignore[arg-type]
+
+
+def test_a_file_that_is_no_yaml_is_a_row_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = {
+        "broken.yaml": "tandem: 1\nname: [a, b\n",
+        "twice.yaml": "tandem: 1\ntandem: 1\n",
+        "empty.yml": "",
+        "latin.yaml": "name: Stra\udcdfe\n",
+    }
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name, text in texts.items():
+        (folder / name).write_bytes(text.encode("utf-8", "surrogateescape"))
+    (folder / "cell.yaml").write_text("arms: []\n")  # YAML of another kind is still passed over
+    assert command(Batch((folder,), tmp_path / "out", workers=1)) == 2
+    shown = capsys.readouterr()
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "summary.csv").read_text())))
+    assert [row["name"] for row in rows] == ["broken", "empty", "latin", "twice"]
+    assert {row["state"] for row in rows} == {"bad_input"}
+    assert [row["issues"] for row in rows] == [*["problem.not_yaml"] * 3, "problem.duplicate_name"]
+    page = (tmp_path / "out" / "summary.html").read_text()
+    assert page.count("bad input") >= 4 and "broken.yaml" in page
+    assert "0 of 4 verified" in shown.out and shown.out.count("bad input") == 4
+
+
+def test_the_line_of_a_job_that_ended_names_its_error(capsys: pytest.CaptureFixture[str]) -> None:
+    doubt = Issue("kerf.doubt", "the kerf is not sure", Severity.WARNING)
+    error = Issue("stock.footprint", "the gripper stands out of the block")
+    item = Item("one", "one.yaml", lambda: pytest.fail("nobody reads it"))
+    for issues, said in (((doubt, error), "stock.footprint"), ((doubt,), "kerf.doubt")):
+        with batch_commands._progress([item]) as shown:
+            shown.hear(Finished("one", Done("one", "infeasible", issues)))
+        told = capsys.readouterr().err
+        assert said in told and (said == "kerf.doubt" or "kerf.doubt" not in told)
 
 
 @pytest.mark.parametrize(

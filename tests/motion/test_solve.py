@@ -20,6 +20,7 @@ from planner.motion.scene import Scene
 from planner.motion.search import Found, search
 from planner.motion.solve import check, solve
 from planner.problem import Change, Problem, Settings
+from planner.stock_file import PEDESTAL
 from planner.targets import Targets
 from planner.tooling import wire_holder
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
@@ -233,3 +234,35 @@ def test_bases_found_in_the_first_setup_hold_for_later_ones() -> None:
         scene = Scene.of(cell, few.arms, place, Settings(), bases=plan.bases)
         wanted = scene.tcp(few, op.values)
         np.testing.assert_allclose(scene.chains["right"].pose(op.q["right"]), wanted["right"], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_place_that_is_searched_has_round_figures_for_next_to_nothing(seed: int, targets: Targets) -> None:
+    cell = two_arms(1.8)
+    base = cell.arms[0].base
+    places, trace = Search(cell, block(SIZE, None), [targets], Settings(), seed=seed).run()
+    corner = np.linalg.inv(base) @ places[0].stock @ np.append(block(SIZE, None).lower, 1.0)
+    assert np.abs(corner[:3] - np.round(corner[:3] / 0.005) * 0.005).max() < 1e-9
+    ahead = np.linalg.inv(base[:3, :3]) @ places[0].stock[:3, :3]
+    turn = np.rad2deg(np.arctan2(ahead[1, 0], ahead[0, 0]))
+    assert abs(turn - 15.0 * round(turn / 15.0)) < 1e-6
+    assert places[0].score >= 0.98 * max(place.score for place in places)
+    assert trace.score[places[0].number] > 0.0
+
+
+def test_a_support_of_a_searched_place_reaches_the_floor(targets: Targets) -> None:
+    cell = two_arms(1.8)
+    (post,) = box("post", (0.1, 0.1, 0.5), (0.0, 0.0, -0.25)).shapes
+    stock = dataclasses.replace(block(SIZE, None), support=(post,))
+    places, _ = Search(cell, stock, [targets], Settings()).run()
+    assert places and all(place.stock[2, 3] <= 0.5 + 0.025 + 1e-9 for place in places)
+    free, _ = Search(cell, stock, [targets], Settings(), in_air=True).run()
+    assert max(place.stock[2, 3] for place in free) > 0.53
+
+
+def test_a_block_on_a_pedestal_is_as_high_as_one_in_stock(targets: Targets) -> None:
+    stock = dataclasses.replace(block(SIZE, None), pedestal=PEDESTAL)
+    places, _ = Search(two_arms(1.8), stock, [targets], Settings()).run()
+    assert places
+    for place in places:
+        assert min(abs(place.stock[2, 3] - height) for height in PEDESTAL.heights) < 1e-9

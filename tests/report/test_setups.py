@@ -137,7 +137,7 @@ def test_scenes_have_the_tools_and_the_block_of_their_setup(two: tuple[Problem, 
     first, second = problem.setups
     seen = scene.extract(plant.build(first.cell, first.stock, plan.places[0], plan.bases))
     assert not any(p.body == "stock" or p.body.endswith("/tool") for p in seen.pieces)
-    one, other = scene.mounted(first), scene.mounted(second)
+    one, other = scene.mounted(first, np.eye(4)), scene.mounted(second, np.eye(4))
     assert {p.body for p in one} - {p.body for p in other} == {"left/edge"}
     for setup, pieces in ((first, one), (second, other)):
         (block,) = [p for p in pieces if p.body == "stock"]

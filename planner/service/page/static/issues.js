@@ -35,7 +35,7 @@ export function issueItem(issue, at = {}) {
     h(
       "div",
       {},
-      h("p", { class: "message" }, withoutField(issue)),
+      h("p", { class: "message" }, issue.accepted ? h("b", {}, "Accepted by the problem: ") : null, withoutField(issue)),
       issue.hint ? h("p", { class: "hint" }, h("b", {}, "What to do: "), sentence(issue.hint)) : null,
       h("p", { class: "where" }, h("code", {}, issue.code), issue.field ? h("span", {}, issue.time === undefined ? "field " : "during ", h("b", {}, issue.time === undefined ? fieldName(issue.field) : issue.field)) : null, where.map(([what, value]) => h("span", {}, `${what} `, h("b", {}, value)))),
       actions.length ? h("div", { class: "actions" }, actions) : null,

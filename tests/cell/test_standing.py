@@ -1,0 +1,123 @@
+"""What blocks stand on: floor, bodies, supports and what is made for them, by plane geometry."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from planner import pipeline
+from planner.cell import plant, standing
+from planner.geometry.rigid import from_rpy
+from planner.geometry.shapes import Shape
+from planner.issues import Issue, Severity
+from planner.problem import Cell, Obstacle, Stock
+from planner.stock_file import PEDESTAL, TABLE
+from planner.tooling import bow
+from tests import small_problem
+from tests.cell.cells import alone
+
+SIZE = np.array([0.32, 0.50, 0.09])
+TABLE_TOP = Obstacle("bench", (Shape("box", (0.6, 0.6, 0.05), from_rpy((1.0, 0.0, 0.375), (0, 0, 0))),))
+
+
+def cell(*obstacles: Obstacle) -> Cell:
+    return dataclasses.replace(alone("irb140", bow()), obstacles=obstacles)
+
+
+def at(x: float, z: float, lean: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    return from_rpy((x, 0.0, z), lean)
+
+
+def gap(where: Cell, stock: Stock, place: np.ndarray) -> float:
+    return float(standing.air(standing.Ground.of(where), stock, place[None])[0])
+
+
+def test_how_far_something_is_above_what_is_below_it() -> None:
+    block = Stock(SIZE, None, np.eye(3))
+    assert gap(cell(), block, at(1.0, 0.7)) == pytest.approx(0.7)
+    assert gap(cell(TABLE_TOP), block, at(1.0, 0.7)) == pytest.approx(0.3)
+    assert gap(cell(TABLE_TOP), block, at(1.46, 0.7)) == pytest.approx(0.3)  # a corner is over it
+    assert gap(cell(TABLE_TOP), block, at(1.47, 0.7)) == pytest.approx(0.7)
+    assert gap(cell(TABLE_TOP), block, at(1.0, 0.2)) == pytest.approx(0.2)  # below the bench
+    assert gap(cell(TABLE_TOP), block, at(1.0, 0.7, (np.pi / 2, 0, 0))) == pytest.approx(0.05)  # 0.7 - 0.25
+    post = Shape("box", (0.1, 0.1, 0.6), from_rpy((0.0, 0.0, -0.3), (0, 0, 0)))
+    borne = dataclasses.replace(block, support=(post,))
+    assert gap(cell(), borne, at(1.0, 0.7)) == pytest.approx(0.1)
+    assert gap(cell(), borne, at(1.0, 0.4)) == pytest.approx(-0.2)
+    assert gap(cell(TABLE_TOP), borne, at(1.0, 0.97)) <= 0.0  # it stands in the bench
+
+
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (90.0, 0.0), (0.0, -90.0), (180.0, 0.0)])
+@pytest.mark.parametrize("kind", [TABLE, PEDESTAL])
+def test_what_is_made_goes_from_the_floor_to_the_block(lean: tuple[float, float], kind: Any) -> None:
+    attitude = from_rpy((0, 0, 0), (*np.deg2rad(lean), 0.0))[:3, :3]
+    over = np.array([[0.01, 0.02, 0.03], [0.0, 0.01, 0.0]])
+    stock = Stock(SIZE, None, attitude, oversize=over, pedestal=kind)
+    for height, level in zip(kind.heights, standing.levels(cell(), stock), strict=True):
+        place = np.eye(4)
+        place[:3, :3], place[:3, 3] = attitude, (1.0, 0.2, level)
+        made = standing.with_support(cell(), stock, place)
+        (shape,) = made.support
+        half = 0.5 * np.array(shape.size)
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+        world = (place @ shape.pose @ np.c_[corners, np.ones(8)].T)[:3].T
+        assert world[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        assert world[:, 2].max() == pytest.approx(height)
+        block = (place @ np.c_[standing.block_corners(stock), np.ones(8)].T)[:3].T
+        assert block[:, 2].min() == pytest.approx(height)
+        assert world[:, :2].mean(axis=0) == pytest.approx(block[:, :2].mean(axis=0))
+        wide, long = np.ptp(world, axis=0)[:2], np.ptp(block, axis=0)[:2]
+        assert (wide >= long - 1e-9).all() if kind is TABLE else (wide <= 0.6 * long + 1e-9).all()
+        assert all(min(abs(w - s) for s in kind.sides) < 1e-9 for w in wide)
+
+
+def test_the_plant_has_it_as_high_as_the_place_wants_it() -> None:
+    stock = Stock(SIZE, None, np.eye(3), pedestal=PEDESTAL)
+    model = plant.build(cell(), stock, at(0.9, 0.5))
+    for height in (0.8, 0.3, 0.8):
+        model = model.with_stock(at(0.9, height))
+        (support,) = [one for one in model.solids if one.body == "support"]
+        assert support.shape.size[2] == pytest.approx(height)
+        assert model.stock_pose[2, 3] == height
+
+
+def told(folder: Path, stock: dict[str, Any], accept: list[str] | None = None) -> list[Issue]:
+    data = yaml.safe_load(small_problem.PROBLEM)
+    data["stock"] = {"size_mm": [100, 100, 100], **stock}
+    data["accept"] = accept or []
+    found = pipeline.check(pipeline.load(small_problem.write(folder, yaml.safe_dump(data))))
+    return [i for i in found if i.code.startswith("stock.") or i.code == "problem.field"]
+
+
+def test_a_block_in_the_air_is_told_and_a_support_in_the_air_refused(tmp_path: Path) -> None:
+    place = {"xyz_mm": [450, 0, 100]}
+    (hangs,) = told(tmp_path, {"place": place})
+    assert (hangs.code, hangs.severity, hangs.value) == ("stock.hangs", Severity.WARNING, pytest.approx(100))
+    post = {"kind": "box", "size_mm": [60, 60, 40], "pose": {"xyz_mm": [0, 0, -20]}}
+    (air,) = told(tmp_path, {"place": place, "support": [post]})
+    assert (air.code, air.severity, air.value) == ("stock.support", Severity.ERROR, pytest.approx(60))
+    (taken,) = told(tmp_path, {"place": place, "support": [post]}, ["stock.support"])
+    assert taken.accepted and taken.severity is Severity.WARNING
+    # what both advise
+    assert told(tmp_path, {"place": place, "support": "pedestal"}) == []
+    assert told(tmp_path, {"place": place, "support": "table"}) == []
+    post = {"kind": "box", "size_mm": [60, 60, 80], "pose": {"xyz_mm": [0, 0, -60]}}  # 20 mm below it
+    assert told(tmp_path, {"place": place, "support": [post]}) == []
+    post = {"kind": "box", "size_mm": [60, 60, 70], "pose": {"xyz_mm": [0, 0, -65]}}
+    assert [i.code for i in told(tmp_path, {"place": place, "support": [post]})] == ["stock.support"]
+    leaning = {"place": {"xyz_mm": [450, 0, 100], "rpy_deg": [30, 0, 0]}, "support": "pedestal"}
+    assert [(i.code, i.field) for i in told(tmp_path, leaning)] == [("problem.field", "stock.support")]
+
+
+def test_what_it_stands_on_in_words() -> None:
+    stock = Stock(SIZE, None, np.eye(3))
+    assert standing.told(cell(), stock, at(1.0, 0.0)) == "the floor"
+    assert standing.told(cell(TABLE_TOP), stock, at(1.0, 0.41)) == "the body bench of the cell"
+    assert "hangs 300 mm" in standing.told(cell(), stock, at(1.0, 0.3))
+    made = dataclasses.replace(stock, pedestal=PEDESTAL)
+    assert standing.told(cell(), made, at(1.0, 0.7)).startswith("a pedestal of 160 x 280 mm, 700 mm high")

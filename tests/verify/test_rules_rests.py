@@ -1,0 +1,115 @@
+"""What bears a block, by the proof's own measure: each fault alone, on problems with a known answer."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.claims import HoldsStock
+from planner.geometry.rigid import from_rpy
+from planner.geometry.shapes import Shape
+from planner.problem import Obstacle, Problem
+from planner.stock_file import PEDESTAL
+from planner.tooling import gripper_plate
+from planner.units import GRAVITY
+from planner.verify.context import Context
+from planner.verify.prove import Prover
+from planner.verify.rules_rests import rests
+from tests.verify import held_job, straight_job
+
+
+def faults(problem: Problem, job: Any) -> list[str]:
+    context = Context(problem, job.claims(), job.programs(6))
+    return [issue.message for issue in rests(context).issues]
+
+
+def held(**change: Any) -> Problem:
+    problem = held_job.problem()
+    return dataclasses.replace(problem, stock=dataclasses.replace(problem.stock, **change))
+
+
+def with_gripper(tool: Any) -> Problem:
+    problem = held_job.problem()
+    arms = tuple(dataclasses.replace(a, tool=tool) if a.name == "right" else a for a in problem.cell.arms)
+    return dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms))
+
+
+def test_the_job_as_it_is_holds() -> None:
+    assert faults(held_job.problem(), held_job) == []
+    assert any(isinstance(c, HoldsStock) for some in held_job.claims().values() for c in some)
+
+
+@pytest.mark.parametrize(
+    ("grip", "word"),
+    [
+        (from_rpy([0.01, -0.005, 0.001], [0.0, 0.0, 0.1]), "1.00 mm"),
+        (from_rpy([0.01, -0.005, 0.0], [0.03, 0.0, 0.1]), "1.72 deg"),
+        (from_rpy([0.2, 0.0, 0.0], [0.0, 0.0, 0.0]), "out of the block's bottom face"),
+    ],
+)
+def test_a_block_off_its_gripper(grip: np.ndarray, word: str) -> None:
+    (fault, *_) = faults(held(grip=grip), held_job)
+    assert word in fault
+
+
+def test_a_gripper_that_is_too_weak_too_large_or_too_heavy() -> None:
+    mass = held_job.problem().stock.mass
+    for share, fits in ((2.99, False), (3.01, True)):
+        tool = gripper_plate(0.04, 0.04, holding=share * mass * GRAVITY)
+        assert (faults(with_gripper(tool), held_job) == []) == fits
+    assert "stands" in faults(with_gripper(gripper_plate(0.9, 0.04, holding=1e5)), held_job)[0]
+    heavy = dataclasses.replace(gripper_plate(0.04, 0.04, holding=1e5), mass=500.0)
+    assert "carries" in faults(with_gripper(heavy), held_job)[0]
+
+
+def post(length: float, top: float = 0.0) -> tuple[Shape, ...]:
+    return (Shape("box", (0.05, 0.05, length), from_rpy((0.0, 0.0, top - 0.5 * length), (0, 0, 0))),)
+
+
+def standing(height: float, obstacles: tuple[Obstacle, ...] = (), **change: Any) -> list[str]:
+    """The faults of the job of a block that stands, lifted to a height."""
+    problem = straight_job.problem()
+    place = np.array(problem.stock.place if problem.stock.place is not None else np.eye(4))
+    place[2, 3] = height - float((place[:3, :3] @ np.array([0.0, 0.0, 0.0]))[2])
+    own = dataclasses.replace(problem.stock, place=place, **change)
+    cell = dataclasses.replace(problem.cell, obstacles=obstacles)
+    changed = dataclasses.replace(problem, stock=own, cell=cell, changes={})
+    context = Context(changed, straight_job.claims(), straight_job.programs(6))
+    context.__dict__["places"] = (place,) * len(context.setups)
+    return [issue.message for issue in rests(context).issues]
+
+
+def test_a_support_bears_its_block_and_stands_on_something() -> None:
+    assert standing(0.7, support=post(2.0)) == []
+    assert standing(0.7) == []  # nothing is stated: the check before the plan tells it
+    assert "ends 100 mm" in standing(0.7, support=post(0.6))[0]
+    assert "hangs 60 mm" in standing(0.7, support=post(2.0, -0.06))[0]
+    bench = Obstacle("bench", (Shape("box", (3.0, 3.0, 0.05), from_rpy((0.0, 0.0, 0.075), (0, 0, 0))),))
+    assert standing(0.7, (bench,), support=post(0.6)) == []
+    beside = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.05), from_rpy((5.0, 0.0, 0.075), (0, 0, 0))),))
+    assert "ends 100 mm" in standing(0.7, (beside,), support=post(0.6))[0]
+
+
+def test_what_is_searched_for_a_pedestal_is_as_high_as_one() -> None:
+    problem = straight_job.problem()
+    stock = dataclasses.replace(problem.stock, place=None, pedestal=PEDESTAL, support=())
+    changed = dataclasses.replace(problem, stock=stock, changes={})
+    for off, fits in ((0.0, True), (0.004, False)):
+        context = Context(changed, straight_job.claims(), straight_job.programs(6))
+        place = np.eye(4)
+        place[:3, :3] = stock.attitude
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        box = stock.lower + corners * (stock.upper - stock.lower)
+        place[2, 3] = 0.7 + off - float((box @ stock.attitude.T)[:, 2].min())
+        context.__dict__["places"] = (place,) * len(context.setups)
+        assert (rests(context).issues == ()) == fits
+
+
+def test_the_verdict_hangs_on_it() -> None:
+    problem = held(grip=from_rpy([0.2, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    proof = Prover(problem, held_job.claims()).prove(held_job.programs(6), last="verify.rests")
+    assert not proof.rule("verify.rests").passed
+    assert not proof.ok
