@@ -89,7 +89,7 @@ def _row(ruled: Ruled, wanted: Wanted, start: Start | None, sharpest: float) -> 
 def _sharpest(half: float, tolerance: float) -> float:
     """The largest turn [rad] at one vertex around a convex corner, at which the wire stands off by 1 / cos of
     half of it: no more than ``SHARE`` of the tolerance [m] farther than ``half`` a slot."""
-    return min(SHARPEST, 2.0 * float(np.arccos(half / (half + SHARE * tolerance))))
+    return min(float(SHARPEST), 2.0 * float(np.arccos(half / (half + SHARE * tolerance))))
 
 
 def _closed(wanted: Wanted, on: Beside, start: Start, step: float, clear: float, box: FloatArray) -> Cut:

@@ -86,7 +86,7 @@ def clock(lines: Lines, pose: FloatArray, time: FloatArray) -> FloatArray:
         at.append(first + int(np.argmin(off)))
     way = [np.linalg.norm(np.diff(ends, axis=0), axis=1) for ends in (lines.start, lines.end)]
     gone = np.concatenate([[0.0], np.cumsum(np.maximum(*way))])
-    return np.interp(gone, gone[at], time)
+    return np.asarray(np.interp(gone, gone[at], time))
 
 
 def freedoms(

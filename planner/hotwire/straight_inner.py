@@ -49,7 +49,7 @@ def unlooped(made: Beside, ruled: Ruled, tolerance: float, left: float) -> Row |
     lines = made.lines
     ends = (lines.start, lines.end)
     near = np.stack([distance_to_polyline(*pair) for pair in zip(ends, guides(ruled), strict=True)], axis=1)
-    bad = (near < made.half - NEAR * tolerance).any(axis=1)
+    bad = np.asarray((near < made.half - NEAR * tolerance).any(axis=1))
     if not bad.any() or bad[0] or bad[-1]:
         return None
     edges = np.flatnonzero(np.diff(bad))
