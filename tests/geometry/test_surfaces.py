@@ -235,3 +235,20 @@ def test_the_points_of_a_coarse_mesh_lie_on_its_own_facets() -> None:
     lower = low + s * (right - low) + t * (high - right)
     upper = low + t * (left - low) + s * (high - left)
     np.testing.assert_allclose(where[:, 2], np.where(s >= t, lower, upper), atol=1e-9)
+
+
+@pytest.mark.parametrize("cells", [4, 10, 100])
+def test_strips_have_corners_where_a_coarse_mesh_folds_them(cells: int) -> None:
+    """A wave of straight facets: along the strips the curve turns at the mesh's edges, by the angle of their
+    chords; facets of 2 mm stand for the smooth wave."""
+    mesh = grid_mesh(lambda x, y: 0.01 * np.sin(2.0 * np.pi * x / 0.2), cells)
+    found = cut(of_mesh(mesh, "part.strips.mesh"), "u", 1.0, 2, "part.strips")
+    x = np.linspace(0.0, 0.2, cells + 1)
+    slope = np.arctan(np.diff(0.01 * np.sin(2.0 * np.pi * x / 0.2)) / np.diff(x))
+    folds = x[1:-1][np.abs(np.diff(slope)) > np.deg2rad(2.0)] if cells < 100 else np.zeros(0)
+    for strip in found.strips:
+        for guide in (strip.start, strip.end):
+            at = np.sort(guide[strip.corner, 0])
+            assert np.abs(at[:, None] - x).min(axis=1).max(initial=0.0) < 1e-6
+            assert set(np.round(folds, 6)) <= set(np.round(at, 6))
+        assert strip.corner.any() == (cells < 100)

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+import trimesh
 
 from planner.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
 from planner.segments import Segment
@@ -188,3 +189,38 @@ def test_distances_to_an_open_wall():
     over = ((points > CUBE.min(axis=0)) & (points < CUBE.max(axis=0)))[:, :2].all(axis=1)
     assert np.isnan(found[~over]).all()
     assert np.abs(found[over] - (points[over, 2] - 0.02)).max() < 1e-9
+
+
+def test_walls_are_as_far_as_the_nearest_of_all_their_triangles_and_end_at_their_rims() -> None:
+    """Against every triangle, one by one: long and short ones, twisted, as strips of meshes have them. Beyond
+    the rim of a saddle of narrow facets, far away, nothing is known, whichever middles are nearest."""
+    u, v = np.meshgrid(np.linspace(0.0, 1.0, 61) ** 2, np.linspace(0.0, 1.0, 41), indexing="ij")
+    grid = np.stack([0.3 * u, 0.04 * v + 0.05 * u * u, 0.02 * np.sin(3.0 * u) + 0.3 * u * v * 0.1], axis=-1)
+    index = np.arange(u.size).reshape(u.shape)
+    a, b, c, d = (one.ravel() for one in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
+    faces = np.concatenate([np.stack([a, c, d], 1), np.stack([a, d, b], 1)])
+    claim = CutsSurface(Segment.read("cut/strip"), grid.reshape(-1, 3), faces, KERF, 0.0003)
+    points = np.random.default_rng(7).uniform([-0.1, -0.1, -0.1], [0.4, 0.2, 0.15], (300, 3))
+    found, _ = walls((claim,)).off(points)
+    triangles = claim.vertices[faces]
+    every = (np.repeat(point[None], len(faces), axis=0) for point in points)
+    near = np.array([trimesh.triangles.closest_point(triangles, one) for one in every])
+    apart = np.linalg.norm(near - points[:, None], axis=2)
+    k = apart.argmin(axis=1)
+    foot = near[np.arange(len(points)), k]
+    on_rim = np.array([min(np.linalg.norm(_foot(side, p) - p) for side in _sides(grid)) < 1e-9 for p in foot])
+    assert (np.isnan(found) == on_rim).all()
+    assert np.abs(found[~on_rim]) == pytest.approx(apart.min(axis=1)[~on_rim], abs=1e-9)
+    assert 20 < on_rim.sum() < 290
+
+
+def _sides(grid: np.ndarray) -> list[np.ndarray]:
+    return [grid[0], grid[-1], grid[:, 0], grid[:, -1]]
+
+
+def _foot(side: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The place of a polyline (N, 3) nearest to a point (3,)."""
+    a, way = side[:-1], np.diff(side, axis=0)
+    share = np.clip(((point - a) * way).sum(axis=1) / (way * way).sum(axis=1), 0.0, 1.0)
+    feet = a + share[:, None] * way
+    return feet[np.argmin(np.linalg.norm(feet - point, axis=1))]

@@ -25,7 +25,10 @@ from tests.hotwire.test_straight_job import PROBLEM
 
 RIM = [(-0.08, 0.02), (-0.08, 0.09), (0.08, 0.09), (0.08, 0.02)]
 STRIP = [(-0.08, 0.06), (0.08, 0.06)]
-CHECKS = ("check_cut", "check_drops", "check_model", "check_bow", "check_holder")
+CHECKS = (
+    *("check_cut", "check_inner", "check_passed", "check_driven"),
+    *("check_drops", "check_model", "check_bow", "check_holder"),
+)
 
 
 def problem(folder: Path, ruled: list[Any], **more: Any) -> Problem:
