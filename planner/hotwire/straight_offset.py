@@ -36,6 +36,8 @@ DAMPING: Final[Damping] = ((0.5, 60), (0.25, 120), (0.1, 300), (0.05, 600))
 logarithms of two rounds so much is taken, in at most so many rounds; where that is too much to settle, less
 from the beginning. A wide slot drives its end on, which makes it narrow: whole steps swing for ever around a
 blunt edge at one end and a sharp one at the other."""
+STILL: Final = 1e-5
+"""[m] shorter moves say nothing of a speed."""
 MELTED: Final = 1e-3
 """[m] a slot takes its width from the speed over so much of the way, to and from each place: what the wire
 does within less is melted together. Without it moves shorter than half a kerf would drive the rounds apart.
@@ -148,7 +150,8 @@ def _settle(row: Row, kerf: KerfCurve, feed: float, box: FloatArray, damping: Da
 
 def end_speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
     """Speeds (N, 2) [m/s] of starts and ends across the wire, meant over the moves to and from each line,
-    or over more of them up to ``MELTED`` either way, when the fastest point in the box moves at ``feed``."""
+    or over more of them up to ``MELTED`` either way, when the fastest point in the box moves at ``feed``; at
+    the first and last line those of the move beside it, which is how the wire comes and goes on."""
     ends = np.stack([move_across(lines, lines.start[:-1]), move_across(lines, lines.end[:-1])], axis=1)
     quick = fastest(lines, box)[1:]
     quick = np.where(np.isfinite(quick), quick, ends.max(axis=1))
@@ -159,6 +162,9 @@ def end_speeds(lines: Lines, feed: float, box: FloatArray) -> FloatArray:
     for k in range(2):
         way = np.concatenate([[0.0], np.cumsum(ends[:, k])])
         out[:, k] = feed * (np.interp(high, gone, way) - np.interp(low, gone, way)) / (high - low)
+    for row, move in ((0, 0), (-1, -1)):
+        if quick[move] > STILL:
+            out[row] = feed * ends[move] / quick[move]
     return out
 
 

@@ -203,11 +203,17 @@ def _outside(
 ) -> NDArray[np.bool_]:
     """Whether ways (T, 3) from places on a guide line, at ``share`` (T,) of pieces ``k`` (T,), lead away from
     the part; at a corner the normals of both its pieces count."""
-    count = len(normal)
-    here = normal[k]
-    past = np.where(share <= 0.0, k - 1, np.where(share >= 1.0, k + 1, k))
-    past = past % count if closed else np.clip(past, 0, count - 1)
-    return np.asarray(dots(out, here + normal[past]) >= -1e-12)
+    live = np.flatnonzero(normal.any(axis=1))
+    if not len(live):
+        return np.ones(len(k), dtype=np.bool_)
+    # a line may stand still in pieces, where the other one turns a blunt edge: those beside them count
+    before = np.searchsorted(live, np.where(share <= 0.0, k - 1, k), side="right") - 1
+    behind = np.searchsorted(live, np.where(share >= 1.0, k + 1, k), side="left")
+    if closed:
+        before, behind = before % len(live), behind % len(live)
+    else:
+        before, behind = np.clip(before, 0, len(live) - 1), np.clip(behind, 0, len(live) - 1)
+    return np.asarray(dots(out, normal[live[before]] + normal[live[behind]]) >= -1e-12)
 
 
 def off_guide(

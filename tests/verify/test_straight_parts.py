@@ -21,7 +21,7 @@ from planner.problem import Ruled, Stock
 from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules_straight import free_lengths
+from planner.verify.rules_straight import free_lengths, guide_normals, off_guide
 from planner.verify.segment_names import said
 from planner.verify.setups import letters
 from planner.verify.speed import local
@@ -232,3 +232,30 @@ def test_the_simulated_part_shows_what_a_wire_leaves_between_the_ends_of_its_rul
     assert (made.face_normals[:, 2] * side > 0.9).all()
     flat = trimesh.load(io.StringIO(part_obj((claim,), (sweep,))), file_type="obj", process=False)
     assert np.abs(flat.vertices[:, 2]).max() < 0.01  # at the rulings' ends alone nothing shows
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_wire_around_a_sharp_tip_beside_a_blunt_root_is_outside_all_the_way(closed: bool) -> None:
+    """A wedge whose edge is 2 mm thick at the start of the rulings and sharp at their end: there the guide
+    line stands still while the other one goes on. Closed form: a wire 1 mm off the edge is on the circle of
+    half a kerf, whichever way it lies between the normals of both faces."""
+    xz = np.array([[-0.1, 0.02], [0.0, 0.001], [0.0, -0.001], [-0.1, -0.02]])
+    start = np.stack([xz[:, 0], np.zeros(4), xz[:, 1]], axis=1)
+    end = np.stack([xz[:, 0], np.full(4, 0.2), np.where(xz[:, 0] < 0.0, xz[:, 1], 0.0)], axis=1)
+    if closed:  # the line begins and ends at the edge
+        start, end = (line[[2, 3, 0, 1, 2]] for line in (start, end))
+    claim = FollowsRulings(Segment.read("cut/wedge"), start, end, KerfCurve.constant(0.002), 1e-4)
+    _, normal = guide_normals(claim)
+    flank = normal[np.argmax(np.abs(np.diff(end, axis=0)[:, 2]) * (np.diff(end, axis=0)[:, 0] < 0.0))]
+    normal = normal * -np.sign(flank[2])  # the lower face's way down
+    lean = np.arctan2(0.02, 0.1)
+    turn = np.linspace(-0.5 * np.pi + lean, 0.5 * np.pi - lean, 41)
+    away = 0.001 * np.stack([np.cos(turn), np.zeros(41), np.sin(turn)], axis=1)
+    wires = np.stack([away + np.array([0.0, y, 0.0]) for y in (0.0, 0.1, 0.2, 0.3)], axis=1)
+    off, half = off_guide(wires, np.full((41, 4), 0.005), end, normal, claim)
+    np.testing.assert_allclose(half, 0.001)
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    inside, _ = off_guide(
+        wires - [2.0 * 0.001, 0.0, 0.0] - 2.0 * away[:, None], np.full((41, 4), 0.005), end, normal, claim
+    )
+    assert inside[20] > 0.001  # a wire within the wedge is not
