@@ -146,9 +146,9 @@ def _broken(targets: Targets, index: int) -> Issue:
 
 def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
     """Where all paths end, which samples are free before and after it, and what blocks those there."""
-    if blocked.hit is not None:
-        return describe(scene, targets, blocked.hit[1], blocked.hit[0])
     dead = blocked.dead
+    if dead is None and blocked.hit is not None:
+        return describe(scene, targets, blocked.hit[1], blocked.hit[0])
     if dead is None or scene.model is None:
         raise ValueError("a search that failed without collisions has another reason")
     open_ = bool(dead.free.any())
@@ -163,21 +163,21 @@ def _collision(scene: Scene, targets: Targets, blocked: Blocked) -> Issue:
         else "one posture"
     )
     shares = ", ".join(f"{block} at {block.count if count > 1 else 'it'}" for block in blocks)
-    before = _intervals(targets, dead.grid, dead.index - 1, dead.reached) if dead.index else ""
+    before = _intervals(targets, dead.grid, dead.index - 1, dead.reached) if dead.reached.any() else ""
     if open_:
-        free = _intervals(targets, dead.grid, dead.index, dead.free)
+        there = _intervals(targets, dead.grid, dead.index, dead.free)
         what = (
-            f"no free path goes past target {name}: free there is {free}, but the arms come from "
+            f"no free path goes past target {name}: free there is {there}, but the arms come from "
             f"{before}; the {every} that they could go on to collide: {shares}"
         )
     else:
         what = f"nothing is free at target {name}: the {every} in reach there all collide: {shares}"
         what += f"; free before it is {before}" if before else ""
         if dead.later is not None:
-            grid, index, free_later = dead.later
-            what += f", from {targets.name(index)} on {_intervals(targets, grid, index, free_later)}"
-        elif dead.index + 1 < targets.count:
-            what += ", after it nothing" if before else "; nothing is free after it either"
+            grid, index, free = dead.later
+            what += f"; free again at {targets.name(index)} is {_intervals(targets, grid, index, free)}"
+        elif dead.around and dead.index + 1 < targets.count:
+            what += "; nothing is free after it"
     tried = len(dead.tried)
     choices = f"all {tried} choices of branches" if tried > 1 else "the only choice of branches"
     return Issue(

@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from planner.motion.reach import SLIDES, SPIN_STEP, Grid, sample, slides_only
+from planner.motion.collide import Checker
+from planner.motion.reach import SLIDES, SPIN_STEP, Grid, reach, sample, slides_only
 from planner.motion.roadmap import search_wide
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, Found, search
+from planner.motion.search import Blocked, Dead, Found, search
 from planner.motion.skeleton import search_long, suits
 from planner.motion.subset import subset
 from planner.targets import Targets
@@ -62,6 +63,8 @@ def _finely(scene: Scene, targets: Targets, found: Found | Blocked) -> tuple[Gri
     for all targets; None if they do not help at all."""
     moves = scene.model is not None
     if isinstance(found, Blocked):
+        if found.dead is not None and _closed(scene, targets, found.dead):
+            return None
         rows = np.arange(min(_end(found) + 2, targets.count))
         some = subset(targets, rows)
         grid = sample(some, *FINE)
@@ -76,6 +79,19 @@ def _finely(scene: Scene, targets: Targets, found: Found | Blocked) -> tuple[Gri
             return grid, dataclasses.replace(start, dead=dead, common=targets.count)
     grid = sample(targets, *FINE)
     return grid, search(scene, targets, grid, moves=moves)
+
+
+def _closed(scene: Scene, targets: Targets, dead: Dead) -> bool:
+    """Whether the target where paths end is not free with the finest samples either, with any branches."""
+    one = subset(targets, np.array([dead.index]))
+    grid = sample(one, *FINE)
+    table = reach(scene, one, grid)
+    for branches in dead.tried:
+        if all(b in r.branches for r, b in zip(table.values(), branches, strict=True)):
+            rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
+            if Checker(scene, one, grid, rungs).free(0).any():
+                return False
+    return True
 
 
 def _end(found: Blocked) -> int:

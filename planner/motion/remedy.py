@@ -18,7 +18,9 @@ from planner.geometry.shapes import Shape, corners
 from planner.issues import Issue, Remedy, TandemError
 from planner.motion import entry
 from planner.motion.collide import Checker
+from planner.motion.few import few_of
 from planner.motion.paths import find, turning
+from planner.motion.placement import margin
 from planner.motion.reach import SPIN_STEP, reach, sample
 from planner.motion.scene import Scene
 from planner.motion.search import Found
@@ -199,7 +201,9 @@ class _Trial:
             without = dataclasses.replace(
                 self._problem, cell=dataclasses.replace(self._problem.cell, obstacles=rest)
             )
-            if self._may_pass(scene := self._scene(without)) and isinstance(self._find(scene), Found):
+            if self._may_pass(without, scene := self._scene(without)) and isinstance(
+                self._find(scene), Found
+            ):
                 out.append(one)
             else:
                 self.removed.append(one.name)
@@ -228,7 +232,7 @@ class _Trial:
         scene = self._scene(changed)
         if not self._fixed(changed) <= self._overlaps or _into_others(changed, remedy):
             return False
-        if not self._may_pass(scene):
+        if not self._may_pass(changed, scene):
             return False
         try:
             entry.require_home(scene, self._job)
@@ -253,11 +257,12 @@ class _Trial:
             frozenset((a, b) for a, b, _ in clearance.overlaps(model)) if model is not None else frozenset()
         )
 
-    def _may_pass(self, scene: Scene) -> bool:
+    def _may_pass(self, problem: Problem, scene: Scene) -> bool:
         """Whether some choice of branches has a free sample at each of a few targets, among them those where
         paths end: without that a search is no use."""
-        if turning(self._job) > 1:
-            return True
+        if turning(self._job) > 1:  # too many samples: at least the arms must reach a few targets
+            few = few_of(problem.setup_of(self._operation).cell, self._job, FEW, shifted=True)
+            return bool(margin(few, scene.stock[None, None], {}, scene.settings)[0] > 0.0)
         some = subset(self._job, self._rows)
         grid = sample(some, SPIN_STEP, SLIDES)
         table = reach(scene, some, grid)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections import Counter
 from collections.abc import Mapping
 from typing import Final
 
@@ -21,7 +22,7 @@ from planner.motion.joints import dense
 from planner.motion.ladder import LARGEST_STEP, TIE_SHARE, Path
 from planner.motion.reach import Grid, Reach, Rungs, reach
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, Found, speed_limits
+from planner.motion.search import Blocked, Dead, Found, speed_limits
 from planner.motion.spread import Coordinates, Level, levels
 from planner.motion.subset import subset
 from planner.motion.turns import CODE, Turns
@@ -40,6 +41,9 @@ ROUNDS: Final = 80
 CHOICES: Final = 6
 """Choices of branches that are looked at in each level."""
 
+DOUBTED: Final = 3
+"""A target between rungs that has been in the way so often is asked whole."""
+
 MOST_STATES: Final = 400
 DIAGNOSED: Final = 120_000
 """States that are looked at to say why there is no path."""
@@ -53,10 +57,11 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
     hit: tuple[int, dict[str, FloatArray]] | None = None
     checks = 0
     in_reach = list(plan)
+    closed: list[int] = []
     for rungs, ends in [*((count, True) for count in RUNGS), (RUNGS[0], False)]:
         rows = _rows(targets, rungs)
         for level in list(in_reach):
-            tried = _Attempt(scene, targets, coordinates, level, rows, ends)
+            tried = _Attempt(scene, targets, coordinates, level, rows, ends, closed)
             found = tried.run()
             checks += tried.checks
             if found is not None:
@@ -66,7 +71,7 @@ def search_wide(scene: Scene, targets: Targets) -> tuple[Grid, Found | Blocked]:
             hit = tried.hit or hit
             if not tried.in_reach:
                 in_reach.remove(level)
-    return _blocked(scene, targets, coordinates, plan, hit)
+    return _blocked(scene, targets, coordinates, plan, hit, closed)
 
 
 def _rows(targets: Targets, count: int) -> IndexArray:
@@ -91,14 +96,38 @@ class _Attempt:
         level: Level,
         rows: IndexArray,
         ends: bool,
+        closed: list[int],
     ) -> None:
-        """``ends``: the arms must be able to come to the first and the last target one after the other."""
+        """``ends``: the arms must be able to come to the first and the last target one after the other.
+        ``closed``: targets that ended other attempts, the last one last; what ends this one is added."""
         self.ends = ends
         self.scene, self.targets, self.coordinates, self.rows = scene, targets, coordinates, rows
         self.samples, self.names = level.samples, level.names
         self.hit: tuple[int, dict[str, FloatArray]] | None = None
         self.checks = 0
         self.in_reach = False
+        self._closed = closed
+
+    def closes(self, branch: Mapping[str, int], target: int) -> bool:
+        """Whether no sample of the level is free at a target, which is then asked first of what is tried
+        next."""
+        index = np.full(len(self.samples), target)
+        poses = self.scene.tcp(self.targets, self.coordinates.values(self.samples, index), index)
+        ok, q = np.ones(len(index), dtype=bool), {}
+        for arm, pose in poses.items():
+            chain = self.scene.chains[arm]
+            q[arm] = chain.inverse(pose, [branch[arm]])[:, 0]
+            ok &= np.max(chain.limit_margins(q[arm], chain.turns), axis=0) >= self.scene.settings.joint_margin
+            ok &= chain.singularity_margin(q[arm]) >= self.scene.settings.singularity_margin
+        good = np.flatnonzero(ok)
+        self.checks += len(good)
+        some = {arm: v[good] for arm, v in q.items()}
+        if len(good) and self.scene.free(self.targets, some, index[good]).any():
+            return False
+        if target in self._closed:
+            self._closed.remove(target)
+        self._closed.append(target)
+        return True
 
     def run(self) -> Found | None:
         """A path, or None; ``hit`` then has a collision that was in the way, if there was one."""
@@ -123,6 +152,9 @@ class _Attempt:
             if found is not None:
                 known.append((found[1], len(known), rungs))
         for _, _, rungs in sorted(known, key=lambda offer: offer[:2]):
+            branch = {arm: r.branch for arm, r in rungs.items()}
+            if any(self.closes(branch, i) for i in self._closed[::-1]):
+                continue
             path = _Graph(self, rungs).free_path()  # made again: all of them at once would fill the memory
             if path is not None:
                 return dataclasses.replace(path, choices=len(offers))
@@ -145,6 +177,7 @@ class _Graph:
         self.tables = {arm: Turns(r, self.states) for arm, r in rungs.items()}
         self.time: list[NDArray[np.float32]] = []
         self.code: dict[str, list[NDArray[np.int32]]] = {arm: [] for arm in rungs}
+        self.doubt: Counter[int] = Counter()
         self.fine: dict[tuple[int, int, int], dict[str, FloatArray]] = {}
         for k in range(len(self.rows) - 1):
             self._steps(k)
@@ -219,7 +252,7 @@ class _Graph:
         """The shortest path that keeps margins and clearance everywhere, or None."""
         for count in range(ROUNDS):
             found = self.shortest()
-            if found is None:
+            if found is None or self._is_closed():
                 return None
             states, cost = found
             if self._block_states(states) or self._block_edges(states):
@@ -230,12 +263,21 @@ class _Graph:
             return path
         return None
 
+    def _is_closed(self) -> bool:
+        """Whether a target that has been in the way often is so with all samples."""
+        often = [i for i, count in self.doubt.items() if count >= DOUBTED]
+        for i in often:
+            self.doubt[i] = -ROUNDS  # once is enough
+        return any(self.attempt.closes(self.branch, i) for i in often)
+
     def _block_states(self, states: IndexArray) -> bool:
         """Looks at the path's states; where one collides, at all states of its rung."""
         hits = self._check(np.arange(len(states)), states)
         for k in hits:
             some = np.flatnonzero(~self.known[k])
             self._check(np.full(len(some), k), some)
+            if self.blocked[k].all():
+                self.attempt.closes(self.branch, int(self.rows[k]))
         return len(hits) > 0
 
     def _check(self, rung: IndexArray, state: IndexArray) -> list[int]:
@@ -294,6 +336,7 @@ class _Graph:
             if not free.all():
                 first = good[int(np.argmin(free))]
                 self.attempt.hit = int(at[first]), {arm: v[first] for arm, v in q.items()}
+                self.doubt.update(at[good[~free]].tolist())
             ok[good] = free
         lost = set(who[~ok].tolist())
         for k in steps:
@@ -369,6 +412,7 @@ def _blocked(
     coordinates: Coordinates,
     plan: list[Level],
     hit: tuple[int, dict[str, FloatArray]] | None,
+    closed: list[int],
 ) -> tuple[Grid, Blocked]:
     """What is known of a job without a path, over samples of all levels at all targets."""
     samples = np.concatenate([level.samples for level in plan])
@@ -383,6 +427,31 @@ def _blocked(
         rungs = [r.branches[b] for r, b in zip(table.values(), branches, strict=True)]
         both = np.logical_and.reduce([r.ok.any(axis=-1) for r in rungs]).any(axis=1)
         common = max(common, targets.count if both.all() else int(np.argmin(both)))
+    if common == targets.count:
+        for index in closed[::-1]:
+            dead = _dead(scene, targets, grid, table, index)
+            if dead is not None:
+                return grid, Blocked(table, common, dead, hit)
     if common == targets.count and hit is None:
         common = targets.count - 1
     return grid, Blocked(table, common, hit=hit)
+
+
+def _dead(scene: Scene, targets: Targets, grid: Grid, table: Mapping[str, Reach], index: int) -> Dead | None:
+    """A target that is not free with any of the samples and any branches; None if it is."""
+    most, tried = None, []
+    for branches in itertools.product(*(r.branches for r in table.values())):
+        rungs = {arm: r.branches[b] for (arm, r), b in zip(table.items(), branches, strict=True)}
+        able = np.logical_and.reduce([r.ok[index].any(axis=-1) for r in rungs.values()])
+        samples = np.flatnonzero(able)
+        q = {arm: r.q[index, samples] for arm, r in rungs.items()}
+        if scene.free(targets, q, np.full(len(samples), index)).any():
+            return None
+        tried.append(branches)
+        if most is None or able.sum() > most[1].sum():
+            most = rungs, able
+    if most is None or not most[1].any():
+        return None
+    none = np.zeros(grid.samples, dtype=bool)
+    rungs, able = most
+    return Dead(index, rungs, grid, none, able, able, none, None, frozenset(tried), 0)

@@ -66,7 +66,7 @@ class Dead:
     path reaches (``reached``); samples of this one that every arm can take (``possible``), that a step leads
     to from those (``next``) and that are ``free``; ``later`` where there are none: the first target after
     this one with free samples, with the grid and these. ``tried``: the choices of branches, of all arms in
-    their order, ``shorter`` how many of them end sooner.
+    their order, ``shorter`` how many of them end sooner. ``around``: what is free before and after is known.
     """
 
     index: int
@@ -79,6 +79,7 @@ class Dead:
     later: tuple[Grid, int, BoolArray] | None
     tried: frozenset[tuple[int, ...]]
     shorter: int
+    around: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -397,4 +398,4 @@ def _told(
         if check.free(i).any():
             later = grid, i, check.free(i)
             break
-    return Dead(index, choice.rungs, grid, reached, possible, following, free, later, tried, shorter)
+    return Dead(index, choice.rungs, grid, reached, possible, following, free, later, tried, shorter, True)

@@ -237,7 +237,7 @@ def test_a_table_in_the_way_of_everything_is_told_with_the_freedoms(
     assert isinstance(found, Blocked)
     (issue,) = diagnose.no_path(scene, few, grid, found)
     assert issue.code == "motion.collision"
-    assert "spin, block_turn" in issue.message
+    assert "spin and block_turn" in issue.message
 
 
 def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
