@@ -76,7 +76,7 @@ def _with(problem: Problem, setup: Setup, mounted: Gripper, found: Grip) -> Prob
     changed = found.tool is not mounted
     if not changed and np.allclose(found.pose(stock), stock.grip, atol=1e-12):
         return problem
-    where = ", ".join(f"{v / MM:g}" for v in found.at)
+    where = ", ".join(f"{v / MM + 0.0:g}" for v in found.at)
     turned = f", turned by {found.turn / DEG:g} deg" if found.turn else ""
     which = f"one of {len(problem.cell.grippers)} in the cell" if changed else "the one that is mounted"
     told = Issue(

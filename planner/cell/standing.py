@@ -186,7 +186,7 @@ def _setup(setup: Setup, field: str) -> list[Issue]:
             out.append(
                 Issue(
                     "stock.support",
-                    f"{field}: {what.format(f'{off / MM:.0f}')}; allowed are {FEET / MM:g} mm for feet",
+                    f"{what.format(f'{off / MM:.0f}')}; allowed are {FEET / MM:g} mm for feet",
                     Severity.WARNING,
                     field=field,
                     value=off / MM,

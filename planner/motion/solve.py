@@ -227,12 +227,12 @@ def _first_that_works(
             return place, _plan(problem, stand, models, place, tell, at)
         except TandemError as error:
             reasons = reasons or error.issues
-    raise TandemError([_unplaced(trace), *reasons])
+    raise TandemError([_unplaced(trace, stand), *reasons])
 
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
     """Homes that are not free wherever the stock is need no search for its place."""
-    away = from_parts(np.eye(3), np.array([0.0, 0.0, AWAY]))
+    away = from_parts(np.eye(3), np.array([AWAY, AWAY, AWAY]))  # so is what it stands on
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
@@ -252,7 +252,7 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
         reasons = _no_path(problem, stand, models, place, at)
         if not reasons:
             return place, []
-    return None, [_unplaced(trace), *reasons]
+    return None, [_unplaced(trace, stand), *reasons]
 
 
 def _no_path(
@@ -271,7 +271,13 @@ def _no_path(
     return out
 
 
-def _unplaced(trace: Trace) -> Issue:
+def _unplaced(trace: Trace, stand: Stand) -> Issue:
+    stock = stand.setups[0].stock
+    room = ""
+    if stock.pedestal is not None and stock.pedestal.kind == "table":
+        room = "let the block stand on a pedestal, beside which tools can pass (support: pedestal); "
+    elif stock.support and stock.sheet is None and stock.held_by is None:
+        room = "make the support longer, since it has to reach the floor; "
     best = int(np.argmax(trace.score))
     x, y, z = 1e3 * trace.positions[best]
     reachable = int((trace.score > 0).sum())
@@ -283,7 +289,7 @@ def _unplaced(trace: Trace) -> Issue:
         field="stock.place",
         value=float(np.rad2deg(trace.score[best])) if reachable else None,
         unit="deg" if reachable else None,
-        hint="use larger arms, move the bases nearer or let them move (base: auto), or split the job",
+        hint=f"{room}use larger arms, move the bases nearer or let them move (base: auto), or split the job",
     )
 
 

@@ -18,7 +18,7 @@ from planner.motion.placement import Search
 from planner.motion.reach import sample
 from planner.motion.scene import Scene
 from planner.motion.search import Found, search
-from planner.motion.solve import check, solve
+from planner.motion.solve import _require_home, check, solve, stands
 from planner.problem import Change, Problem, Settings
 from planner.stock_file import PEDESTAL
 from planner.targets import Targets
@@ -266,3 +266,11 @@ def test_a_block_on_a_pedestal_is_as_high_as_one_in_stock(targets: Targets) -> N
     assert places
     for place in places:
         assert min(abs(place.stock[2, 3] - height) for height in PEDESTAL.heights) < 1e-9
+
+
+def test_homes_are_judged_without_what_the_block_will_stand_on(targets: Targets) -> None:
+    job = problem(two_arms(1.8), targets, None)
+    job = dataclasses.replace(job, stock=dataclasses.replace(job.stock, pedestal=PEDESTAL))
+    (stand,) = stands(job, [targets])
+    _require_home(job, stand, stand.models())
+    assert stand.models()[0].stock.pedestal is PEDESTAL
