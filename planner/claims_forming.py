@@ -207,6 +207,7 @@ class FormsPart:
     wall angles; None: from ``limit`` on, that of one pass, ``angle_step`` [rad] apart. ``male``: over a die
     that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
     ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
+    ``mesh_tolerance`` [m]: how far the vertices of the part may be off the face that is meant by them.
     """
 
     mode: str
@@ -231,5 +232,6 @@ class FormsPart:
     limit: float
     angle_step: float
     repeats: int
+    mesh_tolerance: float = 0.0
     male: bool = False
     sinking: tuple[str, float] | None = None

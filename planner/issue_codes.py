@@ -74,6 +74,8 @@ CODES: Final[dict[str, str]] = {
     "mesh.orientation": "neighbouring faces of a mesh have opposite normals",
     "mesh.closed": "a closed mesh is given where one open face is wanted",
     "mesh.pieces": "a mesh has several separate pieces where one is wanted",
+    "part.mesh_noise": "what was found of the noise of a part's mesh, and of the smooth face within it",
+    "part.mesh_tolerance": "the tolerance of a part's mesh is too large for the part",
     "part.offset": "a face is bent more tightly than the distance by which it is to be offset",
     "part.stock_too_small": "the part does not fit into the block",
     "part.faces": "front and back face of a part do not lie on each other's inner side",

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh
+from planner.geometry.mesh_noise import BOUND, deviation, fitted, levelled
+from planner.geometry.mesh_repair import OFF_RIM, border, rims_levelled, sewn
 from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import transform
 from planner.geometry.shapes import Shape
-from planner.issues import Issue, TandemError
+from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Mesh, Part, Sheet, Stock
 from planner.schema import FileName, Strict, Unit
 from planner.units import LENGTH_UNITS, MM
@@ -28,6 +30,12 @@ FLAT: Final = 0.2 * MM
 """How far the edge of the mesh may be off the flat sheet around it [m]."""
 ACROSS: Final = 0.9
 """Cosine beyond which a plane's normal is too near to the file's x axis to turn the sheet by that."""
+SHARE: Final = 0.2
+"""Share of its depth by which a part's mesh may be off."""
+FLATTENED: Final = 0.5
+"""How far the flat of a fitted face may be off it, as a share of the mesh's noise."""
+ROUGH: Final = 1.5
+"""Noise beyond so many times the stated tolerance is told."""
 TURNED: Final = 0.05
 """Share of the area of faces that may look the other way before a mesh counts as inside out."""
 
@@ -38,6 +46,8 @@ class SheetMeshFile(Strict):
     ``face`` says which: the sheet's top one, its lower one or the middle of its thickness. ``frame``: "sheet"
     where the file's z = 0 is the flat sheet's face of that kind and z its normal up; "find" where the flat is
     found from the mesh's own edge: the part goes ``down`` from it or up, its x being the file's.
+    ``tolerance_mm``: how far the mesh's vertices may be off the face that is meant, as those of a scan are;
+    ``auto``: found from the mesh, 0 for one without noise.
     """
 
     file: FileName
@@ -45,20 +55,22 @@ class SheetMeshFile(Strict):
     face: Literal["top", "middle", "bottom"]
     frame: Literal["sheet", "find"] = "sheet"
     down: Annotated[bool, Field(description="with frame find: the part goes down, away from the top")] = True
+    tolerance_mm: Annotated[float, Field(gt=0)] | Literal["auto"] = "auto"
 
 
 def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | None) -> Part:
     """The part in the sheet's frame; ``pose`` (4, 4) is the file's frame there, None to lay it in the middle.
 
     Raises ``TandemError``: issues of files, ``mesh.non_manifold``, ``mesh.pieces``, ``forming.closed_mesh``,
-    ``forming.inside_out``, ``forming.border``, ``forming.flat``, ``part.stock_too_small``.
+    ``forming.inside_out``, ``forming.border``, ``forming.flat``, ``part.stock_too_small``,
+    ``part.mesh_tolerance``.
     """
     sheet = stock.sheet
     if sheet is None:
         what = "part.sheet_mesh: there is a block and no sheet; give sheet: instead of stock:"
         raise TandemError(Issue("problem.field", what, field="part.sheet_mesh"))
     path = folder / spec.file
-    mesh = read_mesh(path, LENGTH_UNITS[spec.unit])
+    mesh = sewn(read_mesh(path, LENGTH_UNITS[spec.unit]))
     wrong = check_surface(mesh, "part.sheet_mesh.file", str(path))
     wrong = [issue for issue in wrong if issue.code in ("mesh.non_manifold", "mesh.pieces")]
     if wrong:
@@ -75,9 +87,47 @@ def build(spec: SheetMeshFile, folder: Path, stock: Stock, pose: FloatArray | No
         pose = np.eye(4)
         pose[:2, 3] = -0.5 * (low + high)
     mesh = TriangleMesh(transform(pose, mesh.vertices), mesh.faces)
-    _require_flat_rim(mesh, rim, path)
-    _require_fits(mesh, sheet, path)
-    return Part(formed=Formed(Mesh(mesh.vertices, mesh.faces)))
+    stated = None if spec.tolerance_mm == "auto" else spec.tolerance_mm * MM
+    noise = deviation(mesh)
+    face = _meant(mesh, noise, stated, 0.0, path)
+    _require_flat_rim(mesh, rim, FLAT + max(face.tolerance, BOUND * noise), path)
+    _require_fits(face.meant, sheet, path)
+    planned, given = (Mesh(one.vertices, one.faces) for one in (face.meant, mesh))
+    return Part(formed=Formed(planned, given, face.tolerance, stated), notes=face.notes)
+
+
+@dataclasses.dataclass(frozen=True)
+class MeantFace:
+    """The face that is ``meant`` by a mesh within its ``tolerance`` [m], and ``notes`` that say so."""
+
+    meant: TriangleMesh
+    tolerance: float
+    notes: tuple[Issue, ...]
+
+
+def smooth_face(mesh: TriangleMesh, stated: float | None, path: Path) -> MeantFace:
+    """The face that a mesh in any frame with z across the sheet means; ``stated`` [m]: its tolerance, None to
+    find it. Raises ``TandemError`` (part.mesh_tolerance)."""
+    mesh = sewn(mesh)
+    corners = mesh.vertices[mesh.faces]
+    if float(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2].sum()) < 0.0:
+        mesh = TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
+    rim = np.unique(border(mesh.faces))
+    level = float(np.median(mesh.vertices[rim, 2])) if len(rim) else 0.0
+    noise = deviation(mesh)
+    return _meant(mesh, noise, stated, 0.0 if abs(level) <= noise else level, path)
+
+
+def _meant(mesh: TriangleMesh, noise: float, stated: float | None, level: float, path: Path) -> MeantFace:
+    """As :func:`smooth_face`, of a mesh with normals up whose edge is flat at ``level`` [m]."""
+    tolerance = BOUND * noise if stated is None else stated
+    _require_tolerance(mesh, tolerance, stated, level, path)
+    meant = mesh
+    if noise > 0.0:
+        sigma = min(noise, tolerance / BOUND)
+        meant = levelled(fitted(mesh, sigma, level), FLATTENED * sigma, level)
+    meant = rims_levelled(meant, level, OFF_RIM)
+    return MeantFace(meant, tolerance, _noise_notes(mesh, meant, noise, tolerance, stated, path))
 
 
 def with_formed(stock: Stock, part: Part) -> Stock:
@@ -86,13 +136,6 @@ def with_formed(stock: Stock, part: Part) -> Stock:
         return stock
     solids = tuple(_solids(part.formed.mesh, float(stock.size[2])))
     return dataclasses.replace(stock, sheet=dataclasses.replace(stock.sheet, formed=solids))
-
-
-def border(faces: IntArray) -> IntArray:
-    """Edges (E, 2) that belong to one face only, in the direction of that face."""
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
-    return np.asarray(edges[first[count == 1]])
 
 
 def _levelled(mesh: TriangleMesh, rim: IntArray, down: bool) -> TriangleMesh:
@@ -128,14 +171,94 @@ def _turned_up(mesh: TriangleMesh, path: Path) -> TriangleMesh:
     raise TandemError(Issue("forming.inside_out", what, file=str(path), hint=hint))
 
 
-def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, path: Path) -> None:
+def _require_tolerance(
+    mesh: TriangleMesh, tolerance: float, stated: float | None, level: float, path: Path
+) -> None:
+    """A mesh is not known at all where it may be as far off as the part is deep."""
+    deep = float(np.abs(mesh.vertices[:, 2] - level).max())
+    if stated is not None and not (np.isfinite(stated) and stated > 0.0):
+        what = f"part.sheet_mesh.tolerance_mm: got {stated / MM:g}, allowed is a length above 0"
+        hint = "state how far the vertices are off the wanted face, or auto, which finds it"
+        raise TandemError(Issue("part.mesh_tolerance", what, field="part.sheet_mesh.tolerance_mm", hint=hint))
+    if tolerance <= SHARE * deep:
+        return
+    most = SHARE * deep / MM
+    if stated is not None:
+        what = (
+            f"part.sheet_mesh.tolerance_mm: got {tolerance / MM:g}, allowed is up to {most:.3g} for a part "
+        )
+        what += f"that is {deep / MM:.3g} mm deep (a fifth of that); "
+        what += "state a smaller one, or auto, or check the unit"
+        hint = "state how far the vertices are off the wanted face, or auto, which finds it"
+    else:
+        what = f"{path}: the vertices are off any smooth face by {tolerance / MM:.3g} mm, allowed is up to "
+        what += f"{most:.3g} mm, a fifth of the depth of the part, {deep / MM:.3g} mm"
+        hint = "smooth the mesh, scan the part more finely, or check the unit"
+    field = "part.sheet_mesh.tolerance_mm"
+    raise TandemError(
+        Issue(
+            "part.mesh_tolerance",
+            what,
+            file=str(path),
+            field=field,
+            value=tolerance / MM,
+            limit=most,
+            unit="mm",
+            hint=hint,
+        )
+    )
+
+
+def _noise_notes(
+    mesh: TriangleMesh,
+    meant: TriangleMesh,
+    noise: float,
+    tolerance: float,
+    stated: float | None,
+    path: Path,
+) -> tuple[Issue, ...]:
+    """What was found of a mesh's noise, and how far the face that is formed is off its vertices."""
+    if tolerance == 0.0:
+        return ()
+    field = "part.sheet_mesh.tolerance_mm"
+    off = np.linalg.norm(meant.vertices - mesh.vertices, axis=1)
+    usual, most = float(np.quantile(off, 0.95)) / MM, float(off.max()) / MM
+    whose = "as found from it" if stated is None else "as stated"
+    what = (
+        f"{path.name}: the mesh holds within {tolerance / MM:.3g} mm, {whose}; its vertices are off a smooth "
+        f"face by {noise / MM:.2g} mm (standard deviation), and the face that is formed is off them by "
+        f"{usual:.2g} mm at 95 % and {most:.2g} mm at most"
+    )
+    told = Issue("part.mesh_noise", what, Severity.NOTE, field=field, value=tolerance / MM, unit="mm")
+    if stated is None or BOUND * noise <= ROUGH * stated:
+        return (told,)
+    bound = BOUND * noise / MM
+    what = (
+        f"{path.name}: the vertices are off any smooth face by {bound:.3g} mm, the stated tolerance of the "
+        f"mesh is {stated / MM:.3g} mm: the rest of it stays in the face that is formed"
+    )
+    hint = f"state tolerance_mm: {bound:.3g}, or auto"
+    rough = Issue(
+        "part.mesh_noise",
+        what,
+        Severity.WARNING,
+        field=field,
+        value=bound,
+        limit=stated / MM,
+        unit="mm",
+        hint=hint,
+    )
+    return told, rough
+
+
+def _require_flat_rim(mesh: TriangleMesh, rim: IntArray, flat: float, path: Path) -> None:
     off = np.abs(mesh.vertices[np.unique(rim), 2])
-    if off.max() <= FLAT:
+    if off.max() <= flat:
         return
     where = mesh.vertices[np.unique(rim)][int(np.argmax(off))] / MM
     what = (
         f"{path}: the mesh ends {off.max() / MM:.2f} mm off the flat sheet, at x {where[0]:.1f}, "
-        f"y {where[1]:.1f} mm; allowed are {FLAT / MM:g} mm, since the rest of the sheet is flat"
+        f"y {where[1]:.1f} mm; allowed are {flat / MM:.3g} mm, since the rest of the sheet is flat"
     )
     hint = (
         "let the part run out into the sheet's plane (frame: find looks for it), or fill a hole in the mesh"

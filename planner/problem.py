@@ -179,9 +179,21 @@ class Formed:
 
     By the sine law, t = t0 cos(a), a sheet that is formed in one pass is as thick along z everywhere as at
     first, so that one face is the other one moved along z.
+
+    ``given``: the mesh of the file in that frame, where ``mesh`` is the face that is meant by it within its
+    ``tolerance`` [m], 0 for a mesh without noise; None where both are the same. ``stated`` [m]: the tolerance
+    that the user states, None where it was found.
     """
 
     mesh: Mesh
+    given: Mesh | None = None
+    tolerance: float = 0.0
+    stated: float | None = None
+
+    @property
+    def source(self) -> Mesh:
+        """The mesh as it was given."""
+        return self.mesh if self.given is None else self.given
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,10 +12,12 @@ import shapely
 import trimesh
 
 from planner import pipeline
-from planner.issues import Severity
+from planner.forming.feature_tree import build
+from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
 from planner.units import DEG, MM
 from tests import small_forming
+from tests.forming import nests
 from tests.refusals import change, codes, refused
 
 SHEET_FIELDS = [
@@ -157,8 +159,11 @@ MESHES: dict[str, tuple[Edit, str, str]] = {
     "not a number": (_moved(50, np.nan), "problem.not_finite", "repair"),
     "infinite": (_moved(50, np.inf), "problem.not_finite", "repair"),
     "two pieces": (_two, "mesh.pieces", "1 is wanted"),
-    "faces given twice": (
-        lambda part: Mesh(part.vertices, np.concatenate([part.faces, part.faces[:200]])),
+    "three faces at an edge": (
+        lambda part: Mesh(
+            np.concatenate([part.vertices, [[0.0, 0.0, 0.01]]]),
+            np.concatenate([part.faces, [[*part.faces[300, :2], len(part.vertices)]]]),
+        ),
         "mesh.non_manifold",
         "delete",
     ),
@@ -199,3 +204,99 @@ def test_solids_hold_all_that_stands_out_of_the_sheet(tmp_path: Path) -> None:
     below = formed(problem).vertices
     below = below[below[:, 2] < -0.2 * MM]
     assert (trimesh.proximity.signed_distance(hull, below) > -1e-9).all()
+
+
+def _noisy(noise: float, seed: int = 5) -> Edit:
+    """Isotropic noise of a standard deviation [m] on all vertices."""
+
+    def edit(part: Mesh) -> Mesh:
+        moved = np.random.default_rng(seed).normal(0.0, 1.0, part.vertices.shape) * noise
+        return Mesh(part.vertices + moved, part.faces)
+
+    return edit
+
+
+def _scan(noise: float = 1e-4) -> Mesh:
+    """A dish of 60 mm on irregular triangles as a scan has it."""
+    line = small_forming.dish().vertices
+    away, height = np.hypot(line[:, 0], line[:, 1]), line[:, 2]
+    order = np.argsort(away)
+
+    def dish(x: Any, y: Any) -> Any:
+        return np.asarray(np.interp(np.hypot(x, y), away[order], height[order]))
+
+    return _noisy(noise)(nests.sheet(dish, 0.045, 1.5e-3, 2))
+
+
+def _said(tmp_path: Path, tolerance: object, part: Mesh) -> Path:
+    data = change(small_forming.problem(), "part.sheet_mesh.tolerance_mm", tolerance)
+    return small_forming.write(tmp_path, data, part)
+
+
+def test_noise_of_a_scan_is_found_told_and_taken_away(tmp_path: Path) -> None:
+    problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem(), _scan()))
+    assert problem.part is not None and problem.part.formed is not None
+    part = problem.part.formed
+    assert part.tolerance == pytest.approx(3e-4, rel=0.2) and part.stated is None
+    (note,) = problem.part.notes
+    assert (note.code, note.severity) == ("part.mesh_noise", Severity.NOTE)
+    assert note.value == pytest.approx(part.tolerance / MM)
+    off = np.linalg.norm(part.mesh.vertices - part.source.vertices, axis=1)
+    assert np.quantile(off, 0.9) < part.tolerance
+    assert len(build(part.mesh, 1e-3, part.tolerance).features) == 1
+    with pytest.raises(TandemError):  # as it was given it is a heap of features, or turns over
+        build(part.source, 1e-3)
+
+
+def test_a_mesh_without_noise_is_formed_as_it_is(tmp_path: Path) -> None:
+    problem = load(tmp_path)
+    assert problem.part is not None and problem.part.formed is not None
+    part = problem.part.formed
+    assert part.tolerance == 0.0 and problem.part.notes == ()
+    assert np.array_equal(part.mesh.vertices, part.source.vertices)
+
+
+@pytest.mark.parametrize("tolerance", [0, -0.1, "much"])
+def test_a_tolerance_that_is_no_length_is_refused_by_field(tmp_path: Path, tolerance: object) -> None:
+    found = refused(_said(tmp_path, tolerance, small_forming.dish()))
+    assert {issue.code for issue in found} == {"problem.field"}
+    assert all("part.sheet_mesh.tolerance_mm" in str(issue.field) for issue in found)
+
+
+@pytest.mark.parametrize("tolerance", [1.5, 50.0])
+def test_a_tolerance_as_large_as_the_part_is_refused_and_its_remedy_works(
+    tmp_path: Path, tolerance: float
+) -> None:
+    (issue,) = refused(_said(tmp_path, tolerance, small_forming.dish()))
+    assert (issue.code, issue.field) == ("part.mesh_tolerance", "part.sheet_mesh.tolerance_mm")
+    assert issue.limit == pytest.approx(6.0 / 5.0, rel=1e-3)
+    pipeline.load(_said(tmp_path, issue.limit * 0.99, small_forming.dish()))
+    pipeline.load(_said(tmp_path, "auto", small_forming.dish()))
+
+
+def test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works(tmp_path: Path) -> None:
+    problem = pipeline.load(_said(tmp_path, 0.1, _scan()))
+    assert problem.part is not None
+    _, warning = problem.part.notes
+    assert (warning.code, warning.severity) == ("part.mesh_noise", Severity.WARNING)
+    assert warning.value is not None
+    again = pipeline.load(_said(tmp_path, round(warning.value, 3), _scan()))
+    assert again.part is not None and len(again.part.notes) == 1
+
+
+def test_a_part_that_is_all_noise_is_refused(tmp_path: Path) -> None:
+    part = _scan(0.0)
+    shallow = _noisy(1e-4)(Mesh(part.vertices * [1.0, 1.0, 0.15], part.faces))
+    (issue,) = refused(small_forming.write(tmp_path, small_forming.problem(), shallow))
+    assert issue.code == "part.mesh_tolerance"
+    assert "fifth of the depth" in issue.message
+
+
+def test_faces_given_twice_and_a_soup_of_triangles_are_one_part(tmp_path: Path) -> None:
+    part = small_forming.dish()
+    twice = Mesh(part.vertices, np.concatenate([part.faces, part.faces[:200]]))
+    soup = Mesh(part.vertices[part.faces].reshape(-1, 3), np.arange(part.faces.size).reshape(-1, 3))
+    whole = formed(load(tmp_path))
+    for flawed in (twice, soup):
+        problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem(), flawed))
+        assert len(formed(problem).faces) == len(whole.faces)

@@ -36,8 +36,8 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         sides=(1, -1) if len(op.arms) == 2 else (1 if op.side == "top" else -1,),
         kinds=tuple("" if head is None else head.kind for head in heads),
         radii=tuple(0.0 if head is None else head.radius for head in heads),
-        vertices=part.formed.mesh.vertices,
-        faces=part.formed.mesh.faces,
+        vertices=part.formed.source.vertices,
+        faces=part.formed.source.faces,
         thickness=thickness,
         virgin=op.strategy == "virgin",
         order=op.order,
@@ -57,6 +57,7 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         angle_step=op.angle_step_deg * DEG,
         repeats=op.repeats,
         male=die is not None and die.kind == "male",
+        mesh_tolerance=part.formed.tolerance,
         sinking=(die.signal, (step or 0.0) * MM) if die is not None and sinks else None,
     )
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal
+from typing import Final, Literal
 
 Kind = Literal["contour", "alternating", "stepped", "helical"]
 Direction = Literal["ccw", "cw"]
+
+
+MISSED: Final = 2e-5
+"""Smooth places [m] that a ball stays farther off are too narrow for it, where the mesh has no noise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,4 +39,4 @@ class PathOptions:
     direction: Direction = "ccw"
     longest: float = 0.02
     lift: float = 5e-3
-    missed: float = 2e-5
+    missed: float = MISSED

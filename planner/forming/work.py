@@ -11,7 +11,7 @@ from planner.forming.feature_order import OrderStep
 from planner.forming.feature_tree import FeatureTree
 from planner.forming.operation import Forming
 from planner.forming.passes import passes
-from planner.forming.path_options import PathOptions
+from planner.forming.path_options import MISSED, PathOptions
 from planner.forming.values import Pass
 from planner.issues import Issue, TandemError
 from planner.problem import Mesh, Part, Setup, Sheet
@@ -26,7 +26,8 @@ NAMED: Final = 5
 @dataclasses.dataclass(frozen=True)
 class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
-    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet."""
+    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
+    how far the part's mesh may be off the face that is meant."""
 
     operation: Forming
     sheet: Sheet
@@ -37,6 +38,7 @@ class Work:
     passes: tuple[Pass, ...]
     heads: dict[str, FormingHead]
     clamp: Clamp
+    tolerance: float = 0.0
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""
@@ -77,6 +79,7 @@ class Work:
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
+            missed=max(MISSED, self.tolerance),
         )
 
 
@@ -92,12 +95,13 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
         what = f"{operation.name}: there is no sheet to form; give sheet: and a part of kind sheet_mesh"
         raise TandemError(Issue("forming.no_sheet", what, field="sheet"))
     heads = _heads(operation, setup)
-    tree = feature_tree.build(mesh, operation.feature_step_mm * MM)
+    tolerance = part.formed.tolerance if part is not None and part.formed is not None else 0.0
+    tree = feature_tree.build(mesh, operation.feature_step_mm * MM, max(feature_tree.NOISE, tolerance))
     order = _order(operation, tree)
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
-    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock))
+    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock), tolerance)
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:

@@ -334,7 +334,8 @@ def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None
 
 def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None:
     """The walls of a sheet that is formed."""
-    sheet = sheet_face(part)
+    claimed = (made.part.mesh_tolerance for made, _ in forming.parts if made is not None)
+    sheet = sheet_face(part, max(claimed, default=0.0))
     operations: list[Any] = [op for op in context.problem.operations if op.process == "forming"]
     if not operations:
         return
@@ -350,9 +351,10 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
         formed = None if context.problem.part is None else context.problem.part.formed
         if formed is None:
             return
-        off = file_made.off_mesh(sheet.walls.points, formed.mesh.vertices, formed.mesh.faces)
+        off = file_made.off_mesh(sheet.walls.points, formed.source.vertices, formed.source.faces)
         allowed, segment = np.full(len(off), tolerance), "part"
-    good = (off <= allowed + READ) & (off >= -tolerance - READ)
+    spare = READ + sheet.tolerance
+    good = (off <= allowed + spare) & (off >= -tolerance - spare)
     share = float(good.mean())
     found.held(sheet.file, len(off), share, shares)
     if share < shares:

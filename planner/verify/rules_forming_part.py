@@ -13,6 +13,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.forming_shapes import Feature, PartShapes, Shape, in_order
 from planner.verify.forming_state import Forming
+from planner.verify.mesh_noise import STEP, scatter, tolerance_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,6 +22,18 @@ CODE = "verify.forming_part"
 FACE = 6e-5
 """What all passes make together is off the part by no more [m]: floors may be levelled within the noise of
 their mesh."""
+USUAL = 0.99
+"""Share of a noisy mesh's vertices that are within its tolerance of what is formed."""
+MOST = 2.5
+"""How far the farthest may be, in tolerances: noise and rounded folds."""
+MEAN = 0.35
+"""How far the mean of a place may be off, in tolerances, besides its noise."""
+LUCK = 1.4
+"""Over the root of the number of vertices: how far noise takes their mean, in tolerances: four of its
+standard deviations, of which the tolerance is three."""
+WIDER = 1.5
+"""How much wider than by the proof's own estimate a mesh's tolerance may be found."""
+SAME = 1e-9
 LEVEL = 1.2e-4
 """How far [m] a feature may begin off the sheet around it: twice that noise."""
 RIM_SHARE = 0.9
@@ -43,7 +56,7 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
     its side, from the level at which the sheet is then, in the wanted order, through shapes in between that
     are as steep as wanted and never beyond the part."""
     issues: list[Issue] = []
-    worst, where = -np.inf, ""
+    worst, limit, where = -np.inf, FACE, ""
     for made, group in forming.parts:
         if made is None:
             for claim in in_order(group):
@@ -53,9 +66,11 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
         if not made.features:
             issues.append(Issue(CODE, "the part is never formed", field="part"))
             continue
-        off, found = _whole(made)
+        issues += _tolerance(context, made)
+        off, found = _whole(made) if made.part.mesh_tolerance == 0.0 else _whole_of_noisy(made)
         if off > worst:
             worst, where = off, str(made.features[0].final.claim.segment)
+            limit = FACE + made.part.mesh_tolerance
         issues += found
         for k, feature in enumerate(made.features):
             issues += _side(made, k, feature)
@@ -64,7 +79,75 @@ def forming_part(context: Context, forming: Forming) -> Outcome:
         issues += _order(made)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where=NONE)
-    return Outcome(tuple(issues), mm(worst), mm(FACE), "mm", where)
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+
+
+def _tolerance(context: Context, made: PartShapes) -> Iterator[Issue]:
+    """Whether the tolerance of a part's mesh is the user's own, or no more than the mesh's vertices are off
+    any smooth face."""
+    part = made.part
+    stated = stated_tolerance(context)
+    if stated is not None:
+        good, limit = abs(part.mesh_tolerance - stated) <= SAME, stated
+    elif part.mesh_tolerance == 0.0:
+        return
+    else:
+        limit = WIDER * tolerance_of(part.vertices, part.faces)
+        good = part.mesh_tolerance <= limit
+    if not good:
+        what = f"the mesh of the part is taken to hold within {mm(part.mesh_tolerance):.3f} mm; "
+        what += f"{'stated' if stated is not None else 'its vertices say'}: {mm(limit):.3f} mm"
+        yield _issue(what, made.features[0], mm(part.mesh_tolerance), mm(limit), "mm")
+
+
+def stated_tolerance(context: Context) -> float | None:
+    """The tolerance [m] that the problem states of a sheet part's mesh; None where it is to be found."""
+    said = (context.problem.source.get("part") or {}).get("sheet_mesh")
+    if said:
+        value = said.get("tolerance_mm", "auto")
+        return None if value == "auto" else float(value) / 1000.0
+    formed = None if context.problem.part is None else context.problem.part.formed
+    return None if formed is None else formed.stated
+
+
+def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
+    """How far [m] the vertices of a part with noise are off what all features make, all but one in a hundred,
+    and issues: also where the farthest is beyond twice and a half its tolerance, or the mean of some place is
+    off by more than noise would have it."""
+    part, issues = made.part, []
+    vertices = part.vertices[np.unique(part.faces)]
+    places = vertices[:, :2]
+    height = made.sheet(np.arange(len(made.features)), places)
+    slopes = []
+    for axis in np.eye(2) * STEP:
+        ahead, behind = (made.sheet(np.arange(len(made.features)), places + s * axis) for s in (1.0, -1.0))
+        slopes.append(np.maximum(np.abs(ahead - height), np.abs(behind - height)) / STEP)
+    steep = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
+    found = scatter(vertices, height, steep)
+    wide = part.mesh_tolerance
+    off = np.abs(found.off)
+    usual = float(np.quantile(off, USUAL))
+    order = np.argsort(off)
+    for value, k, limit, how in (
+        (usual, int(order[min(int(USUAL * len(off)), len(off) - 1)]), FACE + wide, "1 % of its vertices by"),
+        (float(off.max()), int(order[-1]), FACE + MOST * wide, "a vertex by"),
+    ):
+        if value > limit:
+            at = ", ".join(f"{mm(x):.1f}" for x in vertices[k])
+            what = f"all passes together leave the sheet off the part, at ({at}) mm, {how} {mm(value):.3f} mm"
+            issues.append(_issue(what, made.features[0], mm(value), mm(limit), "mm"))
+    allowed = FACE + wide * (MEAN + LUCK / np.sqrt(found.number))
+    if len(found.mean) and (np.abs(found.mean) > allowed).any():
+        k = int(np.argmax(np.abs(found.mean) - allowed))
+        at = ", ".join(f"{mm(x):.1f}" for x in found.middle[k])
+        value = abs(float(found.mean[k]))
+        what = f"about ({at}) mm all passes together leave the sheet {mm(value):.3f} mm off the part in the "
+        what += "mean, which its noise does not do"
+        issues.append(_issue(what, made.features[0], mm(value), mm(float(allowed[k])), "mm"))
+    if abs(made.level) > FACE + wide:
+        what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
+        issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE + wide), "mm"))
+    return usual, issues
 
 
 def _whole(made: PartShapes) -> tuple[float, list[Issue]]:

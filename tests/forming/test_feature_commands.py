@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
 from planner.feature_commands import Features, run
 from planner.issues import TandemError
 from planner.problem import Mesh
-from tests.forming.nests import revolved
+from planner.units import MM
+from tests.forming.nests import Array, dome, frustum, revolved, sheet
 
 PROFILE = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
 
@@ -68,3 +71,50 @@ def test_other_drawings_and_folders_that_are_not_are_refused(part: Path, tmp_pat
     (tmp_path / "file").write_text("")
     with pytest.raises(TandemError, match=r"output\.folder.*cannot be written"):
         run(Features(part, output=tmp_path / "file" / "tree.svg"))
+
+
+def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
+    """Against the part as it was made: a pit of 59.04 degrees and a knob of 41.19 degrees, 10 and 14 mm."""
+    moved = revolved([(float(r), float(z)) for r, z in PROFILE])
+    part = written(tmp_path, Mesh(moved.vertices + np.array([30.0, -5.0, 2.0]), moved.faces))
+    table = tmp_path / "tree.json"
+    run(Features(part, output=table, strategy="virgin"))
+    read = json.loads(table.read_text("utf-8"))
+    pit, knob = read["features"]
+    assert (read["level_mm"], read["tolerance_mm"]) == (2.0, 0.0)
+    assert (pit["kind"], pit["parent"], pit["children"]) == ("concave", None, [2])
+    assert (knob["kind"], knob["parent"], knob["children"]) == ("convex", 1, [])
+    assert (pit["start_mm"], pit["end_mm"], pit["depth_mm"]) == pytest.approx((2.0, -8.0, 10.0), abs=1e-3)
+    assert (knob["start_mm"], knob["end_mm"], knob["depth_mm"]) == pytest.approx((-8.0, 6.0, 14.0), abs=1e-3)
+    for one, angle, across in ((pit, np.arctan2(10, 6), 100.0), (knob, np.arctan2(14, 16), 72.0)):
+        assert one["centre_mm"] == pytest.approx([30.0, -5.0], abs=0.01)
+        assert one["size_mm"] == pytest.approx([across, across], rel=2e-3)
+        assert one["wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
+        assert one["mean_wall_angle_deg"] == pytest.approx(np.rad2deg(angle), abs=0.1)
+    assert read["order"] == [{"feature": 2, "shift_mm": 10.0}, {"feature": 1, "shift_mm": 0.0}]
+
+
+def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
+    """A dish with a dome and a dimple on its floor, of which each vertex is off by 0.1 mm."""
+
+    def height(x: Array, y: Array) -> Array:
+        dish = -frustum(x, y, (0.0, 0.0), 0.05, 0.012, 45.0)
+        return dish + dome(x, y, (-0.016, 0.0), 0.012, 0.004) - dome(x, y, (0.016, 0.0), 0.012, 0.004)
+
+    clean = sheet(height, 0.06, 1e-3)
+    noise = np.random.default_rng(7).normal(0.0, 1e-4, clean.vertices.shape)
+    part = written(tmp_path, Mesh((clean.vertices + noise) / MM, clean.faces))
+    table = tmp_path / "tree.json"
+    (note,) = run(Features(part, output=table))
+    assert note.code == "part.mesh_noise"
+    read = json.loads(table.read_text("utf-8"))
+    assert read["tolerance_mm"] == pytest.approx(0.3, rel=0.1)
+    assert [(one["kind"], one["parent"]) for one in read["features"]] == [
+        ("concave", None),
+        *sorted([("convex", 1), ("concave", 1)], key=lambda one: one[0] != read["features"][1]["kind"]),
+    ]
+    middle = {one["kind"]: one["centre_mm"][0] for one in read["features"][1:]}
+    assert middle == {"convex": pytest.approx(-16.0, abs=0.5), "concave": pytest.approx(16.0, abs=0.5)}
+    assert [one["depth_mm"] for one in read["features"][1:]] == pytest.approx([4.0, 4.0], abs=0.3)
+    with pytest.raises(TandemError, match="tolerance"):
+        run(Features(part, tolerance_mm=0.0))

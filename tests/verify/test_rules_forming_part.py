@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from planner import pipeline, processes
+from planner.claims_forming import FormsPart
 from planner.forming import feature_order
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.segments import Segment
@@ -19,7 +20,7 @@ from planner.verify.forming_state import Forming
 from planner.verify.rules_forming_claims import forming_claims
 from planner.verify.rules_forming_part import forming_part
 from tests import small_forming
-from tests.forming import shapes
+from tests.forming import nests, shapes
 from tests.verify import forming_job
 
 PART, CLAIMS = "verify.forming_part", "verify.forming_claims"
@@ -277,3 +278,74 @@ def test_the_angle_of_a_cone_is_that_of_its_facets():
     shape = Shape((dataclasses.replace(claim, vertices=part.vertices, faces=part.faces),), 0.0, -0.008)
     normals = face_normals(TriangleMesh(part.vertices, part.faces))
     assert shape.steepest(0.995) == pytest.approx(float(np.arccos(np.abs(normals[:, 2]).min())), abs=1e-6)
+
+
+def scanned(noise=1e-4, seed=4):
+    """A dish of 60 mm on irregular triangles with noise, as a scan has it."""
+    line = small_forming.dish().vertices
+    away = np.hypot(line[:, 0], line[:, 1])
+    order = np.argsort(away)
+
+    def dish(x, y):
+        return np.interp(np.hypot(x, y), away[order], line[order, 2])
+
+    part = nests.sheet(dish, 0.045, 1.5e-3, seed)
+    moved = np.random.default_rng(seed).normal(0.0, 1.0, part.vertices.shape) * noise
+    return dataclasses.replace(part, vertices=part.vertices + moved)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory):
+    return problem(tmp_path_factory.mktemp("scan"), "dsif", scanned())
+
+
+def of_part(**changed):
+    """The part's claim with other values."""
+
+    def change(group):
+        return tuple(
+            dataclasses.replace(claim, **changed) if isinstance(claim, FormsPart) else claim
+            for claim in group
+        )
+
+    return change
+
+
+def of_faces(move):
+    """All faces moved by what ``move`` says of their places."""
+
+    def one(claim):
+        if not hasattr(claim, "vertices") or isinstance(claim, FormsPart):
+            return claim
+        z = claim.vertices[:, 2] + move(claim.vertices)
+        return dataclasses.replace(claim, vertices=np.column_stack([claim.vertices[:, :2], z]))
+
+    return lambda group: tuple(one(claim) for claim in group)
+
+
+def test_the_claims_of_a_part_with_noise_hold(scan):
+    assert told(scan) == set()
+
+
+NOISY = {
+    "no tolerance": of_part(mesh_tolerance=0.0),
+    "a tolerance twice as wide": of_part(mesh_tolerance=6.5e-4),
+    "a bump as high as the tolerance": of_faces(
+        lambda p: 3.2e-4 * (np.hypot(p[:, 0] - 0.01, p[:, 1]) < 0.01)
+    ),
+    "all deeper by half the tolerance": of_faces(lambda p: -1.8e-4 * (np.hypot(p[:, 0], p[:, 1]) < 0.03)),
+    "a place cut off": of_faces(lambda p: np.where(p[:, 0] > 0.02, 8e-4, 0.0)),
+}
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_what_noise_does_not_explain_is_told(scan, name):
+    assert PART in told(scan, NOISY[name])
+
+
+def test_a_stated_tolerance_is_the_users_and_no_other(tmp_path):
+    data = small_forming.problem("dsif")
+    data["part"]["sheet_mesh"]["tolerance_mm"] = 0.35
+    found = pipeline.load(small_forming.write(tmp_path, data, scanned()))
+    assert told(found) == set()
+    assert PART in told(found, of_part(mesh_tolerance=3e-4))

@@ -1,0 +1,118 @@
+"""How far the vertices of a mesh are off any smooth face, by the proof's own estimate, and how far a face is
+off those vertices: singly, and in the mean over places, where noise cancels and a wrong face does not."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array, diags_array
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+WIDTH = 3.0
+"""Vertices are within so many standard deviations of their face."""
+LEAST = 3e-6
+"""Noise below this [m] is none: rounding of coordinates."""
+QUIET = 0.2
+"""The share of vertices that are farthest from folds of a mesh, at least."""
+_NORMAL = 0.2533
+"""The size that this share of normal values of unit deviation stays below."""
+CELL = 6e-3
+"""Width [m] of the places over which a mean is taken."""
+FEW = 12
+"""Fewer vertices at a place say nothing of its mean."""
+STEP = 2e-4
+"""Places so far [m] beside a vertex tell how steep a face is there."""
+
+
+def tolerance_of(vertices: FloatArray, faces: IntArray) -> float:
+    """How far [m] the vertices (V, 3) of a mesh ``faces`` (F, 3) are off a smooth face, all but 0.3 % of
+    them; 0 for a mesh without noise.
+
+    Each vertex is held against the plane through its neighbours, and what that leaves against what it leaves
+    at those, so that bends, which neighbours share, drop out. That is linear in the vertices, so that its
+    size for unit noise is known exactly.
+    """
+    if _folded(vertices[faces], faces) < LEAST:
+        return 0.0
+    used, index = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], np.asarray(index).reshape(-1, 3)
+    count = len(vertices)
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count)).tocsr()
+    graph = csr_array((graph + graph.T) > 0).astype(np.float64)
+    number = graph.sum(axis=1)
+    row, column = graph.nonzero()
+    x, y = (vertices[column, k] - vertices[row, k] for k in range(2))
+    basis = np.stack([np.ones(len(row)), x, y], axis=1)
+    normal = np.zeros((count, 3, 3))
+    for a in range(3):
+        for b in range(3):
+            normal[:, a, b] = np.bincount(row, weights=basis[:, a] * basis[:, b], minlength=count)
+    scale = np.sqrt(np.maximum(np.einsum("nkk->nk", normal), 1e-300))
+    alike = normal / scale[:, :, None] / scale[:, None, :]
+    good = (number >= 4) & (np.linalg.det(alike) > 1e-3)
+    if good.sum() < 20:
+        return 0.0
+    first = np.zeros((count, 3))
+    first[good] = np.linalg.inv(alike[good])[:, :, 0] / scale[good] / scale[good, :1]
+    share = csr_array(((first[row] * basis).sum(axis=1), (row, column)), shape=(count, count))
+    off = diags_array(good.astype(np.float64)) - share
+    around = diags_array(1.0 / np.maximum(graph @ good, 1.0)) @ graph @ diags_array(good.astype(np.float64))
+    second = csr_array(off - around @ off)
+    z = vertices[:, 2]
+    left = np.abs(second @ z)
+    unit = np.sqrt(np.asarray((second * second).sum(axis=1)).reshape(-1))
+    # isotropic noise shows along z as if it were larger on a slope
+    slope = np.stack(
+        [np.bincount(row, weights=basis[:, k + 1] * (z[column] - z[row]), minlength=count) for k in range(2)]
+    )
+    size = np.stack([np.maximum(normal[:, k, k], 1e-300) for k in (1, 2)])
+    steep = np.sqrt(1.0 + ((slope / size) ** 2).sum(axis=0))
+    chosen = good & (graph @ good > 0)
+    found = float(np.quantile(left[chosen] / unit[chosen] / steep[chosen], QUIET)) / _NORMAL
+    return WIDTH * found if found >= LEAST else 0.0
+
+
+def _folded(corners: FloatArray, faces: IntArray) -> float:
+    """How far [m] the far corners of two triangles at an edge are out of one plane, for the flattest edges of
+    a mesh: nothing for one that has flat places, however few its facets."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    order = np.lexsort((ends[:, 0], ends[:, 1]))
+    same = np.flatnonzero((np.diff(ends[order], axis=0) == 0).all(axis=1))
+    if not len(same):
+        return 0.0
+    one, two = order[same] // 3, order[same + 1] // 3
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    normal = normal / size[:, None]
+    apart = np.abs(np.einsum("nkd,nd->nk", corners[two] - corners[one, :1], normal[one])).max(axis=1)
+    return float(np.quantile(apart, QUIET)) / _NORMAL
+
+
+@dataclasses.dataclass(frozen=True)
+class Scatter:
+    """How far the vertices of a mesh are off a face: ``off`` (V,) [m], above it greater than zero, and of the
+    places with vertices enough the ``mean`` (P,) [m], the ``number`` (P,) of vertices, the ``middle``
+    (P, 2) [m]."""
+
+    off: FloatArray
+    mean: FloatArray
+    number: IntArray
+    middle: FloatArray
+
+
+def scatter(vertices: FloatArray, height: FloatArray, steep: FloatArray) -> Scatter:
+    """How far vertices (V, 3) [m] are off a face of ``height`` (V,) [m] over them, whose normal there has
+    ``steep`` (V,) along z."""
+    off = (vertices[:, 2] - height) * steep
+    cell = np.floor(vertices[:, :2] / CELL).astype(np.int64)
+    _, index, number = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    index = np.asarray(index).reshape(-1)
+    mean = np.bincount(index, weights=off) / number
+    middle = np.stack([np.bincount(index, weights=vertices[:, k]) / number for k in range(2)], axis=1)
+    many = number >= FEW
+    return Scatter(off, mean[many], number[many], middle[many])
