@@ -207,6 +207,7 @@ class FormsPart:
     wall angles; None: from ``limit`` on, that of one pass, ``angle_step`` [rad] apart. ``male``: over a die
     that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
     ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
+    ``unreached`` [m]: how far balls may stay off the part where they do not fit; None: that is only told.
     """
 
     mode: str
@@ -233,3 +234,4 @@ class FormsPart:
     repeats: int
     male: bool = False
     sinking: tuple[str, float] | None = None
+    unreached: float | None = None

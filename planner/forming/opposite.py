@@ -33,6 +33,8 @@ AIR: Final = 3e-3
 """Distance [m] of the forming ball from the face beyond which it is in the air."""
 SHARE: Final = 0.3
 """Part of the gap's tolerance that straight moves between targets may take."""
+DRIFT: Final = 0.8
+"""Part of what the user lets the gap be off with one controller ahead that is planned for."""
 FACING: Final = 4.0 * DEG
 """The line of two tools is between the face's normal and the vertical, to which the support is turned where
 it would cut into the flat or where a shift is stated, and off that by this much at most."""
@@ -77,8 +79,10 @@ def opposite_path(
     former: FormingHead,
     support: FormingHead,
     thickness: float,
+    every: int = 0,
 ) -> ToolPath:
-    """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l."""
+    """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l; two controllers meet
+    after so many moves, where ``every`` is not 0."""
     level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
@@ -101,6 +105,9 @@ def opposite_path(
         across = apart[:, None] * leaned(normal, tilt)
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
         count = _pieces(way, across, radii, allowed)
+        if every:
+            ahead = DRIFT * operation.handshake_gap_mm * MM
+            count = np.maximum(count, _drifting(contact.centre, across, gap + radii, every, ahead))
         count[1:][air[1:] | air[:-1]] = 1
         if left == 0 or count.max() == 1:
             break
@@ -180,6 +187,26 @@ def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntAr
     arc = np.ceil(_angle(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
     count = np.where(way.still[1:], np.maximum(arc, 1.0), np.where(two, np.maximum(arc, 2.0), 1.0))
     return np.concatenate([[1], count]).astype(np.int64)
+
+
+def _drifting(
+    centre: FloatArray, across: FloatArray, apart: FloatArray, every: int, allowed: float
+) -> IntArray:
+    """Into how many (N,) pieces the move to each target is to be parted so that with one arm up to ``every``
+    moves ahead of the other the distance of the balls is off ``apart`` (N,) [m] by no more than ``allowed``
+    [m]."""
+    place = centre - across
+    count = np.ones(len(centre), dtype=np.int64)
+    for ahead in range(1, min(every, len(centre) - 1) + 1):
+        one = np.abs(np.linalg.norm(centre[ahead:] - place[:-ahead], axis=1) - apart[ahead:])
+        two = np.abs(np.linalg.norm(centre[:-ahead] - place[ahead:], axis=1) - apart[:-ahead])
+        off = np.maximum(one, two)
+        many = np.where(off > allowed, np.ceil(np.sqrt(off / allowed)), 1.0).astype(np.int64)
+        for step in range(ahead):  # each of the moves between is as short
+            np.maximum.at(count, np.arange(1 + step, 1 + step + len(many)), many)
+    step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    moved = np.maximum(step, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    return np.where(np.append(0.0, moved) > _SHORT, count, 1)
 
 
 def _parted(way: Way, count: IntArray, touching: Touching) -> Way:

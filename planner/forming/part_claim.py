@@ -57,6 +57,7 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         angle_step=op.angle_step_deg * DEG,
         repeats=op.repeats,
         male=die is not None and die.kind == "male",
+        unreached=None if op.unreached_mm is None else op.unreached_mm * MM,
         sinking=(die.signal, (step or 0.0) * MM) if die is not None and sinks else None,
     )
 

@@ -26,7 +26,8 @@ NAMED: Final = 5
 @dataclasses.dataclass(frozen=True)
 class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
-    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet."""
+    working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet. ``every``: how
+    many moves the controllers of two arms go between meetings; 0 where they go by one clock."""
 
     operation: Forming
     sheet: Sheet
@@ -37,6 +38,7 @@ class Work:
     passes: tuple[Pass, ...]
     heads: dict[str, FormingHead]
     clamp: Clamp
+    every: int = 0
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""
@@ -97,7 +99,9 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
-    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock))
+    controller = setup.cell.controller
+    every = controller.handshake.every if controller.sync == "handshake" else 0
+    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock), every)
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
