@@ -208,6 +208,7 @@ class FormsPart:
     that stands up in the part; ``sinking``: signal of its holder, and by how much [m] a pulse lowers it.
     ``gouge``, ``gap``, ``handshake`` [m]: tolerances. ``pressed`` [m]: how deep tools may press.
     ``mesh_tolerance`` [m]: how far the vertices of the part may be off the face that is meant by them.
+    ``unreached`` [m]: how far balls may stay off the part where they do not fit; None: that is only told.
     """
 
     mode: str
@@ -235,3 +236,4 @@ class FormsPart:
     mesh_tolerance: float = 0.0
     male: bool = False
     sinking: tuple[str, float] | None = None
+    unreached: float | None = None

@@ -301,6 +301,7 @@ CODES: Final[dict[str, str]] = {
     "forming.path_options": "a step, ridge height, chord or other figure of a forming path is out of range",
     "forming.no_contour": "nothing of a face lies between the levels that a path is to go",
     "forming.open_contour": "a level line of a face ends at a border of its mesh",
+    "forming.unreached": "what a forming ball does not reach of a part: corners that are tighter than it is",
     "forming.tool_radius": "a forming tool is too large for a place of the face",
     # the base of the second robot, from points that both probed
     "align.file": "a file of probed points cannot be read, or a value in it is missing or out of range",

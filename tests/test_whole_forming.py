@@ -106,6 +106,22 @@ def test_tools_keep_to_the_feed_and_stop_only_off_the_sheet(together: Outcome) -
     assert targets.stop[forming].sum() <= 2
 
 
+@pytest.mark.long
+def test_a_sharp_pit_is_proven_but_for_what_no_ball_reaches(tmp_path: Path) -> None:
+    """Four facets to a tip: a ball stays off; told, proven, and found by the proof where that is too much."""
+    depth, wide = 10.0 * MM, 20.0 * MM
+    corners = [[-wide, -wide, 0], [wide, -wide, 0], [wide, wide, 0], [-wide, wide, 0], [0, 0, -depth]]
+    pit = Mesh(np.array(corners), np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]))
+    outcome = planned(tmp_path, "spif", pit, stepdown_mm=0.5)
+    assert outcome.verified, outcome.issues
+    (told,) = [issue for issue in outcome.issues if issue.code == "forming.unreached"]
+    assert told.value is not None
+    strict = [one.model_copy(update={"unreached_mm": 0.8 * told.value}) for one in outcome.problem.operations]
+    problem = dataclasses.replace(outcome.problem, operations=tuple(strict))
+    proof = pipeline.verify(problem, outcome.programs)
+    assert [issue for issue in proof.issues if issue.code == "verify.formed"]
+
+
 def test_the_same_problem_gives_the_same_bytes(alone: Outcome) -> None:
     again = planner.plan(alone.problem)
     assert again.programs == alone.programs

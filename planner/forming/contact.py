@@ -131,11 +131,17 @@ class Face:
         and a little may be given as infinite."""
         return self._deepest(centres, None)[0]
 
-    def pushed(self, wanted: FloatArray, normal: FloatArray) -> FloatArray:
+    def pushed(self, wanted: FloatArray, normal: FloatArray, beyond: float = 0.0) -> FloatArray:
         """How far (N,) [m] a ball put to the ``wanted`` places (N, 3) is pushed aside at once; less than
-        1 um is nothing."""
-        distance, _, _ = self._deepest(wanted + self.radius * normal, None)
-        return np.maximum(self.radius - distance, 0.0)
+        1 um is nothing. Only what pushes at more than ``beyond`` [rad] to the ``normal`` (N, 3) counts."""
+        distance, _, away = self._deepest(wanted + self.radius * normal, None)
+        counts = dots(away, normal) <= np.cos(beyond)
+        return np.where(counts | (beyond == 0.0), np.maximum(self.radius - distance, 0.0), 0.0)
+
+    def deepest(self, centres: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Signed distances (N,) [m] of the face from ``centres`` (N, 3), infinite beyond the radius, the
+        nearest places (N, 3), and the unit ways (N, 3) from there to the centre."""
+        return self._deepest(centres, None)
 
     def clear(self, wanted: FloatArray, normal: FloatArray, rounds: int = _ROUNDS) -> Contact:
         """Put the ball to the ``wanted`` places (N, 3) along ``normal`` (N, 3) and push it aside until it

@@ -24,6 +24,7 @@ from planner.forming.frames import freedoms, poses
 from planner.forming.laid import SHORTEST, lay
 from planner.forming.operation import Forming
 from planner.forming.route import Route, lay_out
+from planner.forming.unreached import unreached_issues
 from planner.forming.values import Pass, ToolPath
 from planner.forming.work import Work, segment, work
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -58,11 +59,12 @@ class FormingJob(Job[Forming]):
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
         made, setup = self.made, self.setup
-        refused = [*holder.issues(made), *shift_issues(made)]
+        corners = unreached_issues(made)
+        refused = [*holder.issues(made), *shift_issues(made), *(one for one in corners if has_errors([one]))]
         if refused:
             raise TandemError(refused)
         paths = [(one, lay(made, one)) for one in made.passes]
-        issues = check(made, setup, paths)
+        issues = [*corners, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())

@@ -30,7 +30,7 @@ def lay(work: Work, one: Pass) -> ToolPath:
     if work.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
     support = None if other is None else work.heads[other]
-    return tool_path(one, contact, op, former, support, work.thickness, work.clamp)
+    return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every)
 
 
 def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:

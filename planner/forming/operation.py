@@ -132,6 +132,14 @@ class Forming(Strict):
     share: Annotated[
         float, Field(gt=0.5, le=1, description="part of the walls that must be formed within tolerance")
     ] = 0.95
+    unreached_mm: Annotated[
+        float | None,
+        Field(
+            ge=0.02,
+            le=100,
+            description="how far balls may stay off the part where they do not fit; none: told",
+        ),
+    ] = None
     adsif: Adsif = Adsif()
     die: Die | None = None
 

@@ -33,11 +33,17 @@ AIR: Final = 3e-3
 """Distance [m] of the forming ball from the face beyond which it is in the air."""
 SHARE: Final = 0.3
 """Part of the gap's tolerance that straight moves between targets may take."""
+DRIFT: Final = 0.8
+"""Part of what the user lets the gap be off with one controller ahead that is planned for."""
 FACING: Final = 4.0 * DEG
 """The line of two tools is between the face's normal and the vertical, to which the support is turned where
 it would cut into the flat or where a shift is stated, and off that by this much at most."""
 STEADY: Final = 1.2 * DEG
 """What of that goes to steadying the line at targets; between them it may be off twice as far."""
+HELD: Final = 2.5 * DEG
+"""The line's direction is within this of what lies between all places that the ball touches at a target."""
+BETWEEN: Final = 3.0 * DEG
+"""And within this between targets."""
 CORNER: Final = 8.0 * DEG
 """Where what the ball leans on turns by more at once, it waits for the support."""
 _HALVINGS: Final = 14
@@ -73,8 +79,10 @@ def opposite_path(
     former: FormingHead,
     support: FormingHead,
     thickness: float,
+    every: int = 0,
 ) -> ToolPath:
-    """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l."""
+    """Both tools along ``contact`` over a pass formed from above, for dsif and dpif_l; two controllers meet
+    after so many moves, where ``every`` is not 0."""
     level, far = one.start - thickness, FarFace(one, thickness, contact, former.radius)
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
@@ -85,7 +93,7 @@ def opposite_path(
         apart = gap + radii
         # far from the face the support goes farther than the former, in a corner by far
         about = contact.centre - radii * way.lean.normal
-        normal = steady_normals(way.lean.normal, about, STEADY)
+        normal = way.lean.held(steady_normals(way.lean.normal, about, STEADY), HELD)
         steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         # off the face it cannot be opposite that: it is below what the ball stands on
         tilt = np.where(way.off, 0.0, np.maximum(steep - shift, 0.0))
@@ -97,6 +105,9 @@ def opposite_path(
         across = apart[:, None] * leaned(normal, tilt)
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
         count = _pieces(way, across, radii, allowed)
+        if every:
+            ahead = DRIFT * operation.handshake_gap_mm * MM
+            count = np.maximum(count, _drifting(contact.centre, across, gap + radii, every, ahead))
         count[1:][air[1:] | air[:-1]] = 1
         if left == 0 or count.max() == 1:
             break
@@ -123,7 +134,7 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
     at = touching.lean(contact.centre)
     step = np.linalg.norm(np.diff(contact.centre, axis=0), axis=1)
     rows = np.flatnonzero((_angle(at.normal[1:], at.normal[:-1]) > CORNER) & (step > 0.0)) + 1
-    one, two = _rows(at, rows - 1), _rows(at, rows)
+    one, two = at[rows - 1], at[rows]
     low, high = np.zeros(len(rows)), np.ones(len(rows))
     for _ in range(_HALVINGS):  # keeping the half over which it turns the more
         middle = 0.5 * (low + high)
@@ -132,7 +143,7 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
         low, high = np.where(first, low, middle), np.where(first, middle, high)
         one, two = _either(first, one, found), _either(first, found, two)
     jump = np.flatnonzero(_angle(one.normal, two.normal) > CORNER)
-    place, row, pair = 0.5 * (low + high)[jump], rows[jump], (_rows(one, jump), _rows(two, jump))
+    place, row, pair = 0.5 * (low + high)[jump], rows[jump], (one[jump], two[jump])
     # where that is at a target already, this is one of the two
     apart = step[row - 1] * place, step[row - 1] * (1.0 - place)
     own = [(apart[k] < _AT) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY) for k in range(2)]
@@ -140,10 +151,9 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
     kept = ~np.column_stack(own).ravel()
     normal = np.stack([part.normal for part in pair], axis=1).reshape(-1, 3)
     gap = np.column_stack([part.gap for part in pair]).ravel()
+    ends = np.stack([part.ends for part in pair], axis=1).reshape(-1, 4, 3)
     path = insert_at(contact, row[kept], place[kept], normal[kept], touching.radius)
-    lean = Lean(
-        np.insert(at.normal, row[kept], normal[kept], axis=0), np.insert(at.gap, row[kept], gap[kept])
-    )
+    lean = at.inserted(row[kept], Lean(normal, gap, ends)[kept])
     # the second of each pair is reached without a way, be it new or the target behind
     new = np.insert(np.arange(len(step) + 1), row[kept], -1 - np.flatnonzero(kept))
     still = np.isin(new, -1 - np.flatnonzero(kept)[np.flatnonzero(kept) % 2 == 1])
@@ -153,12 +163,9 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
     return Way(path, lean, still, touching.lean(between), off)
 
 
-def _rows(lean: Lean, rows: IntArray) -> Lean:
-    return Lean(lean.normal[rows], lean.gap[rows])
-
-
 def _either(first: BoolArray, one: Lean, two: Lean) -> Lean:
-    return Lean(np.where(first[:, None], one.normal, two.normal), np.where(first, one.gap, two.gap))
+    rows = np.where(first, np.arange(len(first)), len(first) + np.arange(len(first)))
+    return one.inserted(np.full(len(first), len(first)), two)[rows]
 
 
 def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntArray:
@@ -170,14 +177,36 @@ def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntAr
     middle = 0.5 * (across[1:] + across[:-1])
     least = np.linalg.norm(middle, axis=1)
     off = np.maximum(np.abs(least - radii - way.middle.gap[1:]), 0.5 * (length[1:] + length[:-1]) - least)
-    turned_off = off_upright(middle / least[:, None], way.middle.normal[1:])
+    line = middle / least[:, None]
+    turned_off = off_upright(line, way.middle.normal[1:]) > 2.0 * STEADY
+    turned_off |= way.middle[np.arange(1, len(length))].off(line) > BETWEEN
     step = np.linalg.norm(np.diff(way.contact.centre, axis=0), axis=1)
     moved = np.maximum(step, np.linalg.norm(np.diff(way.contact.centre - across, axis=0), axis=1))
-    two = ((off > allowed) | (turned_off > 2.0 * STEADY)) & (moved > _SHORT)
+    two = ((off > allowed) | turned_off) & (moved > _SHORT)
     finest = 2.0 * np.arccos(1.0 - 0.5 * allowed / length[1:])
     arc = np.ceil(_angle(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
     count = np.where(way.still[1:], np.maximum(arc, 1.0), np.where(two, np.maximum(arc, 2.0), 1.0))
     return np.concatenate([[1], count]).astype(np.int64)
+
+
+def _drifting(
+    centre: FloatArray, across: FloatArray, apart: FloatArray, every: int, allowed: float
+) -> IntArray:
+    """Into how many (N,) pieces the move to each target is to be parted so that with one arm up to ``every``
+    moves ahead of the other the distance of the balls is off ``apart`` (N,) [m] by no more than ``allowed``
+    [m]."""
+    place = centre - across
+    count = np.ones(len(centre), dtype=np.int64)
+    for ahead in range(1, min(every, len(centre) - 1) + 1):
+        one = np.abs(np.linalg.norm(centre[ahead:] - place[:-ahead], axis=1) - apart[ahead:])
+        two = np.abs(np.linalg.norm(centre[:-ahead] - place[ahead:], axis=1) - apart[:-ahead])
+        off = np.maximum(one, two)
+        many = np.where(off > allowed, np.ceil(np.sqrt(off / allowed)), 1.0).astype(np.int64)
+        for step in range(ahead):  # each of the moves between is as short
+            np.maximum.at(count, np.arange(1 + step, 1 + step + len(many)), many)
+    step = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    moved = np.maximum(step, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    return np.where(np.append(0.0, moved) > _SHORT, count, 1)
 
 
 def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
@@ -186,19 +215,16 @@ def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
     still = way.still[row]
     normal = turned(way.lean.normal[row - 1], way.lean.normal[row], share)
     gap = way.lean.gap[row - 1] + share * (way.lean.gap[row] - way.lean.gap[row - 1])
-    goes = np.flatnonzero(~still)
     centre = mixed(way.contact.centre[row - 1], way.contact.centre[row], share)
-    found = touching.lean(centre[goes])
-    normal[goes], gap[goes] = found.normal, found.gap
-    lean = Lean(
-        np.insert(way.lean.normal, row, normal, axis=0),
-        np.insert(way.lean.gap, row, gap),
-    )
+    found = touching.lean(centre)
+    normal = np.where(still[:, None], normal, found.normal)
+    gap = np.where(still, gap, found.gap)
+    lean = way.lean.inserted(row, Lean(normal, gap, found.ends))
     contact = insert_at(way.contact, row, share, normal, touching.radius)
     fresh = np.flatnonzero(np.insert(count > 1, row, True))
-    middle = Lean(np.insert(way.middle.normal, row, normal, axis=0), np.insert(way.middle.gap, row, 0.0))
+    middle = way.middle.inserted(row, found)
     found = touching.lean(mixed(contact.centre[fresh - 1], contact.centre[fresh], np.full(len(fresh), 0.5)))
-    middle.normal[fresh], middle.gap[fresh] = found.normal, found.gap
+    middle.normal[fresh], middle.gap[fresh], middle.ends[fresh] = found.normal, found.gap, found.ends
     step = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
     turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY
     still = np.insert(way.still, row, still) | ((step < _STILL) & turned_far)

@@ -58,6 +58,7 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         repeats=op.repeats,
         male=die is not None and die.kind == "male",
         mesh_tolerance=part.formed.tolerance,
+        unreached=None if op.unreached_mm is None else op.unreached_mm * MM,
         sinking=(die.signal, (step or 0.0) * MM) if die is not None and sinks else None,
     )
 

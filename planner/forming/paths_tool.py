@@ -20,6 +20,12 @@ BoolArray = NDArray[np.bool_]
 
 PUSHED: Final = 2e-5
 """A ball that a crease pushes aside by more than this [m] does not reach its place."""
+CLEAR: Final = 1.2e-5
+"""The lowest loop at the foot of a wall keeps the ball so far [m] off the floor, with which it would lose the
+wall, facet by facet, else: the gap between two tools would hop from the wall's to the floor's."""
+LIFTED: Final = 8e-5
+"""It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
+_DENSE: Final = 128
 _SAMPLES: Final = 32
 _WORST: Final = 12
 _STEEPEST: Final = np.radians(85.0)
@@ -134,7 +140,41 @@ def lowest_reached(
             good, bad = (middle, bad) if found else (good, middle)
             best = found or best
         reached[k] = best
-    return reached
+    out: list[list[Loop]] = []
+    last = np.inf
+    for group in reached:
+        lifted = _lifted(group, sliced, face, creases)
+        level = float(lifted[0].point[0, 2]) if lifted else -np.inf
+        out.append(lifted if level < last - PUSHED else [])
+        last = level if out[-1] else last
+    return out
+
+
+def _lifted(
+    group: list[Loop], sliced: Callable[[FloatArray], list[list[Loop]]], face: Face, creases: Creases
+) -> list[Loop]:
+    """Loops of one level, a little higher where the floor at the foot of their wall pushes the ball off."""
+    near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
+    if not near or max(_stopped(loop, face) for loop in near) == 0.0:
+        return group
+    level = float(group[0].point[0, 2])
+
+    def free(height: float) -> bool:
+        found = sliced(np.array([height]))[0]
+        return bool(found) and max(_stopped(loop, face) for loop in found) == 0.0
+
+    low, high = level, level + LIFTED
+    if not free(high):
+        return group
+    while high - low > TOUCH:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if free(middle) else (middle, high)
+    return sliced(np.array([high + CLEAR]))[0]
+
+
+def _stopped(loop: Loop, face: Face) -> float:
+    """By how much [m] at most something else than the wall it is on pushes a ball aside along a loop."""
+    return float(face.pushed(*_sample(loop, _DENSE), beyond=CREASE).max())
 
 
 def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED) -> bool:
@@ -146,11 +186,11 @@ def _pushed(loop: Loop, face: Face) -> float:
     return float(face.pushed(*_sample(loop)).min())
 
 
-def _sample(loop: Loop) -> tuple[FloatArray, FloatArray]:
-    """Places (K, 3) of a loop, evenly along it, and unit normals there: on large facets its rows are at
-    creases only."""
+def _sample(loop: Loop, count: int = _SAMPLES) -> tuple[FloatArray, FloatArray]:
+    """Places (``count``, 3) of a loop, evenly along it, and unit normals there: on large facets its rows are
+    at creases only."""
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop.point, axis=0), axis=1))])
-    wanted = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * at[-1]
+    wanted = (np.arange(count) + 0.5) / count * at[-1]
     row = np.clip(np.searchsorted(at, wanted, side="right") - 1, 0, len(at) - 2)
     share = ((wanted - at[row]) / np.maximum(at[row + 1] - at[row], 1e-12))[:, None]
     normal = (1.0 - share) * loop.normal[row] + share * loop.normal[row + 1]

@@ -41,10 +41,12 @@ def tool_path(
     support: FormingHead | None,
     thickness: float,
     clamp: Clamp | None = None,
+    every: int = 0,
 ) -> ToolPath:
     """Both tools along ``contact``, for all modes but adsif (`adsif_path.adsif_tool_path`).
 
-    ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from. The result's
+    ``thickness`` [m] of the flat sheet; ``clamp``: what a source of heat leans away from;
+    ``every``: moves between meetings of two controllers, 0 for one clock. The result's
     contact has more targets where straight moves would let the gap, or the support's way along the border,
     off by too much. Raises ``TandemError`` (forming.support_tool) where the mode has no such support.
     """
@@ -52,7 +54,9 @@ def tool_path(
     mode = operation.mode
     if one.side < 0:
         over = None if clamp is None else dataclasses.replace(clamp, low=-clamp.high, high=-clamp.low)
-        found = tool_path(_mirrored(one), _turned_over(contact), operation, former, support, thickness, over)
+        found = tool_path(
+            _mirrored(one), _turned_over(contact), operation, former, support, thickness, over, every
+        )
         return _back(found)
     if support is None or mode in ("spif", "tpif"):
         none = np.full(len(contact.point), np.nan)
@@ -66,7 +70,7 @@ def tool_path(
         path, place, behind = heated(one, contact, former, support, thickness, clamp)
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, behind, none, path)
-    return opposite_path(one, contact, operation, former, support, thickness)
+    return opposite_path(one, contact, operation, former, support, thickness, every)
 
 
 def support_issues(

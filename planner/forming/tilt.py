@@ -67,3 +67,31 @@ def turned_at_most(one: FloatArray, two: FloatArray, most: float | FloatArray) -
     across = across / np.maximum(length, 1e-12)
     part = np.minimum(angle, most)[:, None]
     return np.asarray(np.cos(part) * one + np.sin(part) * across)
+
+
+def nearest_between(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Of the unit vectors on the shorter arcs from ``one`` to ``two`` (N, 3) those (N, 3) nearest to unit
+    vectors ``line`` (N, 3)."""
+    pole = np.cross(one, two)
+    length = np.linalg.norm(pole, axis=1, keepdims=True)
+    pole = pole / np.maximum(length, 1e-12)
+    flat = line - dots(line, pole)[:, None] * pole
+    size = np.linalg.norm(flat, axis=1, keepdims=True)
+    flat = flat / np.maximum(size, 1e-12)
+    inside = (dots(np.cross(one, flat), pole) >= 0.0) & (dots(np.cross(flat, two), pole) >= 0.0)
+    inside &= (length[:, 0] > 1e-9) & (size[:, 0] > 1e-9)
+    nearer = dots(line, one) >= dots(line, two)
+    return np.where(inside[:, None], flat, np.where(nearer[:, None], one, two))
+
+
+def off_fan(line: FloatArray, one: FloatArray, two: FloatArray) -> FloatArray:
+    """Angles (N,) [rad] of unit vectors ``line`` (N, 3) to the triangle on the sphere between ``one``,
+    ``two`` (N, 3) and +z."""
+    off = np.minimum(off_upright(line, one), off_upright(line, two))
+    cosine = dots(line, nearest_between(line, one, two))
+    off = np.minimum(off, np.arccos(np.clip(cosine, -1.0, 1.0)))
+    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), line.shape)
+    sides = [dots(np.cross(a, b), line) for a, b in ((one, two), (two, up), (up, one))]
+    turn = np.sign(dots(np.cross(one, two), up))
+    inside = (turn != 0.0) & (np.min([turn * side for side in sides], axis=0) >= 0.0)
+    return np.asarray(np.where(inside, 0.0, off))

@@ -27,7 +27,8 @@ NAMED: Final = 5
 class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
     working ends by arm, ``passes`` in the order of forming, ``clamp`` what holds the sheet, ``tolerance`` [m]
-    how far the part's mesh may be off the face that is meant."""
+    how far the part's mesh may be off the face that is meant. ``every``: how many moves the controllers of
+    two arms go between meetings; 0 where they go by one clock."""
 
     operation: Forming
     sheet: Sheet
@@ -39,6 +40,7 @@ class Work:
     heads: dict[str, FormingHead]
     clamp: Clamp
     tolerance: float = 0.0
+    every: int = 0
 
     def former(self, one: Pass) -> str:
         """The arm that forms a pass."""
@@ -101,7 +103,10 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
     thickness = float(setup.stock.size[2])
     made = passes(tree, order, mesh, thickness, operation, sheet.metal)
     _require_sides(operation, made)
-    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp_of(setup.stock), tolerance)
+    controller = setup.cell.controller
+    every = controller.handshake.every if controller.sync == "handshake" else 0
+    clamp = clamp_of(setup.stock)
+    return Work(operation, sheet, thickness, mesh, tree, order, made, heads, clamp, tolerance, every)
 
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:

@@ -19,6 +19,7 @@ from planner.verify.files.samples import Samples, on_triangles
 from planner.verify.files.sheets import SheetFace
 from planner.verify.formed_part import swept
 from planner.verify.forming_face import Face
+from planner.verify.forming_fit import short
 from planner.verify.forming_state import Forming
 from planner.verify.mill_body import SIGHT, solids, sweep
 from planner.verify.mill_track import Milling
@@ -130,6 +131,10 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
         facets = claim.vertices[claim.faces].mean(axis=1)
         near = np.asarray(cKDTree(facets).query(here, k=min(_NEIGHBOURS, len(facets)))[1])
         ridge = claim.scallop[near.reshape(len(here), -1)].max(axis=1)
+        rows = np.flatnonzero((found > ridge) & (found < claim.radius))
+        up = sheet.walls.normals[rows]
+        up = up * np.where(up[:, 2:] < 0.0, -1.0, 1.0)
+        ridge[rows] += short(one.face, here[rows], up, claim.radius, claim.side)
         better = ~(np.abs(found) >= np.abs(off))  # NaN gives way
         off, allowed = np.where(better, found, off), np.where(better, ridge, allowed)
     return off, allowed

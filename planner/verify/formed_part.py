@@ -8,8 +8,10 @@ from scipy.spatial import cKDTree
 
 from planner.claims_forming import FormsSheet
 from planner.geometry.closest import small_pieces
+from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.vectors import dots
 from planner.units import MM
+from planner.verify.forming_fit import short
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.result import CutFace
 from planner.verify.surface import vertex_normals
@@ -26,7 +28,8 @@ _NEIGHBOURS = 16
 
 def envelope(one: Formed) -> CutFace:
     """What the swept ball leaves of the walls of a face: how far it stays off (positive) or cuts in at their
-    places; of flat parts nothing is said."""
+    places; of flat parts nothing is said. Where a ball of that size cannot come nearer than the steps leave
+    it, what it cannot reach is allowed too."""
     claim = one.claim
     rows = np.flatnonzero(_walls(claim))
     walls = claim.vertices[claim.faces[rows]]
@@ -36,6 +39,11 @@ def envelope(one: Formed) -> CutFace:
     points = parts.mean(axis=1)
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
+    # where no ball of its size comes nearer, that is what is left there
+    off_by = np.flatnonzero(off > allowed)
+    normals = face_normals(TriangleMesh(claim.vertices, claim.faces[rows]))[owner[off_by]]
+    unreached = short(one.face, points[off_by], normals, claim.radius, claim.side)
+    allowed[off_by] += unreached
     share = float(area[off <= allowed].sum() / max(float(area.sum()), 1e-30))
     known = np.isfinite(off)
     rms = float(np.sqrt((area[known] * off[known] ** 2).sum() / max(float(area[known].sum()), 1e-30)))
@@ -51,6 +59,7 @@ def envelope(one: Formed) -> CutFace:
         rms,
         largest,
         allowed=allowed,
+        unreached=float(unreached.max(initial=0.0)),
     )
 
 

@@ -14,6 +14,7 @@ from planner.claims_forming import FormsByTable, FormsPart, FormsSheet, SheetSta
 from planner.segments import Segment
 from planner.verify.context import Context
 from planner.verify.forming_face import Face, Nearest
+from planner.verify.forming_fit import left_by
 from planner.verify.forming_shapes import PartShapes, in_order
 from planner.verify.forming_track import Pieces, Track, pieces, track
 
@@ -63,6 +64,11 @@ class Formed:
         return self.balls.near(self.knots)
 
     @cached_property
+    def left(self) -> Face:
+        """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
+        return left_by(self.face, self.claim.radius, self.claim.side, self.claim.start)
+
+    @cached_property
     def touches(self) -> NDArray[np.bool_]:
         """Knots (K + 1,) at which the ball is off the nearest place of the face by no more than the steps of
         the path leave there."""
@@ -94,6 +100,17 @@ class Opened:
         """The gap (K,) [m] at the knots: the distance of the balls less their radii."""
         centre = self.track.centre[self.knots]
         return np.asarray(np.linalg.norm(centre[:, 0] - centre[:, 1], axis=1) - sum(self.claim.radii))
+
+
+def _meetings(context: Context, way: Track) -> IntArray:
+    """Rows of a track, within what forms, at which two controllers meet: one arm is ahead from one of them to
+    the next, wherever the straight pieces of the track end."""
+    out = [np.zeros(0, dtype=np.int64)]
+    for number, stage in enumerate(context.job.stages):
+        nodes = np.flatnonzero(context.motion.node_stage == number)
+        out.append(context.motion.node_sample[nodes[[end for end in stage.ends if end < len(nodes)]]])
+    rows = np.flatnonzero(np.isin(way.rows, np.concatenate(out)))
+    return rows[way.own[rows]]
 
 
 TIED = 5e-6
@@ -154,6 +171,18 @@ class Forming:
         """Segments in which two tools hold the sheet between them."""
         return frozenset(claim.segment.key for _, claim in self.by_setup if isinstance(claim, ToolGap))
 
+    def unreached(self, one: Formed) -> float | None:
+        """How far [m] a ball may stay off the part where it does not fit, if the problem says so and no later
+        pass forms the feature further."""
+        finals = [
+            (made.part.unreached, claim)
+            for made, _ in self.parts
+            if made is not None
+            for feature in made.features
+            for claim in feature.final.claims
+        ]
+        return next((limit for limit, claim in finals if claim is one.claim), None)
+
     @cached_property
     def labels(self) -> frozenset[str]:
         """Labels of all moves that claims allow."""
@@ -198,7 +227,7 @@ class Forming:
         parts = pieces(way, SPARE * claim.tolerance)
         own = way.own[parts.first]
         parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
-        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        knots = np.unique(np.concatenate([parts.first, parts.last, _meetings(self.context, way)]))
         face = self._face(claim.vertices, claim.faces, claim.radii[0])
         near = self._ball(way, face).near(knots)
         return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap[claim.faces]))

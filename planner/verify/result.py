@@ -41,7 +41,8 @@ class CutFace:
     and negative where too much is cut, NaN where the wire did not pass. ``area`` (M,) [m^2] is each point's
     share of the face; ``speed`` (M,) [m/s] that of the wire across itself where it passed. ``allowed`` (M,)
     [m] where the tolerance is not the same everywhere, ``tolerance`` being its greatest; else empty.
-    ``more``: how many other segments cut it too.
+    ``more``: how many other segments cut it too; ``unreached`` [m]: how far off a tool of that size stays at
+    least where it fits nowhere nearer.
     """
 
     segment: Segment
@@ -58,6 +59,7 @@ class CutFace:
     speed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     allowed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
     more: int = 0
+    unreached: float = 0.0
 
     @property
     def title(self) -> str:

@@ -23,6 +23,8 @@ SHOWN = 50
 """Issues of one rule and segment at most."""
 LIFTED = 0.1
 """Share of the way within a forming segment on which the ball may be off the face: steps between loops."""
+UNREACHED, BESIDE = 1.03, 2e-5
+"""How far off balls stay is known within this share, and [m], of places that are looked at."""
 FEED_SLACK = 1.05
 """The replay's ramps and corners may pass the feed by this factor."""
 
@@ -69,6 +71,15 @@ def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, 
         claim = one.claim
         face = envelope(one)
         faces.append(face)
+        limit = forming.unreached(one)
+        if limit is not None and face.unreached > UNREACHED * limit + BESIDE:
+            what = (
+                f"a ball of that size stays {mm(face.unreached):.3f} mm off the part in {claim.segment}; the "
+                f"problem allows {mm(limit):g} mm"
+            )
+            off, most = mm(face.unreached), mm(limit)
+            field = str(claim.segment)
+            issues.append(Issue("verify.formed", what, field=field, value=off, limit=most, unit="mm"))
         if face.share < claim.share:
             leave = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
             what = (

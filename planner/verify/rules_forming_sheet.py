@@ -10,6 +10,7 @@ from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
+from planner.verify.forming_face import Face
 from planner.verify.forming_head import Head, HeadWay
 from planner.verify.forming_reached import least, levels
 from planner.verify.forming_state import Formed, Forming
@@ -88,7 +89,7 @@ def _all(
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level)[still.rows])
-    out.append(face.into(_places(one), still, state.tolerance, there))
+    out.append(face.into(_places(one.face if former else one.left), still, state.tolerance, there))
     if not former:
         out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
     return out
@@ -109,13 +110,14 @@ def _own_side(
     first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
     begin, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
     step = np.linalg.norm(centre[last] - centre[first], axis=1)
-    near = one.face.nearest(centre[one.knots])
+    face = one.left  # corners that the forming ball does not reach are not there
+    near = face.nearest(centre[one.knots])
     room = -state.side * near.signed
     doubt = np.flatnonzero(0.5 * (room[begin] + room[end] - step) - off < ball - state.tolerance)
     one_end, other_end = centre[first[doubt]], centre[last[doubt]]
     need = ball - state.tolerance + off[doubt]
     if level is None:
-        between = one.face.least(one_end, other_end, need)
+        between = face.least(one_end, other_end, need)
         return [(ball - room, one.knots), (ball - between + off[doubt], last[doubt])]
     flat = state.side * one.claim.start
     # beyond the border of the face its height over the flat is what is signed
@@ -123,7 +125,7 @@ def _own_side(
     before = ~one.track.own[one.knots] & (level >= flat)
     height = state.side * centre[one.knots, 2] - flat
     deep = np.where(before, ball + height, np.where(around, ball - room, -np.inf))
-    between = least(one.face, one_end, other_end, need, state.side, level[end[doubt]])
+    between = least(face, one_end, other_end, need, state.side, level[end[doubt]])
     return [(deep, one.knots), (ball - between + off[doubt], last[doubt])]
 
 
@@ -137,9 +139,9 @@ def _sunk(way: Track, state: SheetState) -> FloatArray:
     return np.maximum(np.maximum.accumulate(level) - state.start, 0.0)
 
 
-def _places(one: Formed) -> FloatArray:
+def _places(face: Face) -> FloatArray:
     """Places (P, 3) all over a face."""
-    corners = one.face.corners
-    area = float(one.face.area.sum())
+    corners = face.corners
+    area = float(face.area.sum())
     parts, _ = small_pieces(corners, max(GRAIN, 2.0 * float(np.sqrt(area / _PLACES))), 4 * _PLACES)
-    return np.concatenate([one.face.vertices[np.unique(one.face.faces)], parts.mean(axis=1)])
+    return np.concatenate([face.vertices[np.unique(face.faces)], parts.mean(axis=1)])

@@ -13,7 +13,7 @@ from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
-from planner.verify.forming_face import CREASE, Face, Nearest
+from planner.verify.forming_face import Face, Nearest
 from planner.verify.forming_state import SPARE, TIED, Forming, Opened
 from planner.verify.forming_track import Track, pieces, track
 from planner.verify.rules_forming import NONE, SHOWN, spread
@@ -111,43 +111,37 @@ def _off_directions(
     has to fit: by the way from there to the ball's centre, or by the normal of the smooth face that the
     facets stand for, whose own normals flicker.
 
-    Where the ball touches two walls of a crease the sheet lies around it from one to the other, so that its
-    normal there is any between theirs: the line may stand upright off those too."""
+    Where the ball touches two places at once the sheet lies around it from one to the other, so that its
+    normal there is any between theirs: the line may stand upright off those too. So it is in a sharp crease,
+    and where facets stand for a hollow that is hardly wider than the ball."""
     off = np.full(len(knots), np.inf)
+    centre = way.centre[knots, 0]
     smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
-    for normal in (way.centre[knots, 0][found.row] - found.tied, smooth):
+    for normal in (centre[found.row] - found.tied, smooth):
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
         np.minimum.at(off, found.row, _off_arc(line[found.row], unit, end))
-    if upright:
-        off = np.minimum(off, _off_crease(way.centre[knots, 0], line, found, float(side)))
+        if upright:
+            off = np.minimum(off, _off_between(unit, line, found.row, float(side)))
     return off
 
 
-def _off_crease(centre: FloatArray, line: FloatArray, found: Nearest, up: float) -> FloatArray:
+def _off_between(unit: FloatArray, line: FloatArray, row: IntArray, up: float) -> FloatArray:
     """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to the triangle on the sphere between the vertical
-    and the two ways to the ball's ``centre`` (K, 3), of those from all places that it touches, that differ
-    the most; infinite where that is not by more than a crease does."""
-    way = centre[found.row] - found.tied
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
-    first = np.searchsorted(found.row, np.arange(len(centre)))
+    and those two of the normals ``unit`` (M, 3) of the places that the ball touches, of its ``row`` (M,),
+    that differ the most."""
+    first = np.searchsorted(row, np.arange(len(line)))
     one = first
     for _ in range(2):  # the farthest from any one, and the farthest from that
-        cosine = dots(way, way[one[found.row]])
-        order = np.lexsort((cosine, found.row))
+        cosine = dots(unit, unit[one[row]])
+        order = np.lexsort((cosine, row))
         one, other = order[first], one
-    a, b = way[one], way[other]
-    out = np.full(len(centre), np.inf)
-    rows = np.flatnonzero(dots(a, b) < np.cos(CREASE))
-    a, b, p = a[rows], b[rows], line[rows]
+    a, b = unit[one], unit[other]
     c = np.broadcast_to(np.array([0.0, 0.0, up]), a.shape)
     turn = np.sign(dots(np.cross(a, b), c))
-    sides = [turn * dots(np.cross(i, j), p) for i, j in ((a, b), (b, c), (c, a))]
-    inside = (np.min(sides, axis=0) >= 0.0) & (turn != 0.0)
-    out[rows] = np.where(
-        inside, 0.0, np.min([_off_arc(p, i, j) for i, j in ((a, b), (b, c), (c, a))], axis=0)
-    )
-    return out
+    arcs = (a, b), (b, c), (c, a)
+    inside = (np.min([turn * dots(np.cross(i, j), line) for i, j in arcs], axis=0) >= 0.0) & (turn != 0.0)
+    return np.asarray(np.where(inside, 0.0, np.min([_off_arc(line, i, j) for i, j in arcs], axis=0)))
 
 
 def _turning(way: Track, knots: IntArray) -> IntArray:

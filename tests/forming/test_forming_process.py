@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -360,6 +361,29 @@ def test_what_cannot_be_formed_is_told_with_figures_and_a_remedy(tmp_path: Path)
     thick = refusal(pipeline.load(small_forming.write(tmp_path, data)))["forming.clear"]
     assert "cuts" in thick
     assert "slimmer" in thick
+
+
+def test_what_a_ball_does_not_reach_is_told_or_refused_by_the_users_figure(tmp_path: Path) -> None:
+    """A pit of four facets that lean by the angle a: from its tip a ball stays R (1 / cos a - 1) off."""
+    sharp = pyramid(10.0)
+    found = problem(tmp_path, "spif", sharp)
+    told = [one for one in processes.job(found, 0).targets().issues if one.code == "forming.unreached"]
+    radius = found.cell.arms[0].tool.head.radius / MM
+    off = float(radius * (np.hypot(1.0, 0.5) - 1.0))
+    assert len(told) == 1
+    assert told[0].severity is not Severity.ERROR
+    assert told[0].value == pytest.approx(off, abs=0.02)
+    assert "mm3" in told[0].message
+    refused = refusal(problem(tmp_path, "spif", sharp, unreached_mm=0.9 * off))["forming.unreached"]
+    assert "unreached_mm allows" in refused
+    # each remedy that it names
+    allowed = float(re.findall(r"allow ([\d.]+) mm", refused)[-1])
+    assert processes.job(problem(tmp_path, "spif", sharp, unreached_mm=allowed), 0).targets()
+    data = small_forming.problem("spif", unreached_mm=0.9 * off)
+    data["cell"]["arms"][0]["tool"] |= {"radius_mm": 0.5 * radius, "shaft_radius_mm": 0.5 * radius}
+    assert processes.job(pipeline.load(small_forming.write(tmp_path, data, sharp)), 0).targets()
+    round_ = small_forming.dish(30.0, 6.0, 40.0, 1.1 * radius)
+    assert processes.job(problem(tmp_path, "spif", round_, unreached_mm=0.9 * off), 0).targets()
 
 
 def test_a_job_needs_a_sheet_and_a_part(tmp_path: Path) -> None:

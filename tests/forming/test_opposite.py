@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from planner.forming.opposite import FACING, opposite_path
+from planner.forming.path_options import PathOptions
+from planner.forming.paths import make_path
 from planner.forming.touching import Touching
 from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.units import MM
+from planner.verify.forming_face import Face
+from planner.verify.forming_state import TIED
+from planner.verify.forming_track import Track
+from planner.verify.rules_forming_two import _off_directions
 from tests.forming.shapes import BALL, T0, Array, operation
 
 TILT = np.radians(50.0)
@@ -121,6 +128,61 @@ def test_off_the_wall_the_support_is_straight_below() -> None:
     assert path.former[at, 2] - path.support[at, 2] == pytest.approx(
         2.0 * BALL.radius + path.gap[at], abs=1e-9
     )
+
+
+def rounded(corner: float, pitch: float, shift: float) -> Pass:
+    """A pit with walls of 50 deg, square with round corners, sampled on a grid; at its foot their radius is
+    ``corner``, the grid ``pitch`` [m] wide and ``shift`` of that off the middle."""
+    x, y = np.meshgrid(*[(np.arange(-20, 21) + shift) * pitch] * 2, indexing="ij")
+    steep, high = np.tan(TILT), 8 * MM
+    wide = corner + high / steep
+    square = float(x.max()) - wide - 2.5 * pitch
+    aside = np.hypot(np.maximum(np.abs(x) - square, 0.0), np.maximum(np.abs(y) - square, 0.0))
+    z = np.clip((aside - wide) * steep, -high, 0.0) + T0
+    k = np.arange(40)[:, None] * 41 + np.arange(40)
+    a, b, c, d = (part.ravel() for part in (k, k + 41, k + 42, k + 1))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    ring = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * (square + wide + pitch)
+    thickness = np.full(x.size, T0 * np.cos(TILT))
+    return Pass(
+        "f1",
+        1,
+        1,
+        1,
+        np.column_stack([x.ravel(), y.ravel(), z.ravel()]),
+        faces,
+        thickness,
+        T0,
+        T0 - high,
+        ring,
+    )
+
+
+def off_touched(one: Pass, places: Array, directions: Array, ball: float) -> float:
+    """How far [deg] directions are off what the proof, by its own code, finds touched by balls there."""
+    face, rows = Face(one.vertices, one.faces, ball), np.arange(len(places))
+    none = np.zeros(0, dtype=np.bool_)
+    way = Track(
+        ("left",), rows, places[:, None], np.ones(len(rows), dtype=np.bool_), none, (), np.eye(4)[None]
+    )
+    found = face.nearest(places, TIED)
+    return float(np.degrees(_off_directions(directions, way, rows, face, found, 1, upright=True).max()))
+
+
+@pytest.mark.parametrize(("corner", "pitch", "shift"), [(5.5, 1.5, 0.1), (8.0, 1.5, 0.3), (5.3, 1.25, 0.0)])
+def test_in_a_round_corner_of_coarse_facets_the_line_stays_at_what_is_touched(
+    corner: float, pitch: float, shift: float
+) -> None:
+    """A ball that just fits touches facets far from each other, and hops between them."""
+    one, head = rounded(corner * MM, pitch * MM, shift), dataclasses.replace(BALL, radius=5 * MM)
+    options = PathOptions(stepdown=1.5 * MM, tangent_angle=np.radians(2.0))
+    path = opposite_path(one, make_path(one, head.radius, options), operation(), head, head, T0)
+    line = lines(path)
+    assert path.former[:, 2].min() < T0 - 2.5 * MM
+    middle, between = 0.5 * (path.former[1:] + path.former[:-1]), line[1:] + line[:-1]
+    between /= np.linalg.norm(between, axis=1, keepdims=True)
+    assert off_touched(one, path.former, line, head.radius) < 2.6
+    assert off_touched(one, middle, between, head.radius) < 3.1
 
 
 def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:

@@ -20,11 +20,12 @@ CORNER = np.linalg.solve(np.vstack([WALLS, [0.0, 0.0, 1.0]]), [RADIUS, RADIUS, 0
 """A ball's centre there touches both walls, which meet in a crease through the origin."""
 
 
-def turned(centre: np.ndarray, line: np.ndarray) -> float:
+def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS) -> float:
     """How far [deg] the proof finds a line of two tools off, for a ball about ``centre``."""
-    along = np.cross(*WALLS)
+    along = np.cross(*walls)
     along /= np.linalg.norm(along)
-    away = [np.array([0.0, -1.0, 0.0]), np.array([-1.0, 0.0, 0.0])]
+    away = [np.cross(walls[0], along), -np.cross(walls[1], along)]
+    away = [side * np.sign(side @ other) for side, other in zip(away, walls[::-1], strict=True)]
     points = [-0.05 * along, 0.05 * along]
     vertices = np.array([*points, *(p + 0.05 * a for a in away for p in points)])
     faces = np.array([[0, 2, 3], [0, 3, 1], [0, 5, 4], [0, 1, 5]])
@@ -55,6 +56,28 @@ def test_beside_the_crease_one_wall_alone_is_touched() -> None:
     wanted = np.arcsin(abs(line @ pole) / np.linalg.norm(pole) / np.linalg.norm(line))
     assert turned(beside, line) == pytest.approx(np.rad2deg(wanted), abs=1e-6)
     assert turned(beside, line) > 20.0
+
+
+def hollow(half: float) -> np.ndarray:
+    """Normals of two facets of a hollow that lean at 45 degrees and turn by twice ``half`` [deg]."""
+    spin = np.deg2rad([-half, half])
+    middle, beside = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0), np.array([0.0, 1.0, 0.0])
+    return np.cos(spin)[:, None] * middle + np.sin(spin)[:, None] * beside
+
+
+@pytest.mark.parametrize("half", [3.0, 7.0, 9.5])
+def test_where_a_ball_touches_two_facets_of_a_hollow_its_normal_is_any_between(half: float) -> None:
+    """Facets that are no crease, of a hollow as narrow as the ball: it touches both far from their edge."""
+    walls = hollow(half)
+    middle = walls.sum(axis=0)
+    centre = RADIUS * middle / (1.0 + walls[0] @ walls[1])
+    assert walls @ centre == pytest.approx([RADIUS, RADIUS])
+    assert turned(centre, middle, walls) == pytest.approx(0.0, abs=1e-4)
+    assert turned(centre, walls[0], walls) == pytest.approx(0.0, abs=1e-4)
+    on_one = centre + 2e-4 * np.array([0.0, 1.0, 0.0])  # rolled onto the first one alone
+    on_one += (RADIUS - walls[0] @ on_one) * walls[0]
+    assert turned(on_one, walls[0], walls) == pytest.approx(0.0, abs=1e-4)
+    assert turned(on_one, walls[1], walls) > half
 
 
 @pytest.mark.parametrize("degrees", [5.0, 30.0])
