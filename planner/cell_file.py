@@ -33,6 +33,7 @@ from planner.tooling import (
     wire_holder,
 )
 from planner.units import DEG, LENGTH_UNITS, MM
+from planner.wire_file import WiresFile, at_hand
 
 
 class PoseFile(Strict):
@@ -249,6 +250,10 @@ class CellFile(Strict):
     name: str = "cell"
     arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
     obstacles: tuple[ObstacleFile, ...] = ()
+    wires: Annotated[
+        tuple[WiresFile, ...] | None,
+        Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
+    ] = None
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -274,7 +279,7 @@ def build(spec: CellFile, folder: Path) -> Cell:
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
-    return Cell(spec.name, tuple(arms), obstacles, controller)
+    return Cell(spec.name, tuple(arms), obstacles, controller, at_hand(spec.wires or ()))
 
 
 def shape(spec: ShapeFile, folder: Path) -> Shape:

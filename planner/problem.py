@@ -20,6 +20,7 @@ from planner.issues import Issue
 from planner.materials import Foam
 from planner.sheet_metals import SheetMetal
 from planner.tooling import Tool
+from planner.wire_file import WireFile
 
 FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
@@ -51,12 +52,14 @@ class Obstacle:
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``."""
+    """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``;
+    ``wires`` are the bent wires at hand, from which one is chosen where an operation states none."""
 
     name: str
     arms: tuple[Arm, ...]
     obstacles: tuple[Obstacle, ...]
     controller: Controller
+    wires: tuple[WireFile, ...] = ()
 
     def arm(self, name: str) -> Arm:
         """The arm of that name; raises ``KeyError``."""

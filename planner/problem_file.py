@@ -15,7 +15,16 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, Field, Tag, ValidationError, model_validator
 
-from planner import cell_file, controller_uses, part_file, part_sheet_file, sheet_file, stock_file, yaml_lines
+from planner import (
+    cell_file,
+    controller_uses,
+    part_file,
+    part_sheet_file,
+    sheet_file,
+    stock_file,
+    wire_file,
+    yaml_lines,
+)
 from planner.cell_file import CellFile
 from planner.files import is_file
 from planner.issues import Issue, TandemError
@@ -116,6 +125,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     if cell is not None:
         issues += _names(cell, operations, document)
         issues += [_placed(issue, document) for issue in controller_uses.faults(cell, operations)]
+        issues += [_placed(issue, document) for issue in wire_file.faults(cell.wires, operations)]
     part, stock = None, None
     changes: dict[int, Change] = {}
     if spec is not None:
