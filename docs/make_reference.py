@@ -95,6 +95,7 @@ CHAPTERS: tuple[tuple[str, str, type[BaseModel]], ...] = (
     ("`holder` of `mill`, each", "", cell_file.HolderPieceFile),
     ("Tool `plain`", "", cell_file.PlainToolFile),
     ("`cell.obstacles`, each", "", cell_file.ObstacleFile),
+    ("`cell.wires`, each", "", cell_file.WiresFile),
     ("`cell.controller`", "", controller_file.ControllerFile),
     ("`cell.controller.interlock`", "", controller_file.InterlockFile),
     ("`outputs` of `interlock`, by request", "", controller_file.PowerOutputFile),

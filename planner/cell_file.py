@@ -34,6 +34,7 @@ from planner.tooling import (
     wire_holder,
 )
 from planner.units import DEG, LENGTH_UNITS, MM
+from planner.wire_file import WiresFile, at_hand
 
 
 class PoseFile(Strict):
@@ -255,6 +256,10 @@ class CellFile(Strict):
         tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
         Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
     ] = ()
+    wires: Annotated[
+        tuple[WiresFile, ...] | None,
+        Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
+    ] = None
     controller: ControllerFile = ControllerFile.model_validate({})
 
 
@@ -280,7 +285,8 @@ def build(spec: CellFile, folder: Path) -> Cell:
         Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
     )
     controller = controllers(spec.controller, [arm.name for arm in spec.arms])
-    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec))
+    wires = at_hand(spec.wires or ())
+    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
 
 
 def _grippers(spec: CellFile) -> tuple[Gripper, ...]:

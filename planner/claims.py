@@ -205,6 +205,14 @@ class ContactOnlyIn:
 
 
 @dataclasses.dataclass(frozen=True)
+class OneOf:
+    """The problem leaves open what is mounted: of the groups of claims in ``either`` one whole group must
+    hold, the one whose `OperatorDialogue` begins with what the operator is told to mount."""
+
+    either: tuple[tuple[Claim, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
 class FeedWindow:
     """While the edge is inside the stock its fastest point there moves between ``lower`` and ``upper``
     [m/s].
@@ -276,6 +284,7 @@ Claim = (
     | LeadsFrom
     | HoldsStock
     | ContactOnlyIn
+    | OneOf
     | OperatorDialogue
     | FeedWindow
     | FollowsPoses

@@ -88,6 +88,8 @@ ALONE: Final = Sentence("Check the arm before it moves.")
 
 # ---- a bent wire ----
 
+WIRE: Final = Sentence("Wire: {material} {size}")
+"""Which wire to mount; ``size`` as `SectionFile.size` has it."""
 MOUNT: Final = Sentence("Mount wire: {cold_mm:.1f} mm cold between clamps")
 CLAMPS: Final = Sentence("Clamps {apart_mm:.1f} mm apart, wire at {start_deg:.1f} and {end_deg:.1f} deg")
 CLAMPED: Final = Sentence("Wire clamped, slide free, block fixed, nobody in the cell?")

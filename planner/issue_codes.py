@@ -107,6 +107,7 @@ CODES: Final[dict[str, str]] = {
     "part.strips_found": "strips of a surface: their number, deviations and kinks",
     # planning a bent wire
     "wire.held": "an elastic wire is to cut a block that an arm holds",
+    "wire.chosen": "which of the wires at hand is to be mounted, and why",
     "wire.shape": "an elastic wire does not meet a face within the tolerance",
     "wire.curvature": "a planned wire is bent beyond its elastic limit",
     "wire.unstable": "a planned wire shape snaps, or is close to it, in or out of its plane",

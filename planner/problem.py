@@ -20,6 +20,7 @@ from planner.issues import Issue
 from planner.materials import Foam
 from planner.sheet_metals import SheetMetal
 from planner.tooling import Gripper, Tool
+from planner.wire_file import WireFile
 
 FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
@@ -52,13 +53,15 @@ class Obstacle:
 @dataclasses.dataclass(frozen=True)
 class Cell:
     """Arms and obstacles; ``task`` names of the controller and the signal names are in ``controller``.
-    ``grippers``: those that lie ready, from which one is chosen for a block that an arm holds."""
+    ``grippers`` lie ready, from which one is chosen for a block that an arm holds, and ``wires`` are the bent
+    wires at hand, from which one is chosen where an operation states none."""
 
     name: str
     arms: tuple[Arm, ...]
     obstacles: tuple[Obstacle, ...]
     controller: Controller
     grippers: tuple[Gripper, ...] = ()
+    wires: tuple[WireFile, ...] = ()
 
     def arm(self, name: str) -> Arm:
         """The arm of that name; raises ``KeyError``."""

@@ -23,6 +23,7 @@ from planner import (
     part_sheet_file,
     sheet_file,
     stock_file,
+    wire_file,
     yaml_lines,
 )
 from planner.cell_file import CellFile
@@ -141,6 +142,7 @@ def build(document: Document, models: OperationModels) -> Problem:
     if cell is not None:
         issues += _names(cell, operations, document)
         issues += [_placed(issue, document) for issue in controller_uses.faults(cell, operations)]
+        issues += [_placed(issue, document) for issue in wire_file.faults(cell.wires, operations)]
     part, stock = None, None
     changes: dict[int, Change] = {}
     if spec is not None:

@@ -219,7 +219,7 @@ def offset(
     direction = vertex_normals(mesh) if normals is None else normals
     shift = np.broadcast_to(np.asarray(distance, dtype=np.float64), len(mesh.vertices))
     moved = TriangleMesh(mesh.vertices + shift[:, None] * direction, mesh.faces)
-    turned = dots(face_normals(mesh), face_normals(moved)) <= 0.0
+    turned = (dots(face_normals(mesh), face_normals(moved)) <= 0.0) & ~_slivers(mesh)
     if turned.any():
         most = 1e3 * float(np.abs(shift).max())
         at = 1e3 * mesh.vertices[mesh.faces[turned][0]].mean(axis=0)
@@ -236,6 +236,14 @@ def offset(
             )
         )
     return moved
+
+
+def _slivers(mesh: TriangleMesh) -> NDArray[np.bool_]:
+    """Facets (F,) lower than a tenth of their longest edge, as a cut through a mesh leaves them: whether they
+    turn round says nothing about the surface."""
+    corners = mesh.vertices[mesh.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    return np.asarray(2.0 * face_areas(mesh) < 0.1 * longest**2)
 
 
 def _pieces(mesh: TriangleMesh) -> int:

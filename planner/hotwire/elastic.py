@@ -8,6 +8,8 @@ hold).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,13 +18,14 @@ from planner.claims import Claim, KerfCurve
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.hotwire import elastic_claims, elastic_kerf
 from planner.hotwire import wire as wires
-from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit
+from planner.hotwire.elastic_check import Cut, check, check_shape, measure, misfit, shares
+from planner.hotwire.elastic_choice import Attempt, choose, told
 from planner.hotwire.elastic_exhibits import exhibits, mount_figures
 from planner.hotwire.elastic_family import FamilyFit, fit_family, fit_first
 from planner.hotwire.elastic_path import Face, Route, lay_out, refine, travel
 from planner.hotwire.elastic_planes import cut_sections, direction_of, make_spine
 from planner.hotwire.elastic_slack import slack_freedom
-from planner.hotwire.elastic_sweep import Sweep, best_sweep, try_sweeps
+from planner.hotwire.elastic_sweep import Screen
 from planner.hotwire.elastic_wires import box_distance
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
@@ -51,7 +54,7 @@ class ElasticJob(Job[ElasticWire]):
         wire cannot do it.
         """
         operation, setup, part = self.operation, self.setup, self.part
-        stock, wire = setup.stock, _wire(operation)
+        stock = setup.stock
         if stock.held_by is not None:
             raise TandemError(
                 Issue(
@@ -63,38 +66,16 @@ class ElasticJob(Job[ElasticWire]):
                 )
             )
         wanted = _wanted(operation, part)
-        curve, feed = _kerf(operation, setup), FEED_SHARE * operation.feed_mm_s * MM
-        moved = {n: offset(_mesh(face), 0.5 * float(curve.at(np.array(feed)))) for n, face in wanted.items()}
-        tried, degrees = _sweep(operation, wire, list(moved.values()))
-        gravity = wire.load * stock.gravity
-        cuts = [_cut(operation, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
-        for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
-            for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
-                slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
-                mesh = offset(_mesh(face), 0.5 * slot)
-                cuts[i] = _cut(operation, cut.face.name, mesh, degrees, gravity, stock.box)
-        misfits = [issue for cut in cuts for issue in check_shape(operation, cut)]
-        if misfits:
-            raise TandemError(misfits)
-        margin, radius = operation.margin_mm * MM, 0.5 * wire.width
-        faces = [cut.face for cut in cuts]
-        route = lay_out(faces, stock.box, margin, radius, operation.step_mm * MM, operation.runs == "two")
-        route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * operation.shape_tol_mm * MM)
-        figures = measure(route, wire, stock.box)
-        issues = [
-            *_driven(operation, route, off, miss),
-            *check(operation, wire, route, cuts, figures, stock.box),
-        ]
-        if has_errors(issues):
-            raise TandemError(aggregate(issues))
+        screen = Screen(operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
+        made, tried = choose(screen, _attempt)
         return _targets(
-            operation,
-            wire,
+            made.op,
+            made.wire,
             setup,
-            self.claims(),
-            route,
-            issues,
-            exhibits(operation, wire, route, cuts, figures, tried),
+            self.claims() if operation.wire is not None else elastic_claims.claims(made.op, setup, part),
+            made.route,
+            [*made.issues, *told(screen, made, tried)],
+            exhibits(made.op, made.wire, made.route, made.cuts, made.figures, tried),
         )
 
     def stated(self) -> tuple[Claim, ...]:
@@ -102,14 +83,49 @@ class ElasticJob(Job[ElasticWire]):
         return elastic_claims.claims(self.operation, self.setup, self.part)
 
 
+def _attempt(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> Attempt:
+    """All of an operation with its wire and its sweep but for motion; raises ``TandemError``."""
+    stock, wire = setup.stock, _wire(op)
+    curve, feed, degrees = _kerf(op, setup), FEED_SHARE * op.feed_mm_s * MM, float(op.degrees or 0.0)
+    moved = {n: offset(_mesh(face), 0.5 * _slot(op, setup)) for n, face in wanted.items()}
+    gravity = wire.load * stock.gravity
+    cuts = [_cut(op, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
+    for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
+        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
+            slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
+            mesh = offset(_mesh(face), 0.5 * slot)
+            cuts[i] = _cut(op, cut.face.name, mesh, degrees, gravity, stock.box)
+    misfits = [issue for cut in cuts for issue in check_shape(op, cut)]
+    if misfits:
+        raise TandemError(misfits)
+    margin, radius = op.margin_mm * MM, 0.5 * wire.width
+    faces = [cut.face for cut in cuts]
+    route = lay_out(faces, stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
+    issues = check(op, wire, route, cuts, measure(route, wire, stock.box), stock.box)
+    if has_errors(issues):
+        raise TandemError(issues)
+    route, off, miss = refine(route, faces, stock.box, _DRIVE_TOL * op.shape_tol_mm * MM)
+    figures = measure(route, wire, stock.box)
+    issues = [*_driven(op, route, off, miss), *check(op, wire, route, cuts, figures, stock.box)]
+    if has_errors(issues):
+        raise TandemError(issues)
+    within = max(shares(op, route, cut, figures)[2] for cut in cuts)
+    return Attempt(op, wire, cuts, route, figures, issues, within)
+
+
 def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:
     """Kerf over the local speed; the foam's thickness along the wire is taken as the block's shorter side."""
-    diameter, thickness = (op.wire.diameter_mm or 0.0) * MM, float(setup.stock.size[:2].min())
-    return op.kerf_curve(setup.stock.foam, diameter, op.wire.length_mm * MM, thickness)
+    own, thickness = op.chosen, float(setup.stock.size[:2].min())
+    return op.kerf_curve(setup.stock.foam, (own.diameter_mm or 0.0) * MM, own.length_mm * MM, thickness)
+
+
+def _slot(op: ElasticWire, setup: Setup) -> float:
+    """Width [m] of the slot at the feed that plans use."""
+    return float(_kerf(op, setup).at(np.array(FEED_SHARE * op.feed_mm_s * MM)))
 
 
 def _wire(op: ElasticWire) -> Wire:
-    w = op.wire
+    w = op.chosen
     return wires.make(w.material, w.diameter_mm, w.width_mm, w.thickness_mm, w.temperature_c)
 
 
@@ -135,14 +151,6 @@ def _mesh(face: Mesh) -> TriangleMesh:
     return TriangleMesh(face.vertices, face.faces)
 
 
-def _sweep(op: ElasticWire, wire: Wire, faces: list[TriangleMesh]) -> tuple[list[Sweep], float]:
-    if op.sweep != "auto":
-        return [], {"x": 0.0, "y": 90.0}[op.sweep] if isinstance(op.sweep, str) else float(op.sweep)
-    length, spare = op.wire.length_mm * MM, 2.0 * op.margin_mm * MM
-    tried = try_sweeps(faces, length, spare, wire.load, op.end_error_mm * MM, op.is_normal)
-    return tried, best_sweep(tried, op.shape_tol_mm * MM).degrees
-
-
 def _cut(
     op: ElasticWire, name: str, mesh: TriangleMesh, degrees: float, gravity: FloatArray, box: FloatArray
 ) -> Cut:
@@ -155,13 +163,13 @@ def _cut(
     _long_enough(op, name, sections.length)
     load = (np.swapaxes(spine.frames(p)[:, :3, :3], 1, 2) @ gravity)[:, :2]
     reach = float(np.abs(spine.direction[:2]) @ np.abs(box[:, :2]).max(axis=0)) + 2.0 * op.margin_mm * MM
-    first = fit_first(sections, load, op.wire.length_mm * MM)
-    hopeless = misfit(op, name, spine, sections, first.rows, first.fit.residual, _HOPELESS)
+    first = fit_first(sections, load, op.chosen.length_mm * MM)
+    hopeless = misfit(op, name, sections, first.rows, first.fit.residual, _HOPELESS)
     if hopeless:
         raise TandemError(hopeless)
     best: FamilyFit | None = None
     for cells in _CELLS:
-        fit = fit_family(sections, first, load, op.wire.length_mm * MM, -reach, reach, -spine.across, cells)
+        fit = fit_family(sections, first, load, op.chosen.length_mm * MM, -reach, reach, -spine.across, cells)
         if best is None or np.quantile(np.abs(fit.residual), op.share) < 0.8 * np.quantile(
             np.abs(best.residual), op.share
         ):
@@ -175,18 +183,16 @@ def _cut(
 
 def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
     need = float(length.max()) / MM + 2.0 * op.margin_mm
-    if need > op.wire.length_mm:
+    if need > op.chosen.length_mm:
         raise TandemError(
             Issue(
                 "wire.too_short",
-                f"{op.name}: the wire of {op.wire.length_mm:g} mm is shorter than the longest section of "
-                f"the {name} face "
-                f"with its margins, {need:.0f} mm",
+                f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
+                f"the {name} face across {op.way}, with its margins {need:.0f} mm",
                 field="wire.length_mm",
-                value=op.wire.length_mm,
+                value=op.chosen.length_mm,
                 limit=need,
                 unit="mm",
-                hint="use a longer wire, sweep the other way, or split the panel",
             )
         )
 
@@ -257,7 +263,7 @@ def _freedoms(op: ElasticWire, wire: Wire, stock: Stock, route: Route) -> tuple[
     )
     if slack is not None:
         out.append(slack)
-    if op.wire.is_round:
+    if op.chosen.is_round:
         count = len(route.wires)
         spin = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         turn = np.full(count, np.pi)
@@ -269,7 +275,8 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", dialogue.MOUNT.say(cold_mm=wire.cold_length(op.wire.length_mm))),
+        Action(0, "message", dialogue.WIRE.say(material=op.chosen.material, size=op.chosen.size)),
+        Action(0, "message", dialogue.MOUNT.say(cold_mm=wire.cold_length(op.chosen.length_mm))),
         Action(
             0,
             "message",
@@ -278,7 +285,7 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
         Action(0, "confirm", dialogue.CLAMPED.say()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=op.wire.length_mm)),
+        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=op.chosen.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
         Action(last, "confirm", dialogue.TAKEN_OFF.say()),

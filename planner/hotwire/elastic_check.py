@@ -9,13 +9,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
+from planner.geometry.mesh import TriangleMesh
 from planner.hotwire import heavy
 from planner.hotwire.elastic_family import FamilyFit
 from planner.hotwire.elastic_path import Face, Route
-from planner.hotwire.elastic_planes import SectionSet, Spine
+from planner.hotwire.elastic_planes import SectionSet
+from planner.hotwire.elastic_sweep import leaning
 from planner.hotwire.elastic_wires import box_distance
-from planner.hotwire.fit import fit_curves
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.response import end_sensitivity, weight_deviation
 from planner.hotwire.stability import STABLE
@@ -71,7 +71,7 @@ def measure(route: Route, wire: Wire, box: FloatArray) -> Figures:
     touches = inside.any(axis=1)
     middle = np.where(touches, 0.5 * (first + last), 0.5 * wires.length)
     half = np.maximum(np.where(touches, 0.5 * (last - first), 0.0), 0.03 * wires.length)
-    feel = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).position
+    feel = end_sensitivity(shape, np.stack([middle - half, middle + half], axis=1)).ends
     sag, _ = heavy.sag_out_of_plane(shape, wires.load()[:, 2], wire.section)
     some = np.unique(np.linspace(0, len(wires) - 1, _SOME).astype(np.intp))
     off, _ = weight_deviation(wires[some].shapes())
@@ -110,16 +110,16 @@ def _ends(op: ElasticWire, route: Route, figures: Figures) -> list[Issue]:
     short = op.margin_mm * MM - float(figures.end_clear[worst])
     if short <= 1e-6:
         return []
-    need = op.wire.length_mm + 2.0 * short / MM
+    need = op.chosen.length_mm + 2.0 * short / MM
     return [
         Issue(
             "wire.too_short",
-            f"{op.name}: the wire of {op.wire.length_mm:g} mm leaves its ends only "
+            f"{op.name}: the wire of {op.chosen.length_mm:g} mm leaves its ends only "
             f"{figures.end_clear[worst] * 1e3:.1f} mm outside the block ({_name(route, worst)}), "
             f"{op.margin_mm:g} mm are wanted",
             field="wire.length_mm",
             index=worst,
-            value=op.wire.length_mm,
+            value=op.chosen.length_mm,
             limit=float(np.ceil(need)),
             unit="mm",
             hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
@@ -177,10 +177,10 @@ def _stability(route: Route, figures: Figures) -> list[Issue]:
     return issues
 
 
-def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
-    """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
+def shares(op: ElasticWire, route: Route, cut: Cut, figures: Figures) -> tuple[float, float, float]:
+    """What the wanted share of a face is within [m]: by the wire's shape, with its weight across the planes,
+    and with errors of its ends too."""
     segment = Segment("cut", cut.face.name)
-    tol = op.shape_tol_mm * MM
     has = cut.sections.length > 0.0
     residual = np.abs(cut.fit.residual)
     rows = np.nonzero(np.array(route.segment) == segment)[0]
@@ -190,16 +190,24 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
         return np.interp(cut.sections.p, route.p[order], values[order])[:, None]
 
     shape = residual[has]
-    lean = _lean(cut)
+    lean = leaning(cut.mesh, cut.face.spine)
     sag = (residual + lean * at_sections(figures.sag))[has]
     feel = (
         residual + lean * at_sections(figures.sag) + op.end_error_mm * MM * at_sections(figures.sensitivity)
     )[has]
-    share = [float(np.quantile(v, op.share)) for v in (shape, sag, feel)]
+    first, second, third = (float(np.quantile(v, op.share)) for v in (shape, sag, feel))
+    return first, second, third
+
+
+def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Figures) -> list[Issue]:
+    """Shape with weight, then with end errors too: the first that breaks the tolerance is named."""
+    tol, share = op.shape_tol_mm * MM, shares(op, route, cut, figures)
+    rows = np.nonzero(np.array(route.segment) == Segment("cut", cut.face.name))[0]
     what = f"{op.name}: {op.share * 100:g} % of the {cut.face.name} face is within"
     if share[1] > tol:
         worst = float(figures.sag[rows].max())
         free = max(tol - share[0], 0.1 * tol)
+        lean = leaning(cut.mesh, cut.face.spine)
         thick = wire.thickness * np.sqrt(lean * worst / free)
         falls = worst > 1.0  # a metre: nothing holds the wire up
         reached = f"{share[1] * 1e3:.2f} mm" if share[1] < 1.0 else "no bound"
@@ -230,9 +238,6 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
                 value=min(share[2], 1.0) * 1e3,
                 limit=op.shape_tol_mm,
                 unit="mm",
-                hint="a nearly straight wire cannot be held: use another sweep, a longer and so more "
-                "bowed wire, or "
-                "ends that are better calibrated (end_error_mm)",
             )
         ]
     return []
@@ -241,13 +246,12 @@ def _tolerance(op: ElasticWire, wire: Wire, route: Route, cut: Cut, figures: Fig
 def check_shape(op: ElasticWire, cut: Cut) -> list[Issue]:
     """Whether the fitted wires meet the face: to know before anything is laid out."""
     has = np.nonzero(cut.sections.length > 0.0)[0]
-    return misfit(op, cut.face.name, cut.face.spine, cut.sections, has, cut.fit.residual[has])
+    return misfit(op, cut.face.name, cut.sections, has, cut.fit.residual[has])
 
 
 def misfit(
     op: ElasticWire,
     name: str,
-    spine: Spine,
     sections: SectionSet,
     rows: NDArray[np.intp],
     residual: FloatArray,
@@ -260,55 +264,17 @@ def misfit(
         return []
     worst = int(np.argmax(np.abs(residual).max(axis=1)))
     off = float(np.abs(residual[worst]).max())
-    where, left = best_split(sections.points[rows[worst]], op.wire.length_mm * MM)
-    helps = (
-        f"each half then is within {left * 1e3:.2f} mm"
-        if left < op.shape_tol_mm * MM
-        else f"each half then still is off by {left * 1e3:.2f} mm, so split more finely"
-    )
     return [
         Issue(
             "wire.shape",
-            f"{op.name}: an elastic wire of {op.wire.length_mm:g} mm meets {op.share * 100:g} % of the "
-            f"{name} face "
-            f"within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is at "
-            f"{sections.p[rows[worst]] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
+            f"{op.name}: {op.chosen} swept along {op.way} meets {op.share * 100:g} % of the "
+            f"{name} face within {got * 1e3:.2f} mm, {op.shape_tol_mm:g} mm are wanted; the worst section is "
+            f"at {sections.p[rows[worst]] * 1e3:.0f} mm along the sweep, off by {off * 1e3:.2f} mm",
             value=got * 1e3,
             limit=op.shape_tol_mm,
             unit="mm",
-            hint=f"split the panel at {(where + spine.across) * 1e3:.0f} mm along the wire, from the "
-            "block's middle "
-            f"({helps}), choose another sweep, or allow more",
         )
     ]
-
-
-def _lean(cut: Cut) -> float:
-    """How much of a displacement across the planes is a distance from the surface: 95 % of the face are
-    below this.
-    """
-    centre = cut.mesh.vertices[cut.mesh.faces].mean(axis=1)
-    planes = cut.face.spine.frames(centre @ cut.face.spine.direction)
-    part = np.abs(np.sum(face_normals(cut.mesh) * planes[:, :3, 2], axis=1))
-    order = np.argsort(part)
-    area = np.cumsum(face_areas(cut.mesh)[order])
-    return float(part[order][np.searchsorted(area, 0.95 * area[-1])])
-
-
-def best_split(points: FloatArray, length: float) -> tuple[float, float]:
-    """Where along x [m] to split a section (m, 2) so that wires of ``length`` meet both parts best; and how
-    well [m]."""
-    count = len(points)
-    at = np.linspace(8, count - 9, 7).astype(np.intp)
-    parts = []
-    for i in at:
-        for part in (points[: i + 1], points[i:]):
-            places = np.linspace(0, len(part) - 1, 21)
-            columns = [np.interp(places, np.arange(len(part)), part[:, c]) for c in range(2)]
-            parts.append(np.stack(columns, axis=-1))
-    fitted = fit_curves(np.stack(parts), np.full(len(parts), length)).largest.reshape(-1, 2).max(axis=1)
-    best = int(np.argmin(fitted))
-    return float(points[at[best], 0]), float(fitted[best])
 
 
 def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> list[Issue]:

@@ -4,7 +4,7 @@ makes targets, and which uses nothing that does."""
 from __future__ import annotations
 
 from planner import dialogue
-from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfWithin, WireJoins
+from planner.claims import Claim, ContactOnlyIn, CutsSurface, FeedWindow, KerfWithin, OneOf, WireJoins
 from planner.claims_dialogue import OperatorDialogue, asked, powered, told, unpowered
 from planner.claims_kerf import slot
 from planner.claims_wire import cold_length, stiffness
@@ -14,14 +14,22 @@ from planner.materials import wire_material
 from planner.problem import Mesh, Part, Setup
 from planner.segments import Segment
 from planner.units import MM
+from planner.wire_file import WireFile
 
 
 def claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
-    """Claims on the wire, on each face in order, and on the contact.
+    """Claims on the wire, on each face in order, and on the contact; where the operation leaves the wire
+    open, those of each wire at hand, of which the operator is told one.
 
     Raises ``TandemError``: wire.unknown_material, part.missing_face, stock.foam_missing, kerf.no_data.
     """
-    own, length = op.wire, op.wire.length_mm * MM
+    if op.wire is not None:
+        return _claims(op, op.wire, setup, part)
+    return (OneOf(tuple(_claims(op, w, setup, part) for w in op.wires(setup.cell.wires))),)
+
+
+def _claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    length = own.length_mm * MM
     diameter, width, thickness = (
         None if size is None else size * MM for size in (own.diameter_mm, own.width_mm, own.thickness_mm)
     )
@@ -41,7 +49,7 @@ def claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...
             end_error=op.end_error_mm * MM,
         ),
         ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
-        _dialogue(op),
+        _dialogue(op, own),
     ]
     for name in op.faces:
         segment, face = Segment("cut", name), _face(op, name, part)
@@ -55,14 +63,14 @@ def claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...
     return tuple(out)
 
 
-def _dialogue(op: ElasticWire) -> OperatorDialogue:
+def _dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
     """The wire is mounted cold and locked hot; how far its clamps are apart then, and how it leaves them, is
     where the arms stand."""
-    own = op.wire
     cold = cold_length(wire_material(own.material), own.length_mm * MM, own.temperature_c)
     return OperatorDialogue(
         op.arms,
         (
+            told(dialogue.WIRE, material=own.material, size=own.size),
             told(dialogue.MOUNT, cold_mm=cold / MM),
             told(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
             asked(dialogue.CLAMPED),

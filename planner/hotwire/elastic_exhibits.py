@@ -69,10 +69,24 @@ def exhibits(
     if tried:
         out["sweeps"] = {
             "kind": "table",
-            "title": "Sweeps tried",
-            "columns": ("direction [deg from x]", "shape [mm]", "by end errors [mm]", "longest section [mm]"),
+            "title": "Wires and sweeps tried",
+            "columns": (
+                "wire",
+                "direction [deg from x]",
+                "shape [mm]",
+                "by end errors [mm]",
+                "longest section [mm]",
+                "no way",
+            ),
             "rows": [
-                (f"{s.degrees:g}", f"{s.shape * 1e3:.3f}", f"{s.hold * 1e3:.3f}", f"{s.longest * 1e3:.0f}")
+                (
+                    "" if s.wire is None else str(s.wire),
+                    f"{s.degrees:g}",
+                    "" if s.why else f"{s.shape * 1e3:.3f}",
+                    "" if s.why else f"{s.hold * 1e3:.3f}",
+                    f"{s.longest * 1e3:.0f}",
+                    s.why,
+                )
                 for s in tried
             ],
         }
@@ -127,7 +141,7 @@ def _setup(op: ElasticWire, wire: Wire, route: Route) -> dict[str, Any]:
     chord, angles = mount_figures(route)
     size = (
         f"{wire.thickness * 1e3:g} mm round"
-        if op.wire.is_round
+        if op.chosen.is_round
         else f"{wire.width * 1e3:g} x {wire.thickness * 1e3:g} mm strip"
     )
     return {
@@ -135,13 +149,13 @@ def _setup(op: ElasticWire, wire: Wire, route: Route) -> dict[str, Any]:
         "title": "Wire",
         "items": [
             ("wire", f"{wire.material.title}, {size}"),
-            ("cold length between the clamps", f"{wire.cold_length(op.wire.length_mm):.1f}", "mm"),
-            ("hot length between the clamps", f"{op.wire.length_mm:.1f}", "mm"),
+            ("cold length between the clamps", f"{wire.cold_length(op.chosen.length_mm):.1f}", "mm"),
+            ("hot length between the clamps", f"{op.chosen.length_mm:.1f}", "mm"),
             ("distance of the clamps at the mount", f"{chord * 1e3:.1f}", "mm"),
             ("angle of the wire at its start, to the chord", f"{angles[0]:.1f}", "deg"),
             ("angle of the wire at its end, to the chord", f"{angles[1]:.1f}", "deg"),
-            ("temperature", f"{op.wire.temperature_c:g}", "C"),
-            ("resistance of the hot wire", f"{wire.resistance * op.wire.length_mm * 1e-3:.2f}", "ohm"),
+            ("temperature", f"{op.chosen.temperature_c:g}", "C"),
+            ("resistance of the hot wire", f"{wire.resistance * op.chosen.length_mm * 1e-3:.2f}", "ohm"),
         ],
     }
 

@@ -8,40 +8,10 @@ from pydantic import Field, model_validator
 
 from planner.hotwire.hot_wire import HotWireOperation
 from planner.problem import Stock
-from planner.schema import Name, Strict
+from planner.schema import Name
+from planner.wire_file import WireFile
 
 Face = Literal["front", "back"]
-
-
-class WireFile(Strict):
-    """A round wire by ``diameter_mm``, or a strip by ``width_mm`` and ``thickness_mm``, over which it
-    bends.
-    """
-
-    material: Annotated[str, Field(description="name in the table of materials")]
-    diameter_mm: Annotated[float, Field(ge=0.05, le=10)] | None = None
-    width_mm: Annotated[float, Field(ge=0.2, le=60)] | None = None
-    thickness_mm: Annotated[float, Field(ge=0.05, le=5)] | None = None
-    length_mm: Annotated[float, Field(ge=50, le=5000, description="hot length between the clamps")]
-    temperature_c: Annotated[float, Field(ge=20, le=1000, description="of the wire while it cuts")]
-
-    @model_validator(mode="after")
-    def _one_section(self) -> WireFile:
-        strip = self.width_mm is not None and self.thickness_mm is not None
-        if self.diameter_mm is not None and (self.width_mm is not None or self.thickness_mm is not None):
-            raise ValueError("give diameter_mm for a round wire, or width_mm and thickness_mm for a strip")
-        if self.diameter_mm is None and not strip:
-            raise ValueError(
-                "give diameter_mm for a round wire, or both width_mm and thickness_mm for a strip"
-            )
-        if self.width_mm is not None and self.thickness_mm is not None and self.thickness_mm > self.width_mm:
-            raise ValueError("thickness_mm must not exceed width_mm: a strip bends over its thin side")
-        return self
-
-    @property
-    def is_round(self) -> bool:
-        """Whether the wire may spin about itself."""
-        return self.diameter_mm is not None
 
 
 class ElasticWire(HotWireOperation):
@@ -49,7 +19,9 @@ class ElasticWire(HotWireOperation):
 
     process: Literal["elastic_wire"]
     arms: Annotated[tuple[Name, Name], Field(description="the arm at the wire's start, the arm at its end")]
-    wire: WireFile
+    wire: Annotated[
+        WireFile | None, Field(description="none: one of the cell's wires, chosen by trying them")
+    ] = None
     faces: Annotated[tuple[Face, ...], Field(min_length=1, max_length=2)] = ("front", "back")
     runs: Annotated[
         Literal["one", "two"], Field(description="one: there and back; two: both faces in the same direction")
@@ -90,11 +62,39 @@ class ElasticWire(HotWireOperation):
             raise ValueError("arms: two different arms hold the wire's ends")
         if len(set(self.faces)) != len(self.faces):
             raise ValueError("faces: each face is cut once")
-        if self.power_w is not None and not self.wire.is_round:
+        if self.power_w is not None and self.wire is not None and not self.wire.is_round:
             raise ValueError("power_w: the kerf of strips is not known; give kerf_mm")
         return self
 
     @property
+    def chosen(self) -> WireFile:
+        """The wire; an operation that leaves it open has none before it is chosen."""
+        if self.wire is None:
+            raise ValueError(f"{self.name}: no wire is chosen yet")
+        return self.wire
+
+    @property
+    def degrees(self) -> float | None:
+        """Direction of the sweep [deg from x]; None: it is chosen."""
+        return {"x": 0.0, "y": 90.0, "auto": None}[self.sweep] if isinstance(self.sweep, str) else self.sweep
+
+    @property
+    def way(self) -> str:
+        """The sweep as people say it."""
+        known = {None: "any direction", 0.0: "x", 90.0: "y"}
+        return known.get(self.degrees, f"{self.sweep} deg from x")
+
+    def wires(self, at_hand: tuple[WireFile, ...]) -> tuple[WireFile, ...]:
+        """The wires that may cut: the stated one, else those ``at_hand`` in the cell whose kerf is known."""
+        if self.wire is not None:
+            return (self.wire,)
+        return tuple(w for w in at_hand if w.is_round or self.power_w is None)
+
+    def using(self, wire: WireFile, sweep: float | None = None) -> ElasticWire:
+        """This operation with a wire, and a sweep [deg from x], in place of what it leaves open."""
+        return self.model_copy(update={"wire": wire} | ({} if sweep is None else {"sweep": sweep}))
+
+    @property
     def is_normal(self) -> bool:
         """Whether sections are normal to the spine of the face: a strip's width must follow the sweep."""
-        return self.sections == "normal" or (self.sections == "auto" and not self.wire.is_round)
+        return self.sections == "normal" or (self.sections == "auto" and not self.chosen.is_round)

@@ -18,12 +18,15 @@ class EndSensitivity:
     """Largest normal displacement of the wire inside the window, per unit of error; infinite for wires at
     or beyond buckling.
 
-    position (B,) [m/m]: both ends off by one unit, each in its worst direction in the plane; angle (B,)
+    position (B,) [m/m]: both ends off by one unit, each in its worst direction in the plane; ends (B,)
+    [m/m]: both ends off by one unit each way in the plane, as errors that are independent, so that squares
+    add; angle (B,)
     [m/rad]: both clamp angles off by one unit, in the worst senses; length (B,) [m/m]: the wire one unit
     too long. profile (B, n, 7): normal displacement at sigma (n,) by xA, yA, thetaA, xB, yB, thetaB, L.
     """
 
     position: Array
+    ends: Array
     angle: Array
     length: Array
     sigma: Array
@@ -94,6 +97,7 @@ def end_sensitivity(shape: HeavyShape, window: Array | None = None) -> EndSensit
     angle = np.abs(profile[..., 2]) + np.abs(profile[..., 5])
     return EndSensitivity(
         np.max(first + last, axis=1, where=inside, initial=0.0),
+        np.max(np.hypot(first, last), axis=1, where=inside, initial=0.0),
         np.max(angle, axis=1, where=inside, initial=0.0),
         np.max(np.abs(profile[..., 6]), axis=1, where=inside, initial=0.0),
         sigma,

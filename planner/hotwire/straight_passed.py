@@ -16,6 +16,7 @@ from planner.hotwire.straight_inner import guides, stays
 from planner.hotwire.straight_lines import join
 from planner.hotwire.straight_operation import Straight
 from planner.issues import Issue, Severity
+from planner.targets import FEED_SHARE
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -29,7 +30,7 @@ SPARE: Final = 0.95
 def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> Iterator[Issue]:
     """``straight.uneven`` where the slot grows and shrinks so fast that the wire does not keep half of it off
     the surface, ``kerf.too_hot`` and ``kerf.too_cold`` where it does so between the guide points."""
-    feed, count = op.feed(cut.wanted.cut), len(cut.on.lines)
+    feed, count = FEED_SHARE * op.feed(cut.wanted.cut), len(cut.on.lines)
     out = cut.out[: cut.turns] if cut.turns else cut.out
     ahead = cut.into[-2:]
     whole = melted(join([ahead, cut.on.lines, out[:2]]), kerf, feed, box)

@@ -73,11 +73,13 @@ class Context:
         claims: Mapping[str, tuple[Claim, ...]],
         programs: Mapping[str, str],
         unread: tuple[Issue, ...] = (),
+        untold: tuple[Issue, ...] = (),
     ) -> None:
         self.problem = problem
         self.programs = programs
         self.by_operation = claims
         self.unread = unread
+        self.untold = untold
         self.claims: tuple[Claim, ...] = tuple(claim for group in claims.values() for claim in group)
 
     # ---- claims ----

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from planner import claims, claims_dialogue, claims_forming, claims_milling
-from planner.claims import Claim
+from planner.claims import Claim, OneOf
 from planner.issues import Issue
 
 PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
@@ -20,6 +20,7 @@ PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims.LeadsFrom: ("verify.slit",),
     claims.HoldsStock: ("verify.load", "verify.held_frame"),
     claims.ContactOnlyIn: ("verify.contact", "verify.wire_power", "verify.spindle"),
+    claims.OneOf: ("verify.dialogue",),
     claims_dialogue.OperatorDialogue: ("verify.dialogue", "verify.dialogue_figures"),
     claims.FeedWindow: ("verify.feed", "verify.order", "verify.mill_feed"),
     claims.FollowsPoses: ("verify.follows",),
@@ -51,7 +52,9 @@ def unproven(claims: Mapping[str, tuple[Claim, ...]]) -> list[Issue]:
     ``claims`` by the operation's name."""
     out = []
     for name, group in claims.items():
-        for kind in dict.fromkeys(type(claim) for claim in group if type(claim) not in PROVEN_BY):
+        inner = [c for claim in group if isinstance(claim, OneOf) for one in claim.either for c in one]
+        known = (type(claim) for claim in (*group, *inner) if type(claim) not in PROVEN_BY)
+        for kind in dict.fromkeys(known):
             what = f"{name}: its process claims {kind.__name__}, which no rule of the proof looks at"
             hint = "give the proof a rule for it, or claim what there are rules for"
             out.append(Issue("claims.unproven", f"{what}; {hint}", field="operations.process"))

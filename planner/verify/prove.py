@@ -61,6 +61,7 @@ from planner.verify import (
     rules_wire,
 )
 from planner.verify.context import Context, Outcome
+from planner.verify.dialogue_choice import told_choice
 from planner.verify.forming_state import Forming
 from planner.verify.kinds import unproven
 from planner.verify.mill_track import Milling
@@ -227,7 +228,7 @@ class Prover:
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
             self._worked_out = mill_worked.worked_out(self.claims)
-        context = Context(self.problem, self._worked_out[0], programs, self._worked_out[1])
+        context = told_choice(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
         run = _Run(context)
         for _ in self._steps(context, run):
             if (first_error and run.broken) or last in run.results:

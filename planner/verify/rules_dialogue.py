@@ -64,7 +64,7 @@ def told_and_asked(context: Context) -> Outcome:
     the task and at the place where it belongs, confirmed by one button, with the signals and waits between
     and every arm at rest; nothing else is shown, also in handlers."""
     found, said = wanted(context), spoken(context.job)
-    issues: list[Issue] = []
+    issues: list[Issue] = list(context.untold)
     for task in context.job.tasks:
         _, faults = _compared(task, found[task.name], said[task.name], found)
         issues += faults

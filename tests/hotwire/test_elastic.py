@@ -107,7 +107,8 @@ def test_the_order_of_the_job_its_stops_and_actions(arch: Targets) -> None:
     at_mount = [a.kind for a in arch.actions if a.at == 0]
     assert at_mount.index("on") < at_mount.index("wait") < len(at_mount) - 1
     assert [a.kind for a in arch.actions if a.at == arch.count - 1] == ["off", "wait", "confirm"]
-    assert "518.2" in arch.actions[0].text  # 520 mm hot at 300 C, 12.6e-6 / K
+    assert arch.actions[0].text == "Wire: spring_steel 1.5 mm round"
+    assert "518.2" in arch.actions[1].text  # 520 mm hot at 300 C, 12.6e-6 / K
 
 
 def test_feeds_bind_only_where_the_wire_is_in_the_foam(arch: Targets) -> None:

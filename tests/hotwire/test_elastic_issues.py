@@ -80,27 +80,13 @@ def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
     assert [i.severity for i in issues] == want
 
 
-def test_the_best_split_of_two_arcs_is_where_they_meet() -> None:
-    """Two arcs of opposite bend, joined at x = 30 mm with equal tangents: halves are exact there."""
-    left, right = np.linspace(-1.5, 0.0, 40), np.linspace(0.0, 1.2, 40)[1:]
-    first = np.stack([0.06 * np.sin(left), 0.06 * (np.cos(left) - 1.0)], axis=1)
-    second = np.stack([0.05 * np.sin(right), 0.05 * (1.0 - np.cos(right))], axis=1)
-    curve = np.concatenate([first, second])
-    steps = np.hypot(*np.diff(curve, axis=0).T)
-    place = np.insert(np.cumsum(steps), 0, 0.0)
-    even = np.linspace(0.0, place[-1], 41)
-    points = np.stack([np.interp(even, place, curve[:, c]) for c in range(2)], axis=-1)
-    points[:, 0] += 0.03
-    where, left_over = elastic_check.best_split(points, 0.4)
-    assert where == pytest.approx(0.03, abs=0.012)
-    assert left_over < 1e-3
-
-
-def test_best_sweep_prefers_short_sections_when_several_will_do() -> None:
+def test_of_sweeps_that_will_do_the_one_with_short_sections_comes_first() -> None:
     sweep = elastic_sweep.Sweep
     tried = [sweep(90.0, 1e-4, 1e-5, 0.4), sweep(0.0, 1e-4, 1e-4, 0.3), sweep(45.0, 1e-5, 1e-5, 0.2)]
-    assert elastic_sweep.best_sweep(tried, 1e-3).degrees == 0.0
-    assert elastic_sweep.best_sweep(tried, 1e-5).degrees == 45.0
+    assert elastic_sweep.ranked(tried, 1e-3)[0].degrees == 0.0
+    assert elastic_sweep.ranked(tried, 1e-5)[0].degrees == 45.0
+    never = sweep(90.0, 0.0, 0.0, 0.1, why="it would snap")
+    assert elastic_sweep.ranked([never, *tried], 1e-3)[-1] == never
 
 
 @pytest.mark.parametrize(

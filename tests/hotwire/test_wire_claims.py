@@ -57,6 +57,7 @@ OUTSIDE = {
     "planner.segments",
     "planner.tooling",
     "planner.units",
+    "planner.wire_file",
 }
 
 

@@ -9,7 +9,7 @@ import functools
 import numpy as np
 
 from planner import dialogue
-from planner.claims import ContactOnlyIn
+from planner.claims import ContactOnlyIn, OneOf, WireJoins
 from planner.claims_dialogue import DialogueStop, OperatorDialogue, asked, powered, told, unpowered
 from planner.post import write
 from planner.segments import Segment
@@ -64,6 +64,44 @@ def bent_claims():
         joined=True,
     )
     return {"panel": _with(small_job.claims()["panel"], spoken)}
+
+
+LONGER_MM = 20.0
+"""By how much the other wire of :func:`choice_claims` is longer."""
+
+
+def choice():
+    """The plan of the bent wire where the problem leaves open which one it is."""
+    whole = bent()
+    (operation,) = whole.operations
+    named = Action(0, "message", dialogue.WIRE.say(material="spring_steel", size="1.5 mm round"))
+    targets = dataclasses.replace(operation.targets, actions=(named, *operation.targets.actions))
+    return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
+
+
+def choice_claims():
+    """What its process claims: one of two wires of one section, or a thinner one."""
+    return {"panel": (OneOf((_wire(LONGER_MM), _wire(0.0), _wire(0.0, "1 mm round"))),)}
+
+
+def _wire(longer, size="1.5 mm round"):
+    (group,) = bent_claims().values()
+    (spoken,) = (claim for claim in group if isinstance(claim, OperatorDialogue))
+    named = told(dialogue.WIRE, material="spring_steel", size=size)
+    first = [named, *spoken.first]
+    first[1] = told(dialogue.MOUNT, cold_mm=COLD_MM + longer)
+    first[-1] = asked(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
+    group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
+    return tuple(
+        dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
+        for claim in group
+    )
+
+
+@functools.cache
+def choice_programs():
+    """The texts of :func:`choice` as the planner writes them."""
+    return write.programs(choice(), small_job.problem())
 
 
 def bow(model="irb140", count=12):

@@ -12,8 +12,11 @@ import yaml
 
 import planner
 from planner import dialogue, processes
+from planner.claims import OneOf
 from planner.motion import solve
 from planner.post import krl_panel, rapid_format, write
+from planner.verify.context import Context
+from planner.verify.dialogue_choice import told_choice
 from planner.verify.dialogue_text import fit, on_panel
 from planner.verify.prove import Prover
 from tests import line_ends
@@ -27,6 +30,7 @@ CODE = "verify.dialogue"
 SAMPLE, FULL = 2, 12
 JOBS = {
     "bent": (small_job.problem, dialogue_job.bent_claims, dialogue_job.bent_programs),
+    "choice": (small_job.problem, dialogue_job.choice_claims, dialogue_job.choice_programs),
     "bow": (straight_job.problem, dialogue_job.bow_claims, dialogue_job.bow_programs),
     "krl": (
         lambda: dialogue_job.bow_problem("kr10_r1100", "krc2"),
@@ -95,7 +99,7 @@ def test_clean_programs_are_proven(job):
     assert faults(job, JOBS[job][2]()) == ()
 
 
-@pytest.mark.parametrize(("job", "kinds"), [("bent", RAPID), ("bow", RAPID), ("krl", KRL)])
+@pytest.mark.parametrize(("job", "kinds"), [("bent", RAPID), ("choice", RAPID), ("bow", RAPID), ("krl", KRL)])
 def test_mutants_are_caught(job, kinds):
     out, tried, named = missed(job, kinds, SAMPLE, 1)
     assert out == [] and tried >= 16
@@ -103,10 +107,61 @@ def test_mutants_are_caught(job, kinds):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("job", "kinds"), [("bent", RAPID), ("bow", RAPID), ("krl", KRL)])
+@pytest.mark.parametrize(("job", "kinds"), [("bent", RAPID), ("choice", RAPID), ("bow", RAPID), ("krl", KRL)])
 def test_many_mutants_are_caught(job, kinds):
     out, tried, _ = missed(job, kinds, FULL, 7)
     assert out == [] and tried >= 8 * FULL
+
+
+# ---- what the problem leaves open ----
+
+
+NAMED, COLD = "spring_steel 1.5 mm round", "493.2 mm"
+
+
+def test_the_proof_is_of_the_wire_that_the_operator_is_told_to_mount():
+    programs = dialogue_job.choice_programs()
+    context = Context(small_job.problem(), dialogue_job.choice_claims(), programs)
+    assert [type(claim) for claim in context.claims] == [OneOf]
+    told = told_choice(context)
+    assert told.untold == ()
+    assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH)]
+    longer = edit(programs, COLD, "513.2 mm")
+    told = told_choice(Context(small_job.problem(), dialogue_job.choice_claims(), longer))
+    assert [wire.length for wire in told.wires] == [pytest.approx(small_job.LENGTH + 0.02)]
+    assert [issue.code for issue in faults("choice", longer)] == [CODE]  # it is locked at another length
+
+
+def test_another_wire_at_hand_that_is_told_all_through_does_not_go_with_the_motion():
+    """Each text is true of the longer wire, but the arms move the shorter one."""
+    programs = edit(dialogue_job.choice_programs(), COLD, "513.2 mm")
+    hot = f"{1e3 * small_job.LENGTH:.1f} mm hot"
+    programs = edit(programs, hot, f"{1e3 * small_job.LENGTH + 20.0:.1f} mm hot")
+    assert faults("choice", programs) == ()
+    proof = prover("choice").prove(programs, first_error=True)
+    assert not proof.ok
+    assert proof.issues[0].code in (
+        "verify.surface",
+        "verify.contact",
+        "verify.wire_length",
+        "verify.stop_in_foam",
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(NAMED, "spring_steel 2 mm round"), (NAMED, "kanthal_d 1.5 mm round"), (COLD, "493.3 mm")],
+)
+def test_a_wire_that_is_not_at_hand_is_refused(old, new):
+    found = faults("choice", edit(dialogue_job.choice_programs(), old, new))
+    assert any(issue.code == CODE and "told none" in issue.message for issue in found)
+
+
+def test_wires_that_a_text_cannot_tell_apart_are_refused():
+    (choice,) = dialogue_job.choice_claims()["panel"]
+    twice = {"panel": (OneOf((choice.either[1], choice.either[1])),)}
+    context = told_choice(Context(small_job.problem(), twice, dialogue_job.choice_programs()))
+    assert ["more than one" in issue.message for issue in context.untold] == [True]
 
 
 # ---- what was accepted before ----
