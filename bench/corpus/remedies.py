@@ -16,7 +16,7 @@ from typing import Any, Final
 import yaml
 
 from bench.corpus.job import PROBLEM, Data, Job, text
-from bench.corpus.run import LIMIT, VERIFIED, Result, single
+from bench.corpus.run import FALSE, LIMIT, VERIFIED, Result, single
 
 NUMBER: Final = r"(-?\d+(?:\.\d+)?)"
 Follow = Callable[[Data, Data, Data, str], str | None]
@@ -213,6 +213,7 @@ def markdown(rows: Sequence[tuple[Result, tuple[str, Result] | None]]) -> str:
         "| --- | --- | --- | --- |",
     ]
     for result, what, after in named:
-        then = " ".join([after.verdict, *after.codes])
+        verdict = "refused again" if after.verdict == FALSE else after.verdict
+        then = " ".join([verdict, *after.codes])
         out.append(f"| {result.job.name} | {' '.join(result.codes)} | {what} | {then} |")
     return "\n".join(out) + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Sequence
 
@@ -72,9 +73,9 @@ def failures(results: Sequence[Result]) -> list[str]:
     for result in sorted(wrong, key=lambda r: r.job.name):
         wanted = "feasible" if result.job.feasible else " or ".join(sorted(result.job.codes))
         errors = [i for i in result.plan["issues"] if i["severity"] == "error"]
-        first = errors[0]["message"] if errors else result.plan.get("crash", "").splitlines()[:1]
-        text = first if isinstance(first, str) else " ".join(first)
-        text = text.replace("|", "/").replace("\n", " ")
+        ended = result.plan.get("crash", "").strip().splitlines()
+        text = errors[0]["message"] if errors else "".join(ended[-1:])
+        text = re.sub(rf"\S*/{result.job.name}/", "", text).replace("|", "/").replace("\n", " ")
         out.append(_line([result.job.name, wanted, result.verdict, " ".join(result.codes), text[:200]]))
     return out
 
