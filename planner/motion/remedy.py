@@ -134,7 +134,7 @@ class _Trial:
 
     def told(self) -> str:
         """What was tried, for people."""
-        out = [f"{', '.join(self.removed)} taken away"] if self.removed else []
+        out = [f"{', '.join(self.removed)} taken away one by one"] if self.removed else []
         out += [
             f"{name} moved by up to {size / MM:.0f} mm" if size > 0.0 else name
             for name, size in self.tried.items()
