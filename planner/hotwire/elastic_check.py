@@ -28,6 +28,7 @@ FloatArray = NDArray[np.float64]
 
 _SOME = 24  # shapes per job for which the deviation by weight is worked out
 _HUGE = 1e6  # stands for a shape that end errors or weight move without limit
+_TAUT = 0.99985  # of the length: ends farther apart than that leave the wire no bow to give way with
 _THIN = 0.05  # margin of stability below which a note is due
 
 
@@ -91,7 +92,12 @@ def check(
     op: ElasticWire, wire: Wire, route: Route, cuts: list[Cut], figures: Figures, box: FloatArray
 ) -> list[Issue]:
     """All issues of a job, errors first."""
-    issues = [*_ends(op, route, figures), *_bending(wire, route, figures), *_stability(route, figures)]
+    issues = [
+        *_ends(op, route, figures),
+        *_taut(op, route),
+        *_bending(wire, route, figures),
+        *_stability(route, figures),
+    ]
     for cut in cuts:
         issues += _tolerance(op, wire, route, cut, figures)
     issues += _touching(op, wire, route, box)
@@ -123,6 +129,24 @@ def _ends(op: ElasticWire, route: Route, figures: Figures) -> list[Issue]:
             limit=float(np.ceil(need)),
             unit="mm",
             hint=f"use a wire of {np.ceil(need / 5.0) * 5.0:.0f} mm or more, or a narrower block",
+        )
+    ]
+
+
+def _taut(op: ElasticWire, route: Route) -> list[Issue]:
+    """A wire that is all but straight is torn or slack where the arms are off by nothing."""
+    shape = route.wires.shapes(3)
+    apart = np.linalg.norm(shape.end[:, :2] - shape.start[:, :2], axis=1) / route.wires.length
+    worst = int(np.argmax(apart))
+    if apart[worst] <= _TAUT:
+        return []
+    return [
+        Issue(
+            "wire.end_error",
+            f"{op.name}: the wire of {op.chosen.length_mm:g} mm is all but straight ({_name(route, worst)}): "
+            f"its ends are {apart[worst] * op.chosen.length_mm:.3f} mm apart, "
+            f"{_TAUT * op.chosen.length_mm:.2f} mm are allowed",
+            index=worst,
         )
     ]
 

@@ -35,6 +35,8 @@ THINNER: Final = (0.98, 0.8)
 """Diameters that are tried where a wire is bent too far, as multiples of the one that just is not."""
 THICKER: Final = (1.25, 1.6)
 """Diameters that are tried where a wire is too weak, as multiples."""
+_THIN: Final = 0.75
+"""How much thinner a wire is tried where another length of it would only be bent too far."""
 _SURE: Final = 0.95
 """A remedy is looked for within this share of the tolerance first, to leave room."""
 _LOOSER: Final = 4.0
@@ -159,9 +161,11 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
         length = made.op.chosen.length_mm
         what = f"a wire of {length:g} mm does, swept along {made.op.way} (length_mm: {length:g}, sweep: "
         yield _said(made, f"{what}{_key(made.op)}; tried were {span})")
-    bent = [i for i in issues if i.code == "wire.curvature" and i.value and i.limit]
+    bent = [i.value / i.limit for i in issues if i.code == "wire.curvature" and i.value and i.limit]
+    if not bent and any(s.why == BENT and s.score < op.shape_tol_mm * MM for s in looks):
+        bent = [_THIN]
     if (bent or "wire.weight" in {i.code for i in issues}) and base.diameter_mm is not None:
-        just = base.diameter_mm * min((i.value / i.limit for i in bent if i.value and i.limit), default=1.0)
+        just = base.diameter_mm * min(bent, default=1.0)
         sizes = [
             float(np.clip(np.floor(10.0 * just * f) / 10.0, 0.1, 10.0))
             for f in (THINNER if bent else THICKER)

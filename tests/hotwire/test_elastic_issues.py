@@ -48,6 +48,11 @@ def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
     into = dataclasses.replace(route, wires=route.wires.moved(np.array([0.0, 0.03, 0.0])))
     codes = {i.code for i in elastic_check.check(op, steel, into, [cut], figures, block.box)}
     assert codes == {"wire.touches"}
+    straight = dataclasses.replace(
+        route.wires, bend=np.zeros_like(route.wires.bend), gravity=np.zeros_like(route.wires.gravity)
+    )
+    (taut,) = elastic_check._taut(op, dataclasses.replace(route, wires=straight))
+    assert taut.code == "wire.end_error"
     off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
     assert elastic._driven(op, route, off, miss) == []
     miss[30] = np.inf
