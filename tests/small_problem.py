@@ -15,7 +15,7 @@ cell:
       robot: irb140
       tool: {kind: wire_holder, mounting: along, side: start}
       home_deg: [0, 0, 0, 0, 45, 0]
-stock: {size_mm: [100, 100, 100], place: {xyz_mm: [450, 0, 100]}}
+stock: {size_mm: [100, 100, 100], place: {xyz_mm: [450, 0, 0]}}
 operations:
   - {name: poses, process: targets, arms: [left], file: targets.csv, frame: world}
 """
