@@ -154,7 +154,7 @@ def advice(setup: Setup, part: Part | None, margin: float) -> str:
     size, at, turn = best
     width, depth = (round(v / MM) for v in size)
     turned = f", turned by {turn / DEG:g} deg" if turn else ""
-    where = f"[{at[0] / MM:g}, {at[1] / MM:g}] mm{turned}"
+    where = f"[{at[0] / MM + 0.0:g}, {at[1] / MM + 0.0:g}] mm{turned}"
     plate = gripper_plate(*size)
     told = f"the largest plate that fits has width_mm: {width}, depth_mm: {depth}, with its middle at {where}"
     if not holds(plate, stock, robot(arm.robot).payload):

@@ -67,18 +67,20 @@ def guide(*points: list[float]) -> dict[str, Any]:
 
 REMEDIES: dict[str, Mapping[str, Any]] = {
     # hot wire
-    "wire_too_short": {"operations.0.wire.length_mm": Said("with its margins, # mm")},
-    "wire_too_thick": {"operations.0.wire.diameter_mm": Said("no thicker than # mm", 0.05, down=True)},
+    "wire_too_short": {
+        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.sweep": Word("sweep: ([xy])"),
+    },
+    "wire_too_thick": {
+        "operations.0.wire.diameter_mm": Said("diameter_mm: #", 0.01),
+        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.sweep": Word("sweep: ([xy])"),
+    },
     "waves": {"operations.0.shape_tol_mm": Said("within # mm", 0.1)},
     "flat_wall": {"part.front.loft.sections": ARCH},
     "thin_wire_on_edge": {
-        "operations.0.wire": {
-            "material": "spring_steel",
-            "width_mm": 5,
-            "thickness_mm": Said("about # mm thick", 0.1),
-            "length_mm": 520,
-            "temperature_c": 300,
-        }
+        "operations.0.wire.length_mm": Said("length_mm: #"),
+        "operations.0.sweep": Word("sweep: ([xy])"),
     },
     "block_too_small": {"stock.size_mm.1": Said("by # mm in y", more=True)},
     "bent_tighter_than_thick": {"part.back.offset_mm": 15},
@@ -92,7 +94,10 @@ REMEDIES: dict[str, Mapping[str, Any]] = {
     "wider_than_the_wire": {"cell.arms.0.tool.span_mm": Said("need a wire of # mm")},
     "deeper_than_the_throat": {"cell.arms.0.tool.throat_mm": Said("is # mm deeper", more=True)},
     "block_too_heavy": {"stock.size_mm": [700, 600, 300]},
-    "gripper_in_the_way": {"stock.grip": {"xyz_mm": [-25, 0, 0]}},
+    "gripper_in_the_way": {
+        "cell.arms.1.tool.width_mm": Said("has width_mm: #"),
+        "cell.arms.1.tool.depth_mm": Said("depth_mm: #"),
+    },
     "foam_without_data": {"stock.foam": "eps_a120"},
     "no_such_surface": {"operations.0.cuts.0.surface": "outline_a"},
     # mill
@@ -110,7 +115,7 @@ REMEDIES: dict[str, Mapping[str, Any]] = {
         "part.ruled.0.end": guide([-40, 0, 50], [0, 20, 50]),
     },
     "mill_unreachable": {
-        "stock.place.xyz_mm.0": Said("have to be # mm beyond", times=-1.0, down=True, more=True)
+        "stock.place.xyz_mm.0": Said("move the stock by (#, 0, 0) mm", more=True),
     },
     # sheet
     "sheet_tool_too_big": {

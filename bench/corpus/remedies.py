@@ -145,6 +145,37 @@ def _moved(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     return f"stock at {place['xyz_mm']}"
 
 
+def _wire(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """Length, diameter and sweep of the wire that does, or else the tolerance that it keeps."""
+    own, done = problem["operations"][0], []
+    for key in ("diameter_mm", "length_mm"):
+        value = _number(f"{key}: #", told)
+        if value is not None:
+            own["wire"][key] = value
+            done.append(f"{key} of {value:g}")
+    sweep = re.search(r"sweep: (x|y|-?[0-9.]*[0-9])", told)
+    if sweep is not None:
+        own["sweep"] = sweep[1] if sweep[1] in "xy" else float(sweep[1])
+        done.append(f"sweep {sweep[1]}")
+    looser = _number("shape_tol_mm: #", told)
+    if not done and looser is not None:
+        own["shape_tol_mm"] = looser
+        done.append(f"shape_tol_mm of {looser:g}")
+    return ", ".join(done) or None
+
+
+def _plate(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    """The plate that fits, as wide and deep as said, where Tandem finds its place."""
+    width, depth = _number("has width_mm: #", told), _number("depth_mm: #", told)
+    plates = _tools(cell, "gripper_plate")
+    if width is None or depth is None or not plates:
+        return _smaller(issue, problem, cell, told)
+    for plate in plates:
+        plate.update(width_mm=width, depth_mm=depth)
+    problem["stock"].pop("grip", None)
+    return f"gripper of {width:g} x {depth:g} mm"
+
+
 FITS: Final = "largest radius that fits(?: there)? is # mm"
 REMEDIES: Final[dict[str, Follow]] = {
     "part.stock_too_small": _block,
@@ -156,10 +187,14 @@ REMEDIES: Final[dict[str, Follow]] = {
     "milling.tool_radius": _tool("mill", "diameter_mm", FITS, factor=2.0, down=True),
     "milling.flute": _flute,
     "milling.holder": _flute,
-    "stock.footprint": _smaller,
+    "stock.footprint": _plate,
     "stock.grip_force": _tool("gripper_plate", "holding_n", "needs # N"),
-    "wire.too_short": _operation("length_mm", "(?:use a wire of|with its margins,) # mm", inner="wire"),
-    "wire.curvature": _operation("diameter_mm", "no thicker than # mm", down=True, inner="wire"),
+    "wire.too_short": _wire,
+    "wire.curvature": _wire,
+    "wire.shape": _wire,
+    "wire.weight": _wire,
+    "wire.end_error": _wire,
+    "wire.unstable": _wire,
     "wire.temperature": _operation("temperature_c", "(?:up to|at most|to) # C", inner="wire"),
     "forming.shift": _operation("shift_deg", "(?:at most|allowed is 0 to) #", down=True),
     "kerf.too_hot": _heat,

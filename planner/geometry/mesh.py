@@ -239,11 +239,13 @@ def offset(
 
 
 def _slivers(mesh: TriangleMesh) -> NDArray[np.bool_]:
-    """Facets (F,) lower than a tenth of their longest edge, as a cut through a mesh leaves them: whether they
-    turn round says nothing about the surface."""
+    """Facets (F,) lower than a tenth of their longest edge and than a fifth of what facets of the mesh are,
+    as a cut through it leaves them: whether they turn round says nothing about the surface. Long facets of a
+    loft are all low, and do say something."""
     corners = mesh.vertices[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    return np.asarray(2.0 * face_areas(mesh) < 0.1 * longest**2)
+    height = 2.0 * face_areas(mesh) / np.maximum(longest, 1e-12)
+    return np.asarray((height < 0.1 * longest) & (height < 0.2 * np.median(height)))
 
 
 def _pieces(mesh: TriangleMesh) -> int:

@@ -12,12 +12,17 @@ from planner.geometry.rigid import exp_rotation, from_parts
 
 FloatArray = NDArray[np.float64]
 
+_OUT = 1e-7
+"""[m] what stands out of a block by less than this fits."""
+
 
 def fit_into_block(front: TriangleMesh, points: FloatArray, size: FloatArray) -> FloatArray:
     """Pose (4, 4) of the part's frame in the stock frame: its ``points`` (V, 3) in a block of ``size`` (3,).
 
     The front's mean normal decides which side is up; then the part is tilted to the least height, turned
-    about the vertical to the smallest rectangle with its long side along the block's, and centred.
+    about the vertical to the smallest rectangle with its long side along the block's, and centred. The least
+    height may cost width (a wave lies flattest when it is tilted): a part that stands out of the block then
+    is laid with the nearest of its own axes up, or with another tilt that fits, if there is one.
     """
     normal = np.sum(face_normals(front) * face_areas(front)[:, None], axis=0)
     up = normal / np.linalg.norm(normal)
@@ -40,10 +45,37 @@ def fit_into_block(front: TriangleMesh, points: FloatArray, size: FloatArray) ->
             "initial_simplex": np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.05]]),
         },
     )
-    rotation = turned(best.x) if np.linalg.norm(best.x) < 0.8 else start
-    rotation = (
-        exp_rotation(np.array([0.0, 0.0, _yaw(hull @ rotation[:2].T, bool(size[1] >= size[0]))])) @ rotation
-    )
+    flattest = turned(best.x) if np.linalg.norm(best.x) < 0.8 else start
+    axis = int(np.argmax(np.abs(up)))
+    own = _upright(np.sign(up[axis]) * np.eye(3)[axis])
+
+    def laid(rotation: FloatArray) -> tuple[float, FloatArray]:
+        pose = _centred(hull, rotation, size)
+        return float(overhang(hull @ pose[:3, :3].T + pose[:3, 3], size).max()), pose
+
+    def stands_out(tilt: FloatArray) -> float:
+        return laid(turned(tilt))[0] * 1e3
+
+    out, pose = laid(flattest)
+    for rotation in (own, start):
+        if out > _OUT and (other := laid(rotation))[0] <= _OUT:
+            out, pose = other
+    if out > _OUT:
+        least = minimize(
+            stands_out,
+            best.x,
+            method="Nelder-Mead",
+            options={"initial_simplex": best.x + np.array([[0.0, 0.0], [0.05, 0.0], [0.0, 0.05]])},
+        )
+        other = laid(turned(least.x))
+        pose = other[1] if other[0] <= _OUT else pose
+    return pose
+
+
+def _centred(hull: FloatArray, rotation: FloatArray, size: FloatArray) -> FloatArray:
+    """Pose (4, 4) of points (V, 3) with a side up, turned about the vertical and in the block's middle."""
+    yaw = _yaw(hull @ rotation[:2].T, bool(size[1] >= size[0]))
+    rotation = exp_rotation(np.array([0.0, 0.0, yaw])) @ rotation
     laid = hull @ rotation.T
     middle = 0.5 * (laid.min(axis=0) + laid.max(axis=0))
     return from_parts(rotation, np.array([0.0, 0.0, 0.5 * size[2]]) - middle)

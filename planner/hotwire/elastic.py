@@ -8,6 +8,8 @@ hold).
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -86,18 +88,11 @@ class ElasticJob(Job[ElasticWire]):
 def _attempt(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> Attempt:
     """All of an operation with its wire and its sweep but for motion; raises ``TandemError``."""
     stock, wire = setup.stock, _wire(op)
-    curve, feed, degrees = _kerf(op, setup), FEED_SHARE * op.feed_mm_s * MM, float(op.degrees or 0.0)
-    moved = {n: offset(_mesh(face), 0.5 * _slot(op, setup)) for n, face in wanted.items()}
-    gravity = wire.load * stock.gravity
-    cuts = [_cut(op, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
-    for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
-        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
-            slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
-            mesh = offset(_mesh(face), 0.5 * slot)
-            cuts[i] = _cut(op, cut.face.name, mesh, degrees, gravity, stock.box)
+    cuts = _cuts(op, wanted, setup)
     misfits = [issue for cut in cuts for issue in check_shape(op, cut)]
     if misfits:
         raise TandemError(misfits)
+    _refuse_heat(op, cuts, wanted, setup)
     margin, radius = op.margin_mm * MM, 0.5 * wire.width
     faces = [cut.face for cut in cuts]
     route = lay_out(faces, stock.box, margin, radius, op.step_mm * MM, op.runs == "two")
@@ -111,6 +106,47 @@ def _attempt(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> Attem
         raise TandemError(issues)
     within = max(shares(op, route, cut, figures)[2] for cut in cuts)
     return Attempt(op, wire, cuts, route, figures, issues, within)
+
+
+def _cuts(op: ElasticWire, wanted: Mapping[str, Mesh], setup: Setup) -> list[Cut]:
+    """The wires of all faces, half of the local slot off each."""
+    stock, curve, feed = setup.stock, _kerf(op, setup), FEED_SHARE * op.feed_mm_s * MM
+    degrees, gravity = float(op.degrees or 0.0), _wire(op).load * stock.gravity
+    moved = {n: offset(_mesh(face), 0.5 * _slot(op, setup)) for n, face in wanted.items()}
+    cuts = [_cut(op, name, mesh, degrees, gravity, stock.box) for name, mesh in moved.items()]
+    for _ in range(0 if elastic_kerf.is_constant(curve) else _KERF_ROUNDS):
+        for i, (cut, face) in enumerate(zip(cuts, wanted.values(), strict=True)):
+            slot = elastic_kerf.widths(cut.face, face.vertices, curve, feed, stock.box)
+            mesh = offset(_mesh(face), 0.5 * slot)
+            cuts[i] = _cut(op, cut.face.name, mesh, degrees, gravity, stock.box)
+    return cuts
+
+
+def _refuse_heat(op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], setup: Setup) -> None:
+    """Raises ``kerf.too_hot`` and ``kerf.too_cold``, with a power or feed that was tried."""
+    if op.power_w is None:
+        return
+
+    def passed(own: ElasticWire, made: list[Cut]) -> list[elastic_kerf.Passed]:
+        feed, box = FEED_SHARE * own.feed_mm_s * MM, setup.stock.box
+        return [
+            elastic_kerf.Passed(name, face.vertices, elastic_kerf.speeds(cut.face, face.vertices, feed, box))
+            for (name, face), cut in zip(wanted.items(), made, strict=True)
+        ]
+
+    def tried(changed: ElasticWire) -> list[Issue]:
+        try:
+            return elastic_kerf.check_heat(
+                changed, passed(changed, _cuts(changed, wanted, setup)), _kerf(changed, setup)
+            )
+        except TandemError as error:
+            return list(error.issues)
+
+    here = passed(op, cuts)
+    found = elastic_kerf.check_heat(op, here, _kerf(op, setup))
+    if found:
+        hint = elastic_kerf.advice(op, here, lambda own: _kerf(own, setup), tried)
+        raise TandemError([dataclasses.replace(issue, hint=hint) for issue in found])
 
 
 def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:
@@ -188,7 +224,7 @@ def _long_enough(op: ElasticWire, name: str, length: FloatArray) -> None:
             Issue(
                 "wire.too_short",
                 f"{op.name}: the wire of {op.chosen.length_mm:g} mm is shorter than the longest section of "
-                f"the {name} face across {op.way}, with its margins {need:.0f} mm",
+                f"the {name} face across {op.way}, with its margins {math.ceil(10.0 * need) / 10.0:g} mm",
                 field="wire.length_mm",
                 value=op.chosen.length_mm,
                 limit=need,

@@ -129,6 +129,8 @@ class Screen:
             if len(triangles) == 0:
                 return None
             part = _without_slivers(merge(TriangleMesh(vertices, triangles)), axis, at)
+            if len(part.faces) == 0:
+                return None
             faces[name] = Mesh(part.vertices + shift, part.faces)
         setup = dataclasses.replace(
             self.setup, stock=dataclasses.replace(stock, size=size, oversize=oversize)

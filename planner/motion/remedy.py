@@ -59,6 +59,19 @@ NEAR: Final = 2
 FEW: Final = 12
 SLIDES: Final = 3
 
+FAR_STEP: Final = 0.05
+"""Moves of a stock that is out of reach are multiples of this [m],"""
+FAR_COUNT: Final = 32
+"""so that there are about so many along x and y;"""
+FAR_LEVELS: Final = (-0.6, -0.4, -0.2, 0.2, 0.4, 0.6)
+"""a stock that hangs in the air is moved by these [m] too."""
+FAR_FEW: Final = 3
+FAR_BATCH: Final = 64
+FAR_SHARE: Final = 0.6
+"""Places with this share of the best margin are tried, nearest first: at most so many, so far [m] apart."""
+FAR_TRIED: Final = 5
+FAR_APART: Final = 0.2
+
 Plans = Callable[[Problem], bool]
 
 
@@ -111,9 +124,12 @@ def applied(problem: Problem, remedy: Remedy) -> Problem:
 def _sentence(remedy: Remedy) -> str:
     if remedy.home_deg is not None:
         return f"take home_deg [{', '.join(f'{a:.4g}' for a in remedy.home_deg)}] for arm {remedy.name}"
-    axis = int(np.argmax(np.abs(remedy.move_mm or (0.0,))))
-    way = f"{(remedy.move_mm or (0.0,))[axis]:+.0f} mm in {'xyz'[axis]}"
-    thing = {"stock": "the stock", "base": f"the base of arm {remedy.name}"}.get(remedy.what, remedy.name)
+    move = remedy.move_mm or (0.0, 0.0, 0.0)
+    if remedy.what == "stock":
+        return f"move the {remedy.name} by ({', '.join(f'{v:.0f}' for v in move)}) mm"
+    axis = int(np.argmax(np.abs(move)))
+    way = f"{move[axis]:+.0f} mm in {'xyz'[axis]}"
+    thing = f"the base of arm {remedy.name}" if remedy.what == "base" else remedy.name
     return f"move {thing} by {way}"
 
 
@@ -149,8 +165,11 @@ class _Trial:
 
     def moves(self, issue: Issue) -> Remedy | None:
         """The smallest move of an obstacle, the stock or a base after which the whole job is planned."""
-        obstacles = self._obstacles(issue)
+        least = (issue.value or 0.0) * MM if issue.code == "motion.no_reach" else 0.0
+        obstacles = self._obstacles(issue) if least < SIZES[-1] else []
         for size in SIZES:
+            if size < least:  # the wrist stays out of reach by the rest
+                continue
             for remedy in self._candidates(size, obstacles):
                 if not self._left:
                     return None
@@ -159,7 +178,74 @@ class _Trial:
                     self._whole -= 1
                     if self._plans(applied(self._problem, remedy)):
                         return remedy
+        return self._far() if least > 0.0 else None
+
+    def _far(self) -> Remedy | None:
+        """A move of the stock to where the arms reach the job, however far that is: of a grid of places round
+        the bases those with most of the best margin, nearest first, and not close to one that did not do."""
+        name, tried = self._stock_name, list[FloatArray]()
+        if not self._stock_moves:
+            return None
+        for move in self._good_places():
+            if len(tried) >= FAR_TRIED or not self._left:
+                break
+            if any(np.linalg.norm(move - other) < FAR_APART for other in tried):
+                continue
+            tried.append(move)
+            self.tried[f"the {name}"] = max(float(np.linalg.norm(one)) for one in tried)
+            x, y, z = (move / MM).round().tolist()
+            remedy = Remedy("stock", name, (x, y, z))
+            changed = applied(self._problem, remedy)
+            if self._opens(changed, remedy):
+                self._whole -= 1
+                if self._plans(changed):
+                    return remedy
         return None
+
+    def _good_places(self) -> FloatArray:
+        """Moves (K, 3) [m] of the stock to places from which the arms reach a few targets well, nearest
+        first; in height only where it does not stand on anything and no level one does."""
+        problem = self._problem
+        setup, scene = problem.setup_of(self._operation), self._scene(problem)
+        here = setup.stock.place if setup.stock.place is not None else np.eye(4)
+        chains = [scene.chains[arm] for arm in self._job.arms]
+        reach = max(
+            c.robot.opw.a1 + c.robot.opw.c2 + np.hypot(c.robot.opw.a2, c.robot.opw.c3) for c in chains
+        )
+        feet = np.array([c.base[:2, 3] for c in chains])
+        low, high = feet.min(axis=0) - reach, feet.max(axis=0) + reach
+        step = FAR_STEP * max(1.0, float(np.ceil((high - low).max() / FAR_STEP / FAR_COUNT)))
+        x, y = (
+            np.arange(np.floor((low[k] - here[k, 3]) / step), (high[k] - here[k, 3]) / step) for k in (0, 1)
+        )
+        stands = bool(setup.stock.support) or _stands(_stock_box(problem), problem.cell, "")
+        for levels in ((0.0,), () if stands else FAR_LEVELS):
+            moves = np.stack(np.meshgrid(x * step, y * step, np.array(levels), indexing="ij"), axis=-1)
+            moves, score = moves.reshape(-1, 3), np.zeros(0)
+            for count in (FAR_FEW, FEW):
+                few = few_of(setup.cell, self._job, count, shifted=turning(self._job) > 1)
+                places = np.repeat(here[None, None], len(moves), axis=0)
+                places[:, 0, :3, 3] += moves
+                parts = np.array_split(places, -(-len(places) // FAR_BATCH)) if len(places) else []
+                got = [margin(few, part, {}, scene.settings) for part in parts]
+                score = np.concatenate([np.zeros(0), *got])
+                moves, score = moves[score > 0.0], score[score > 0.0]
+            if len(moves):
+                good = moves[score >= FAR_SHARE * score.max()]
+                return np.asarray(good[np.argsort(np.linalg.norm(good, axis=1), kind="stable")])
+        return np.zeros((0, 3))
+
+    @property
+    def _stock_moves(self) -> bool:
+        """Whether one place of the stock is stated that all work is fixed to."""
+        stock = self._problem.setup_of(self._operation).stock
+        moved = any("place" in change.stock for change in self._problem.changes.values())
+        here = all(self._job.frame.get(arm, "stock") == "stock" for arm in self._job.arms)
+        return here and not moved and stock.held_by is None and stock.place is not None
+
+    @property
+    def _stock_name(self) -> str:
+        return "stock" if self._problem.stock.sheet is None else "sheet"
 
     def homes(self, issue: Issue) -> Remedy | None:
         """Another posture at home from which the arms come to the job and back."""
@@ -210,18 +296,16 @@ class _Trial:
         return out
 
     def _candidates(self, size: float, obstacles: Sequence[Obstacle]) -> Iterator[Remedy]:
-        problem, setup = self._problem, self._problem.setup_of(self._operation)
+        problem = self._problem
         for obstacle in obstacles:
             for way in _ways(
                 size, not _stands(_box(obstacle.shapes, np.eye(4)), problem.cell, obstacle.name)
             ):
                 yield Remedy("obstacle", obstacle.name, way)
-        moved = any("place" in change.stock for change in problem.changes.values())
-        here = all(self._job.frame.get(arm, "stock") == "stock" for arm in self._job.arms)
-        if here and not moved and setup.stock.held_by is None and setup.stock.place is not None:
+        if self._stock_moves:
             stands = _stands(_stock_box(problem), problem.cell, "")
             for way in _ways(size, not stands):
-                yield Remedy("stock", "stock", way)
+                yield Remedy("stock", self._stock_name, way)
         for arm in self._job.arms:
             for way in _ways(size, False):
                 yield Remedy("base", arm, way)
@@ -275,7 +359,7 @@ class _Trial:
 
 
 def _thing(remedy: Remedy) -> str:
-    return {"stock": "the stock", "base": f"the base of {remedy.name}"}.get(remedy.what, remedy.name)
+    return {"stock": f"the {remedy.name}", "base": f"the base of {remedy.name}"}.get(remedy.what, remedy.name)
 
 
 def _ways(size: float, up: bool) -> list[tuple[float, float, float]]:

@@ -87,6 +87,42 @@ def test_a_block_smaller_than_the_part_is_refused_and_says_by_how_much() -> None
     assert code_of(capital(in_stock={"xyz_mm": [0, 0, 0]})) == "part.stock_too_small"
 
 
+def wave(folder: Path, height: float = 20.0) -> dict[str, Any]:
+    """One S-line of 200 mm across a panel of 300 mm: flattest when it is tilted, and wider then."""
+    x, y = np.meshgrid(np.linspace(-100, 100, 21), np.linspace(-150, 150, 31), indexing="ij")
+    i = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    z = height * (1.5 * x / 100 - 0.5 * (x / 100) ** 3)
+    mesh = trimesh.Trimesh(np.stack([x, y, z], -1).reshape(-1, 3), faces, process=False)
+    mesh.export(folder / "wave.stl")
+    return {"front": {"mesh": {"file": "wave.stl", "unit": "mm"}}}
+
+
+def test_a_part_that_fits_as_it_was_drawn_is_not_tilted_out_of_its_block(tmp_path: Path) -> None:
+    """The block is the mesh's own box and a hair."""
+    part = make(wave(tmp_path), tmp_path, np.array([0.2002, 0.3002, 0.045]))
+    np.testing.assert_allclose(np.ptp(part.front.vertices, axis=0), [0.2, 0.3, 0.04], atol=1e-6)
+    tall = make(wave(tmp_path), tmp_path, np.array([0.22, 0.32, 0.045]))
+    assert np.ptp(tall.front.vertices[:, 2]) < 0.030  # where there is room it lies flattest
+
+
+def test_a_part_fits_its_block_where_a_tilt_does_and_is_refused_where_none_does(tmp_path: Path) -> None:
+    """Brute force over tilts about the panel's long axis: neither the flattest nor the drawn one fits."""
+    spec = wave(tmp_path)
+    flattest = make(spec, tmp_path, np.array([0.25, 0.35, 0.1])).front.vertices
+    turns = np.linspace(-0.4, 0.4, 1601)
+    level = np.stack([np.cos(turns), np.zeros_like(turns), np.sin(turns)], axis=-1)
+    up = np.stack([-np.sin(turns), np.zeros_like(turns), np.cos(turns)], axis=-1)
+    wide, high = np.ptp(flattest @ level.T, axis=0), np.ptp(flattest @ up.T, axis=0)
+    low, tight = np.array([0.2035, 0.3005, 0.0195]), np.array([0.2030, 0.3005, 0.0120])
+    assert ((wide < low[0]) & (high < low[2])).any()
+    assert np.ptp(flattest, axis=0)[0] > low[0]
+    assert (np.ptp(make(spec, tmp_path, low).front.vertices, axis=0) < low + 1e-6).all()
+    assert not ((wide < tight[0]) & (high < tight[2])).any()
+    assert code_of(spec, tmp_path, tight) == "part.stock_too_small"
+
+
 def test_a_back_face_on_the_wrong_side_is_refused(tmp_path: Path) -> None:
     for name, z in (("front", 0.0), ("above", 20.0)):
         square = np.array([[0, 0, z], [100, 0, z], [100, 100, z], [0, 100, z]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -70,3 +72,24 @@ def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
     strip = {"material": "spring_steel", "width_mm": 5, "thickness_mm": 0.5, "length_mm": 520}
     with pytest.raises(ValueError, match="strips"):
         panels.operation({**strip, "temperature_c": 300}, kerf_mm=None, power_w=40)
+
+
+@pytest.mark.parametrize(("power", "code"), [(90.0, "kerf.too_hot"), (20.0, "kerf.too_cold")])
+@pytest.mark.parametrize("remedy", ["power_w", "feed_mm_s"])
+def test_slots_out_of_their_range_are_refused_before_motion_with_what_does(
+    power: float, code: str, remedy: str
+) -> None:
+    block = panels.stock(size=(0.16, 0.23, 0.2))
+    setup = panels.setup(type(block)(**{**vars(block), "foam": FOAM}))
+    part = panels.part(twisted(), None, block)
+    own = {"power_w": power, "kerf_range_mm": (1.0, 3.0), "feed_min_mm_s": 0.2}
+    with pytest.raises(TandemError) as caught:
+        elastic.ElasticJob(operation(**own), setup, part).targets()
+    (issue,) = caught.value.issues
+    assert issue.code == code
+    slow = curve(FOAM, HotWire(0.0008, 0.52), power, 0.16, np.array([0.001, 0.05]))
+    speed = float(re.search(r"at (\d+\.\d+) mm/s at", issue.message)[1])
+    assert issue.value == pytest.approx(float(slow.at(np.array(speed * 1e-3))) * 1e3, rel=0.01)
+    value = float(re.search(rf"{remedy}: (\d+(?:\.\d+)?)", issue.hint)[1])
+    targets = elastic.ElasticJob(operation(**own | {remedy: value}), setup, part).targets()
+    assert targets.count > 2
