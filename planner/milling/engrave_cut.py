@@ -64,7 +64,9 @@ def _tool(
     if not laid.on.all():
         at = curve[int(np.argmin(laid.on))] / MM
         what = f"{cut.name}: curve {number + 1} leaves the part's front at {at[0]:.1f}, {at[1]:.1f} mm; "
-        what += "move or shorten it (curves are in the block's frame, projected along z)"
+        low, high = over.low / MM, over.high / MM
+        what += f"move or shorten it: in the block's frame the front goes from {low[0]:.1f}, {low[1]:.1f} to "
+        what += f"{high[0]:.1f}, {high[1]:.1f} mm at most (curves are projected along z)"
         raise TandemError(Issue("milling.off_surface", what, field=field))
     feed = np.gradient(laid.point, axis=0)
     if cut.axis == "upright":

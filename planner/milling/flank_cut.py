@@ -31,6 +31,13 @@ CLEAR: Final = 2.0 * MM
 """How far the cutter is off the block at the ends of its ways in and out."""
 INNER: Final = 3.0 * DEG
 """An inner corner that turns by more than this cannot be milled by a round cutter."""
+LOOSE: Final = 1.05
+"""Radius of a rounded corner, over the cutter's, that is advised: as tight as the cutter it would rub."""
+TRIES: Final = 4
+"""Slimmer cutters that are tried along twisted rulings."""
+NEARER: Final = 0.97
+SLIM: Final = 0.5 * MM
+"""Cutters of smaller radius are not advised."""
 UNEQUAL: Final = 2.0
 """Guides one of which is longer than the other by this factor are told: its end moves so much faster."""
 
@@ -63,12 +70,13 @@ def surface(part: Part | None, name: str) -> Ruled:
 
 @dataclasses.dataclass(frozen=True)
 class Passes:
-    """The passes of a cut; ``off`` [m], how far the cutter is off the surface at most in the last one, and
-    what the user is told."""
+    """The passes of a cut; ``off`` [m], how far the cutter is off the surface at most in the last one, what
+    the user is told, and where that is off by too much, the radius [m] of one that ``fits``, if any."""
 
     runs: tuple[Run, ...]
     off: float
     notes: tuple[Issue, ...]
+    fits: float | None = None
 
 
 def passes(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter, box: FloatArray) -> Passes:
@@ -87,7 +95,23 @@ def passes(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter, box: FloatA
             lift = deep * (1.0 - k / count) - below
             out.append(_run(op, cut, f"{cut.flank}_r{k}", rough, lift, cutter, box))
     out.append(_run(op, cut, cut.flank, finish, -below, cutter, box))
-    return Passes(tuple(out), finish.off, tuple(told))
+    return Passes(tuple(out), finish.off, tuple(told), _fits(op, cut, ruled, cutter.radius, finish.off))
+
+
+def _fits(op: Milling, cut: FlankCut, ruled: Ruled, radius: float, off: float) -> float | None:
+    """Radius [m] of a cutter that is near enough to twisted rulings: tried, for the deviation goes with the
+    radius only about."""
+    tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
+    for _ in range(TRIES):
+        if off <= tolerance:
+            return None
+        radius *= NEARER * tolerance / off
+        if radius < SLIM:
+            return None
+        off = placed(op, cut, ruled, radius).off
+        if off <= NEARER * tolerance:
+            return radius
+    return None
 
 
 def under(cut: FlankCut, cutter: Cutter) -> float:
@@ -140,10 +164,11 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
     high = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
     need = high + under(cut, cutter)
     if cut.guides == "surface" and need > cutter.flute + 1e-9:
-        what = f"flank {cut.flank} needs {need / MM:.1f} mm of flute (wall {high / MM:.1f}, beyond its guide "
-        what += f"{under(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; take a "
-        what += "longer flute, or "
-        what += "part the wall into surfaces one above the other"
+        what = f"flank {cut.flank} needs {_up(need):.2f} mm of flute (wall {high / MM:.1f}, beyond its guide "
+        what += f"{under(cut, cutter) / MM:.1f}), the cutter has {cutter.flute / MM:.1f}; take a longer flute"
+        if need > cutter.overhang:
+            what += " and overhang"
+        what += ", or part the wall into surfaces one above the other"
         out.append(
             Issue("milling.flute", what, field=field, value=need / MM, limit=cutter.flute / MM, unit="mm")
         )
@@ -151,16 +176,16 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
         what = (
             f"flank {cut.flank}: the tip is {need / MM:.1f} mm below the wall's top, and the holder begins "
         )
-        what += f"{cutter.overhang / MM:.1f} mm behind it; take a longer overhang"
+        what += f"{cutter.overhang / MM:.1f} mm behind it; take an overhang of {_up(need):.2f} mm or more"
         out.append(
             Issue("milling.holder", what, field=field, value=need / MM, limit=cutter.overhang / MM, unit="mm")
         )
     if cut.guides == "surface":
-        out += _corners(cut, pieces, ruled.closed, field)
+        out += _corners(cut, pieces, ruled.closed, cutter.radius, field)
     return out
 
 
-def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, field: str) -> list[Issue]:
+def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, radius: float, field: str) -> list[Issue]:
     out = []
     around = [*pieces, pieces[0]] if closed and not pieces[0].ring else pieces
     for before, after in itertools.pairwise(around):
@@ -168,10 +193,11 @@ def _corners(cut: FlankCut, pieces: list[Strip], closed: bool, field: str) -> li
         if turn > INNER:
             at = ", ".join(f"{v / MM:.1f}" for v in after.low[0])
             what = f"flank {cut.flank} has an inner corner of {turn / DEG:.0f} degrees at {at} mm, "
-            what += "where a round "
-            what += (
-                "cutter leaves a fillet of its own radius; give the guides a radius there, or two surfaces"
-            )
+            # between two walls at the angle pi - turn a circle is so far off the corner
+            stays = radius * (1.0 / np.cos(0.5 * turn) - 1.0)
+            what += f"where a cutter of {radius / MM:g} mm radius leaves a fillet of its own, "
+            what += f"{stays / MM:.2f} mm off the corner; round both guides there by "
+            what += f"{_up(LOOSE * radius):.2f} mm or more"
             out.append(
                 Issue("milling.corner", what, field=field, value=turn / DEG, limit=INNER / DEG, unit="deg")
             )
@@ -239,6 +265,11 @@ def _lead(
         return low[:0], high[:0]
     one, other = beyond(low[k], high[k], low_way, high_way, length)
     return one[1:], other[1:]
+
+
+def _up(length: float) -> float:
+    """A length [m] in mm, rounded up: a figure that is followed must do."""
+    return float(np.ceil(length / MM * 100.0 - 1e-6) / 100.0)
 
 
 def _length(side: FloatArray) -> float:

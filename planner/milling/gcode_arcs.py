@@ -39,7 +39,7 @@ def centre_of(start: Point, end: Point, radius: float, normal: int, clockwise: b
     if chord > 2.0 * size + max(RADIUS_TOL, RADIUS_SHARE * size):
         raise ArcError(
             f"R is {size * 1e3:.4f} mm, but the ends are {chord * 1e3:.4f} mm apart, at most twice R is "
-            "allowed; correct R or the end"
+            f"allowed; correct the end, or give an R of {math.ceil(0.5e7 * chord) / 1e4:.4f} mm or more"
         )
     height = math.sqrt(max(size * size - 0.25 * chord * chord, 0.0))
     side = height if (radius > 0.0) != clockwise else -height
@@ -63,7 +63,8 @@ def sweep_of(start: Point, end: Point, centre: tuple[float, float], normal: int,
     if abs(last - first) > max(RADIUS_TOL, RADIUS_SHARE * first):
         raise ArcError(
             f"the radius is {first * 1e3:.4f} mm at the start and {last * 1e3:.4f} mm at the end, allowed is "
-            f"a difference of {max(RADIUS_TOL, RADIUS_SHARE * first) * 1e3:.4f} mm; correct the centre, or "
+            f"a difference of {max(RADIUS_TOL, RADIUS_SHARE * first) * 1e3:.4f} mm; correct the centre"
+            f"{_fitting(start, end, centre, a, b)}, or "
             "state whether centres are incremental or absolute (arc_centre, G90.1, G91.1)"
         )
     if math.hypot(end[a] - start[a], end[b] - start[b]) <= SAME:
@@ -72,6 +73,19 @@ def sweep_of(start: Point, end: Point, centre: tuple[float, float], normal: int,
     after = math.atan2(end[b] - centre[1], end[a] - centre[0])
     turn = (before - after if clockwise else after - before) % (2.0 * math.pi)
     return -turn if clockwise else turn
+
+
+def _fitting(start: Point, end: Point, centre: tuple[float, float], a: int, b: int) -> str:
+    """The place nearest to the centre that is as far from both ends, as the words of an incremental one."""
+    way = end[a] - start[a], end[b] - start[b]
+    square = way[0] ** 2 + way[1] ** 2
+    if square <= SAME**2:
+        return ""
+    off = centre[0] - 0.5 * (start[a] + end[a]), centre[1] - 0.5 * (start[b] + end[b])
+    share = (off[0] * way[0] + off[1] * way[1]) / square
+    place = centre[0] - share * way[0] - start[a], centre[1] - share * way[1] - start[b]
+    words = " ".join(f"{'IJK'[k]}{v * 1e3:.4f}" for k, v in sorted(zip((a, b), place, strict=True)))
+    return f" (the nearest that fits is {words} mm from the start)"
 
 
 def points(

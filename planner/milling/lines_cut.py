@@ -32,6 +32,8 @@ MOST: Final = 5000
 """Lines of one cut at most."""
 BEND: Final = 2.0 * MM
 """Distance over which the bend of the face across a line is measured."""
+LOWER: Final = 0.85
+"""Share of the highest ridges that are allowed that is advised: with those, the tolerance holds."""
 SLACK: Final = 1.1
 """Ridges so many times as high as the tolerance allows are refused: those below are left to the proof."""
 
@@ -49,11 +51,14 @@ def runs(
     ends = [(corners @ axis).min() + EDGE if len(corners) else 0.0 for axis in (way, side)]
     tops = [(corners @ axis).max() - EDGE if len(corners) else 0.0 for axis in (way, side)]
     if min(tops[0] - ends[0], tops[1] - ends[1]) <= 0.0:
+        most = 0.25 * float((over.high - over.low).min()) / MM
         raise TandemError(
             Issue(
                 "milling.pattern",
-                f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face; make it smaller",
+                f"lines: a margin of {cut.margin_mm:g} mm leaves nothing of the face; {most:.1f} mm would "
+                "leave half of its width",
                 field="operations.cuts.margin_mm",
+                value=cut.margin_mm,
             )
         )
     count = int(np.ceil((tops[0] - ends[0]) / ALONG)) + 1
@@ -125,7 +130,7 @@ def _offsets(
             raise TandemError(
                 Issue(
                     "milling.pattern",
-                    f"lines: more than {MOST} lines; give a wider stepover_mm or a larger scallop_mm",
+                    f"lines: more than {MOST} lines; give {_wider(cut, found, ends)}",
                     field="operations.cuts",
                     value=float(len(found)),
                     limit=float(MOST),
@@ -134,18 +139,32 @@ def _offsets(
     out = np.array(found)
     closer = (ends[1] - ends[0]) / (out[-1] - ends[0])
     if cutter.kind == "ball":  # a bull nose has a flat that leaves less
-        _ridges(float(lowest * closer**2), most)
+        _ridges(cut, float(lowest * closer**2), most)
     return np.asarray(ends[0] + (out - ends[0]) * closer)
 
 
-def _ridges(lowest: float, most: float) -> None:
+def _wider(cut: LinesCut, found: list[float], ends: tuple[float, float]) -> str:
+    """What would do with half as many lines as are allowed; the first of them are ``found`` [m]."""
+    wide = 2.0 * (ends[1] - ends[0]) / max(found[-1] - found[0], 1e-9)
+    if cut.stepover_mm is not None:
+        return f"a stepover_mm of {np.ceil(wide * cut.stepover_mm * 100.0) / 100.0:.2f}"
+    return f"a scallop_mm of {np.ceil(wide**2 * (cut.scallop_mm or 0.0) * 1000.0) / 1000.0:.3f}"
+
+
+def _ridges(cut: LinesCut, lowest: float, most: float) -> None:
     """Refuse lines whose lowest ridge [m] already leaves too much of the face outside of its tolerance."""
     if lowest > most:
+        # ridges go with the square of the step
+        less = LOWER * most / lowest
+        if cut.stepover_mm is not None:
+            do = f"a stepover_mm of {np.floor(np.sqrt(less) * cut.stepover_mm * 100.0) / 100.0:.2f}"
+        else:
+            do = f"a scallop_mm of {np.floor(less * (cut.scallop_mm or 0.0) * 1000.0) / 1000.0:.3f}"
         raise TandemError(
             Issue(
                 "milling.pattern",
                 f"lines: ridges of {lowest / MM:.3f} mm or more leave too little of it within shape_tol_mm; "
-                f"allowed: {most / MM:.3f} mm; give a smaller stepover_mm or scallop_mm, or more tolerance",
+                f"allowed: {most / MM:.3f} mm; give {do} or less, or more tolerance",
                 field="operations.cuts",
                 value=lowest / MM,
                 limit=most / MM,

@@ -56,10 +56,10 @@ def _twist(work: Work, one: Done) -> list[Issue]:
     radius = work.cutter.radius
     if not isinstance(one.cut, FlankCut) or not one.tolerance < one.off < TWISTED * radius:
         return []
-    fits = radius * one.tolerance / one.off  # the deviation goes with the radius
+    slim = f"a radius of {np.floor(one.fits / MM * 100.0) / 100.0:.2f} mm or less, " if one.fits else ""
     what = f"flank {one.cut.flank}: its rulings are twisted, and the cutter of radius {radius / MM:g} mm is "
-    what += f"{one.off / MM:.3f} mm off them; allowed: {one.tolerance / MM:g}: take a radius of "
-    what += f"{fits / MM:.2f} mm or less, a larger shape_tol_mm, or part the surface"
+    what += f"{one.off / MM:.3f} mm off them; allowed: {one.tolerance / MM:g}: take {slim}a shape_tol_mm of "
+    what += f"{np.ceil(1.02e3 * one.off / MM) / 1e3:.3f} or more, or part the surface"
     return [
         Issue(
             "milling.twist",

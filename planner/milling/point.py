@@ -41,8 +41,9 @@ def tips(contact: FloatArray, normal: FloatArray, axis: FloatArray, cutter: Cutt
 def ridge_step(height: float, radius: float, bend: FloatArray) -> FloatArray:
     """Distance (N,) [m] between neighbouring lines of a ball of ``radius`` [m] that leave ridges of
     ``height`` [m] on a surface that bends across them by ``bend`` (N,) [1/m], above zero where it is convex:
-    h = s^2 / 8 (1 / R + k), the difference of two parabolas."""
-    return np.asarray(np.sqrt(8.0 * height / np.maximum(1.0 / radius + bend, 1e-3 / radius)))
+    h = s^2 / 8 (1 / R + k), the difference of two parabolas. In hollows it is twice that of a flat at most:
+    such a place is small, and the next one bends otherwise."""
+    return np.asarray(np.sqrt(8.0 * height / np.maximum(1.0 / radius + bend, 0.25 / radius)))
 
 
 def ridge_height(step: float, radius: float, bend: FloatArray) -> FloatArray:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from planner.geometry.rulings import tessellate
 from planner.issues import Issue, TandemError
-from planner.milling import engrave_cut, flank_cut, gcode_cut, inset, lines_cut
+from planner.milling import engrave_cut, flank_cut, gcode_cut, inset, lines_cut, reach
 from planner.milling.gcode_file import GCodeCut
-from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling
+from planner.milling.operation import EngraveCut, FlankCut, LinesCut, Milling, cut_name
 from planner.milling.over import Over
 from planner.milling.values import Run
 from planner.problem import Mesh, Part, Setup
@@ -42,7 +42,7 @@ class Done:
     """A cut as passes, the last one of which makes the surface ``face`` (None: it follows curves).
 
     ``tolerance`` [m]; ``off`` [m], how far the cutter is off the surface at most; ``depth`` [m], how deep it
-    goes into the part's front by intent.
+    goes into the part's front by intent; ``fits`` [m], the radius of a cutter that is not as far off.
     """
 
     cut: FlankCut | LinesCut | EngraveCut | GCodeCut
@@ -51,6 +51,7 @@ class Done:
     tolerance: float
     off: float = 0.0
     depth: float = 0.0
+    fits: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +131,7 @@ def _flank(
     made = flank_cut.passes(op, cut, ruled, cutter, box)
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     face = None if cut.guides == "tool" else Face(cut.flank, tessellate(ruled, CHORD))
-    return Done(cut, made.runs, face, tolerance, made.off), made.notes
+    return Done(cut, made.runs, face, tolerance, made.off, fits=made.fits), made.notes
 
 
 def _program(op: Milling, cut: GCodeCut, field: str) -> tuple[Done, tuple[Issue, ...]]:
@@ -142,12 +143,15 @@ def _program(op: Milling, cut: GCodeCut, field: str) -> tuple[Done, tuple[Issue,
 def _on_front(op: Milling, cut: LinesCut | EngraveCut, over: Over, front: Mesh, cutter: Cutter) -> Done:
     tolerance = (cut.shape_tol_mm or op.shape_tol_mm) * MM
     if isinstance(cut, LinesCut):
-        if cut.margin_mm == 0.0:
-            return Done(cut, tuple(lines_cut.runs(op, cut, over, cutter)), Face("front", front), tolerance)
         # what the margin leaves out is not made, so it is not wanted either
-        area = inset.inner(front, cut.margin_mm * MM)
+        area = inset.inner(front, cut.margin_mm * MM) if cut.margin_mm else None
+        if cutter.kind == "ball":
+            left = reach.left(front, cutter.radius, tolerance, area)
+            if left is not None:
+                raise TandemError(reach.issue(cut_name(cut), left, cutter.radius, tolerance))
         runs = tuple(lines_cut.runs(op, cut, over, cutter, area))
-        return Done(cut, runs, Face("front", inset.clipped(front, area)), tolerance)
+        mesh = front if area is None else inset.clipped(front, area)
+        return Done(cut, runs, Face("front", mesh), tolerance)
     return Done(cut, tuple(engrave_cut.runs(op, cut, over, cutter)), None, tolerance, depth=cut.depth_mm * MM)
 
 

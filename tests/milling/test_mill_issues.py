@@ -101,11 +101,11 @@ def test_twisted_rulings_name_a_cutter_that_is_good_enough(tmp_path: Path) -> No
             WALL,
             {"diameter_mm": 20, "flute_mm": 70, "overhang_mm": 90},
             part=part,
-            shape_tol_mm=0.005,
+            shape_tol_mm=0.1,
         ),
         "milling.twist",
     )
-    assert found.value is not None and found.value > 0.005
+    assert found.value is not None and found.value > 0.1
     assert "radius of" in found.message
 
 
@@ -133,7 +133,7 @@ def test_guides_of_very_different_lengths_are_told(tmp_path: Path) -> None:
 def test_a_tool_that_never_rises_to_the_safe_plane(tmp_path: Path) -> None:
     part = ruled([[-40, -20, 30], [40, -20, 30]], [[-40, 20, 31], [40, 20, 31]])
     found = only(issues(tmp_path, WALL, {"flute_mm": 60}, part=part), "milling.safe_plane")
-    assert "safe_side" in found.message
+    assert found.hint == "take safe_side: back"
 
 
 def test_a_face_that_looks_down(tmp_path: Path) -> None:
@@ -234,7 +234,8 @@ def test_guides_that_run_against_each_other_are_told_and_give_the_same_job(tmp_p
     own = WALL["part"]["ruled"][0]
     back = {"bspline_mm": own["end"]["bspline_mm"][::-1]}
     turned = {"ruled": [{**own, "end": back}], "in_stock": {}}
-    (note,) = pipeline.check(problem(tmp_path, WALL, part=turned))
+    notes = pipeline.check(problem(tmp_path, WALL, part=turned))
+    (note,) = [one for one in notes if "guide" in one.message]
     assert (note.code, note.severity) == ("part.guide_turned", Severity.NOTE)
     assert note.field == "part.ruled.0.end"
     assert "wall" in note.message and "turn its points around" in note.message
@@ -242,4 +243,4 @@ def test_guides_that_run_against_each_other_are_told_and_give_the_same_job(tmp_p
         processes.job(problem(tmp_path, WALL, part=p), 0).targets() for p in (WALL["part"], turned)
     )
     np.testing.assert_allclose(got.pose["robot"], wanted.pose["robot"], atol=1e-7)
-    assert pipeline.check(problem(tmp_path, WALL)) == ()
+    assert not [one for one in pipeline.check(problem(tmp_path, WALL)) if "guide" in one.message]
