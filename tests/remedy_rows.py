@@ -291,6 +291,7 @@ STRAIGHT: Final = {
     "part": outline(),
     "operations": [{**CUT, "kerf_mm": 1.5}],
 }
+NOTCHED: Final = [[0, 0], [100, 0], [100, 100], [53, 100], [50, 60], [47, 100], [0, 100]]
 COMB = [[0, 0], [100, 0], [100, 100], [50.5, 100], [50.5, 30], [49.5, 30], [49.5, 100], [0, 100]]
 
 
@@ -299,6 +300,11 @@ def heat(power: float, feed: float) -> Any:
 
 
 CUTS: Final = [
+    Row("straight.corner", lay, change(STRAIGHT, "part.plate.outlines.0.polyline_mm", NOTCHED), "allow more",
+        {"operations.0.left_mm": Said("# mm deep at most", 0.1)}),
+    Row("post.name", lay,
+        {**STRAIGHT, "operations": [{**CUT, "kerf_mm": 1.5}, {**CUT, "kerf_mm": 1.5, "name": "b"}]},
+        "do it once", {"operations.1": GONE}),
     Row("part.missing_surface", lay, change(STRAIGHT, "operations.0.cuts", [{"surface": "wing"}]),
         "correct the name", {"operations.0.cuts.0.surface": Word("ruled surfaces of the part: (\\w+)")}),
     Row("straight.trim", lay, change(STRAIGHT, "operations.0.cuts", [{"trim": ["left"]}]),
@@ -383,6 +389,19 @@ def moved(by: Callable[[Any], Any]) -> Any:
     return dataclasses.replace(DISH, vertices=by(DISH.vertices))
 
 
+def turned() -> Any:
+    """The dish with half of its faces the other way round."""
+    faces = DISH.faces.copy()
+    half = DISH.vertices[faces].mean(axis=1)[:, 0] > 0.0
+    faces[half] = faces[half][:, ::-1]
+    return dataclasses.replace(DISH, faces=faces)
+
+
+def exported_again(code: str, content: bytes, says: str) -> Row:
+    return Row(code, load, SPIF, says, {"@part.ply": PLY}, {"part.ply": content})
+
+
+BALL: Final = bytes(trimesh.creation.icosphere(subdivisions=2, radius=20).export(file_type="ply"))
 WIRE_HOLDER: Final = {"kind": "wire_holder", "mounting": "along", "side": "start"}
 SHEETS: Final = [
     Row("forming.no_sheet", lay, {**ON_TABLE, "operations": [{**SPIF["operations"][0], "arms": ["left"]}]},
@@ -395,6 +414,8 @@ SHEETS: Final = [
     sheet("forming.undercut", small_forming.dish(angle=72.0, depth=9.0), "take the undercut out"),
     sheet("forming.flat", moved(lambda v: v * [1, 1, 1e-5]), ""),
     sheet("forming.border", moved(lambda v: v + v[:, :1] * [0, 0, 0.05]), ""),
+    exported_again("forming.closed_mesh", BALL, "as an open surface"),
+    exported_again("forming.inside_out", exported(turned()), "orient the faces alike"),
     formed("forming.order", "operations.0.order", [1, 1], "name each of 1 to 1 once",
         {"operations.0.order": [1]}),
     formed("forming.thickness_untested", "sheet.thickness_mm", 3, "tests of AA",

@@ -61,14 +61,14 @@ _TO_DO: Final = """
     kerf.unsettled kerf.doubt
     part.edges
     wire.held wire.unstable wire.touches wire.between_targets
-    straight.corner straight.uneven
+    straight.uneven
     post.turn_near_zero post.krl_turn post.path post.spline post.spline_left post.krl_size post.action
-    post.name post.tool post.frame post.no_split post.handshake_process post.handshake_drift post.load
+    post.tool post.frame post.no_split post.handshake_process post.handshake_drift post.load
     verify.files verify.problem_differs verify.duration verify.unread verify.no_programs
     sign.key
     milling.tool milling.no_surface milling.guides milling.guide_lengths milling.holder milling.gouge
     milling.front milling.pattern milling.off_surface
-    forming.closed_mesh forming.inside_out forming.wall_angle forming.support_radius forming.gap
+    forming.wall_angle forming.support_radius forming.gap
     forming.shift forming.support_tool forming.die_gouge forming.die_far forming.holder
     forming.holder_step forming.clamp forming.clear forming.trial forming.force_input
     forming.adsif_table forming.adsif_conditions forming.adsif_unstable forming.adsif_compliance
