@@ -79,13 +79,17 @@ def _with(problem: Problem, setup: Setup, mounted: Gripper, found: Grip) -> Prob
     where = ", ".join(f"{v / MM + 0.0:g}" for v in found.at)
     turned = f", turned by {found.turn / DEG:g} deg" if found.turn else ""
     which = f"one of {len(problem.cell.grippers)} in the cell" if changed else "the one that is mounted"
+    pose = found.pose(stock)
+    at = ", ".join(f"{v / MM + 0.0:.6g}" for v in pose[:3, 3])
+    rpy = f", rpy_deg: [0, 0, {-found.turn / DEG:g}]" if found.turn else ""
+    named = f"gripper: {found.tool.name}, " if changed else ""
     told = Issue(
         "stock.grip_chosen",
         f"the block is held by {found.tool.name} of arm {stock.held_by} "
         f"({which}), its middle at [{where}] mm of the block's bottom face{turned}",
         Severity.NOTE,
         arm=stock.held_by,
-        hint="state grip, or gripper and grip, to have it otherwise",
+        hint=f"to keep it so, or to have it otherwise, state it: {{{named}grip: {{xyz_mm: [{at}]{rpy}}}}}",
     )
     name = str(stock.held_by)
     change = problem.changes.get(first)

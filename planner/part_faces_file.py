@@ -259,11 +259,18 @@ def _check_sides(front: TriangleMesh, back: TriangleMesh) -> None:
     facing = float(vertex_normals(front).mean(axis=0) @ vertex_normals(back).mean(axis=0))
     if depth <= 0.0 or facing >= 0.0:
         what = "does not lie behind the front" if depth <= 0.0 else "has normals that point into the part"
+        # turned over, the front looks away from the back, and the back from the front
+        over = [
+            name
+            for name, wrong in (("front", depth < 0.0), ("back", (depth < 0.0) == (facing < 0.0)))
+            if wrong
+        ]
+        remedy = f"turn over the {' and the '.join(over)} (flip: true, or false where it is true)"
         raise TandemError(
             Issue(
                 "part.faces",
-                f"the face {what}; normals of both faces must point away from the part "
-                "(flip: true turns those of a file)",
+                f"the face {what}; normals of both faces must point away from the part: "
+                + (remedy if over and depth != 0.0 and facing != 0.0 else "move one of them"),
                 field="part.back",
             )
         )

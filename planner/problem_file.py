@@ -153,6 +153,9 @@ def build(document: Document, models: OperationModels) -> Problem:
                 stock = stock_file.stock(spec.stock, path.parent)
         except TandemError as error:
             issues += [_placed(issue, document) for issue in error.issues]
+            issues += _part_faults(document)
+    else:
+        issues += _part_faults(document)
     if cell is not None:
         changes, faults = _changes(setups, cell, path.parent, document)
         issues += faults
@@ -186,6 +189,26 @@ def build(document: Document, models: OperationModels) -> Problem:
     if issues:
         raise TandemError(issues)
     return _with_first_steps(problem)
+
+
+def _part_faults(document: Document) -> list[Issue]:
+    """Faults of the part of a file whose other fields have some, so that one run tells both; none where its
+    own fields, or those of the block's size, are at fault."""
+    data, folder = document.data, document.path.parent
+    given, sheet, own = (data.get(key) for key in ("stock", "sheet", "part"))
+    block = {"size_mm": given.get("size_mm")} if isinstance(given, dict) else None
+    part, wrong = _validate(PartFile, own, document, ("part",))
+    size, faults = (
+        _validate(StockFile, block, document, ()) if block else _validate(SheetFile, sheet, document, ())
+    )
+    if wrong or faults:
+        return []
+    try:
+        stock = sheet_file.stock(size) if isinstance(size, SheetFile) else stock_file.stock(size, folder)
+        part_file.build(part, folder, stock)
+    except TandemError as error:
+        return [_placed(issue, document) for issue in error.issues if issue.field != "sheet.metal"]
+    return []
 
 
 def _without_grip(spec: ProblemFile, setups: Mapping[int, SetupFile]) -> set[int]:
@@ -267,6 +290,10 @@ def _field_issue(
         "finite_number": "give a finite number",
     }.get(error["type"], "correct it")
     what = "unknown key" if error["type"] == "extra_forbidden" else error["msg"]
+    if error["type"] == "too_short":
+        least, has = error["ctx"]["min_length"], error["ctx"]["actual_length"]
+        what = f"has {has} {'entry' if has == 1 else 'entries'}, at least {least} must be there"
+        remedy = "add what is missing, or take the key out where it may be left out"
     name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
     if name:
         most = int(name[1]) + 1

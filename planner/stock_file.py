@@ -252,8 +252,8 @@ def _held(setup: Setup, field: str) -> Iterator[Issue]:
     elif needed > tool.holding:
         yield Issue(
             "stock.grip_force",
-            f"{field}: {tool.name} holds with {tool.holding:.0f} N, the block of {block.mass:.2f} kg "
-            f"needs {needed:.0f} N ({SHAKES:g} times its weight, since the arm shakes it); take a larger "
+            f"{field}: {tool.name} holds with {tool.holding:.1f} N, the block of {block.mass:.2f} kg "
+            f"needs {needed:.1f} N ({SHAKES:g} times its weight, since the arm shakes it); take a larger "
             "gripper, or state its holding_n where it is known",
             field=f"{field}.held_by",
             arm=arm.name,
@@ -316,7 +316,12 @@ def _oversize(sides: tuple[Sides, Sides, Sides]) -> np.ndarray[Any, np.dtype[np.
 def _foam(wanted: str | FoamReference | None, folder: Path) -> Foam | None:
     if isinstance(wanted, FoamReference):
         return foam_file.read(folder / wanted.file)
-    return None if wanted is None else foam(wanted)
+    if wanted is None:
+        return None
+    try:
+        return foam(wanted)
+    except TandemError as error:
+        raise TandemError([dataclasses.replace(i, field="stock.foam") for i in error.issues]) from None
 
 
 def _unknown_arm(field: str, name: str, known: Mapping[str, Arm]) -> Issue:

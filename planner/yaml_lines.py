@@ -113,7 +113,9 @@ def read(path: Path) -> Document:
         mark = getattr(error, "problem_mark", None)
         detail = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = mark.line + 1 if mark else None
-        what = f"is not YAML: {detail}; a problem file is a mapping such as 'tandem: 1'"
+        tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
+        remedy = "indent with spaces, not tabs" if tabs else "a problem file is a mapping such as 'tandem: 1'"
+        what = f"is not YAML: {detail}; {remedy}"
         raise _not_yaml(name, what, line) from error
     if not isinstance(data, dict):
         got = type(data).__name__ if data is not None else "nothing"

@@ -38,7 +38,9 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     own = (number > 0) & (number < count)
     own[np.flatnonzero(number == 0)[-1:]] = True  # what comes to the first wire is still on the way in
     passed = Melted(whole.lines[own], number[own], whole.speed[own], whole.half[own])
-    if op.power_w is not None:
+    low, high = op.kerf_range_mm
+    at_guides = 2.0 * cut.on.half / MM
+    if op.power_w is not None and low <= at_guides.min() and at_guides.max() <= high:  # else told with advice
         yield from _width(op, cut, passed)
     yield from _off(op, cut, passed)
 
