@@ -104,9 +104,9 @@ def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) ->
             tasks.start_soon(hang_up)
             tasks.start_soon(hang_up)
 
-    with InProcess(tmp_path / "data", examiners=1) as here:
-        with ThreadPoolExecutor(1) as pool:  # the pages' browser keeps a loop of its own running in this thread
-            pool.submit(anyio.run, both).result()
+    # in a thread: the pages' browser keeps a loop of its own running in this one
+    with InProcess(tmp_path / "data", examiners=1) as here, ThreadPoolExecutor(1) as pool:
+        pool.submit(anyio.run, both).result()
     assert len(begun) == 1 and begun[0].off
 
 
