@@ -8,11 +8,12 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from planner.geometry.rulings import resample
 from planner.geometry.vectors import dots
 from planner.hotwire.straight_cut import Cut
-from planner.hotwire.straight_lines import Lines, chord
+from planner.hotwire.straight_lines import Lines, chord, grown
 from planner.hotwire.straight_operation import Straight
 from planner.hotwire.straight_section import alike
 from planner.issues import Issue
@@ -140,7 +141,7 @@ def _normals(cells: FloatArray) -> FloatArray:
 def _near(cells: FloatArray, lines: Lines, half: FloatArray, box: FloatArray, reach: float) -> FloatArray:
     """The patches in the box with wires within ``reach`` [m] of their middles."""
     middle = cells.mean(axis=1)
-    first, last = chord(lines, box)
+    first, last = chord(lines, grown(box, COARSE))
     meets = np.isfinite(first)
     if not meets.any():
         return cells[:0]
@@ -148,6 +149,12 @@ def _near(cells: FloatArray, lines: Lines, half: FloatArray, box: FloatArray, re
     low, high = np.min(ends, axis=(0, 1)) - reach, np.max(ends, axis=(0, 1)) + reach
     good = ((middle > box[0]) & (middle < box[1]) & (middle > low) & (middle < high)).all(axis=1)
     rows = np.flatnonzero(good)
+    count = int(np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1).max() / COARSE)) + 1
+    points = np.linspace(*ends, count, axis=1)
+    step = np.linalg.norm(np.diff(points, axis=0), axis=2).max(initial=0.0)
+    gap = 0.5 * float(np.hypot(COARSE, step))
+    tree = cKDTree(points.reshape(-1, 3))
+    rows = rows[np.isfinite(tree.query(middle[rows], distance_upper_bound=reach + gap)[0])]
     if len(rows):
         rows = rows[_nearest(middle[rows], lines, half)[0] < reach]
     return cells[rows]
