@@ -188,7 +188,7 @@ CODES: Final[dict[str, str]] = {
     "verify.bow": "a clamp of a straight wire comes too near to the foam that it cuts",
     "verify.rulings": "a straight wire leaves the rulings of the wanted surface, or misses a part of them",
     "verify.order": "cuts follow one another in another order than the operation states",
-    "verify.part": "on its way in or out the wire cuts into the part",
+    "verify.part": "the wire cuts into the part on its way in or out, or into another surface than its own",
     "verify.slit": "a wire comes to a cut from elsewhere than stated, or by too long a slit",
     "verify.kerf": "the slot is narrower or wider than wanted at the wire's actual speed",
     "verify.cell_check": "a program does not compare the controller's frames with the plan before it moves",

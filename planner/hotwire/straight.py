@@ -53,9 +53,12 @@ class StraightJob(Job[Straight]):
         ruled = () if part is None else part.ruled
         box = stock.box
         issues = [issue for cut in cuts for issue in check_cut(operation, cut, ruled, box)]
-        issues += [issue for cut in cuts for issue in check_inner(operation, cut, box)]
+        settled = [
+            cut for cut in cuts if cut.on.settled
+        ]  # others stand for no true way: check_heat refuses them
+        issues += [issue for cut in settled for issue in check_inner(operation, cut, box)]
         if not has_errors(issues):
-            issues += [issue for cut in cuts for issue in check_passed(operation, cut, kerf, box)]
+            issues += [issue for cut in settled for issue in check_passed(operation, cut, kerf, box)]
         issues += check_drops(operation, cuts, setup)
         issues += check_heat(
             operation,
@@ -97,7 +100,7 @@ class StraightJob(Job[Straight]):
         pose = pose if stock.held_by is None else inverse(stock.grip) @ pose
         kinds = np.array([segment.key for segment in targets.segment])
         out: list[Issue] = []
-        for cut in cuts:
+        for cut in (cut for cut in cuts if cut.on.settled):
             last = np.flatnonzero(kinds == cut.wanted.segment.at("in").key)[-1:]
             rows = np.concatenate([last, np.flatnonzero(kinds == cut.wanted.segment.key)])
             clock = straight_frames.clock(cut.on.lines, pose[rows], time[rows])

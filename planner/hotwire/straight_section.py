@@ -85,6 +85,11 @@ def pieces_across(own: Ruled, ruled: Sequence[Ruled], box: FloatArray, level: fl
     return Pieces(plane, others, enclosed)
 
 
+def alike(one: Ruled, other: Ruled) -> bool:
+    """Whether two surfaces have rulings of about one direction, so that they are looked at together."""
+    return bool(abs(_direction(one) @ _direction(other)) >= ALONG)
+
+
 def holds(outline: Ruled, foot: FloatArray) -> bool:
     """Whether a gripper below the block with the middle of its face at ``foot`` (3,) [m] holds what an
     outline cuts free; true for outlines whose rulings lie rather than stand."""

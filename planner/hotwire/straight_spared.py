@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planner.geometry.rulings import resample, tessellate
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines, chord, join
+from planner.hotwire.straight_neighbours import check_neighbours
 from planner.hotwire.straight_operation import Straight, SurfaceCut
 from planner.hotwire.straight_section import Piece, contour, pieces_across, section
 from planner.issues import Issue
@@ -41,12 +42,12 @@ COARSE: Final = 2e-4
 def check_spared(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:
     """Issues of one cut: ``straight.crossing`` and ``straight.lead`` where it takes from other surfaces of
     the part, or from its own on the way in or out."""
+    found: list[Issue] = []
     if cut.wanted.ruled.closed:
-        yield from _beside(op, cut, ruled, box)
-        yield from _along(op, cut, ruled, box)
+        found += [*_beside(op, cut, ruled, box), *_along(op, cut, ruled, box)]
     elif isinstance(cut.wanted.cut, SurfaceCut):
-        yield from _own_side(op, cut)
-        yield from _through(op, cut, ruled, box)
+        found += [*_own_side(op, cut), *_through(op, cut, ruled, box)]
+    yield from found or check_neighbours(op, cut, ruled, box)
 
 
 def _beside(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: FloatArray) -> Iterator[Issue]:

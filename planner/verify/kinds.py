@@ -13,7 +13,7 @@ from planner.issues import Issue
 PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
     claims.WireJoins: ("verify.wire_length", "verify.wire_stability", "verify.curvature"),
     claims.StraightWire: ("verify.bow",),
-    claims.CutsSurface: ("verify.surface",),
+    claims.CutsSurface: ("verify.surface", "verify.part"),
     claims.FollowsRulings: ("verify.rulings",),
     claims.KerfWithin: ("verify.kerf",),
     claims.SlitsAllowed: ("verify.part", "verify.slit"),

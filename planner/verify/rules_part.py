@@ -1,5 +1,5 @@
-"""Rules on what cuts do beside their surfaces: their order, and what the ways in and out take from the
-part."""
+"""Rules on what cuts do beside their surfaces: their order, and what slots take from the part on the ways in
+and out and from other surfaces."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from planner.issues import Issue
 from planner.segments import Segment
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_node
+from planner.verify.rules_surface import sweeps
 from planner.verify.rules_wire import wire_issue
 from planner.verify.slits import in_slit, slits
+from planner.verify.spared import taken
 from planner.verify.speed import local
 from planner.verify.walls import Walls, walls
 from planner.verify.wire import Wire, to_block
@@ -59,7 +61,8 @@ def _ranks(context: Context, index: int) -> dict[str, int]:
 
 def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
-    slit to what the part lies around; sides of the datum block are cut from outside."""
+    slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface a
+    straight wire's slot keeps off all the others, those that are cut already and those to come."""
     issues: list[Issue] = []
     worst, where = np.inf, ""
     own = {claim.segment.key for claim in context.surfaces}
@@ -100,9 +103,32 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                 )
                 measure = (deep, mm(float(tolerance[i])), "mm")
                 issues.append(wire_issue(context, wire, "verify.part", what, int(row[i]), *measure))
+    issues += _beside(context, wires, wanted)
     if not np.isfinite(worst):
         return Outcome(tuple(issues), where="no way in or out in the foam beside the part")
     return Outcome(tuple(issues), mm(worst), 0.0, "mm left", where)
+
+
+def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, ...]) -> list[Issue]:
+    """What the slots of straight wires take from other surfaces than those beside which they cut."""
+    issues: list[Issue] = []
+    straight = {claim.segment.key for claim in context.rulings}
+    for claim, sweep in zip(context.surfaces, sweeps(context, wires), strict=True):
+        if claim.segment.key not in straight or len(sweep.points) < 2:
+            continue
+        for other in part:
+            found = None if other is claim else taken(claim, sweep, other, part, context.datum.box)
+            if found is None:
+                continue
+            x, y, z = (mm(float(value)) for value in found.place)
+            what = (
+                f"beside {claim.segment} the slot of {mm(2.0 * found.half):.2f} mm takes "
+                f"{mm(found.depth):.2f} mm off {other.segment} at [{x:.1f}, {y:.1f}, {z:.1f}] mm; "
+                f"allowed: {mm(other.tolerance):g} mm"
+            )
+            measure = {"value": mm(found.depth), "limit": mm(other.tolerance), "unit": "mm"}
+            issues.append(Issue("verify.part", what, field=str(claim.segment), **measure))  # type: ignore[arg-type]
+    return issues
 
 
 class _Bounds:

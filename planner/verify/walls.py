@@ -21,6 +21,8 @@ EDGE = 0.004
 MOST = 40_000
 _PAIRS = 400_000
 _SAME = 1e-7
+_MET = 1e-9
+"""Triangles meet in places that are no farther apart [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,11 +82,28 @@ class Walls:
         # an edge is met where the corner across it has no weight; at a corner of the border triangles meet
         # that have no edge on it, and all that are as near count
         edge = same & (np.roll(share < 1e-9, -2, axis=1) & self.border[tri]).any(axis=1)
-        normal = np.add.reduceat(np.where(same[:, None], self.normal[tri], 0.0), begin)
         order = np.lexsort((tri, found, row))[begin]
+        # at an edge as sharp as a wing's what is nearly as near lies on the other side of it: the same place
+        met = np.linalg.norm(place - place[order][row], axis=1) <= _MET
+        weight = np.where(met, self._angle(share, tri), 0.0)
+        normal = np.add.reduceat(weight[:, None] * self.normal[tri], begin)
         outward = dots(way[order], normal) >= 0.0
         off = np.where(outward, best, -best)
         return np.where(np.logical_or.reduceat(edge, begin), np.nan, off), self.owner[tri[order]]
+
+    def _angle(self, share: FloatArray, tri: IntArray) -> FloatArray:
+        """How much (K,) [rad] triangles lie around places with barycentric weights (K, 3) in them.
+
+        The normals so weighted tell the side of edges and corners, however sharp: Baerentzen and Aanaes,
+        Signed distance computation using the angle weighted pseudonormal (2005).
+        """
+        apart = share < 1e-9
+        at = np.argmax(share, axis=1)
+        here, one, two = (self.corners[tri, (at + k) % 3] for k in range(3))
+        a, b = one - here, two - here
+        cosine = dots(a, b) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-30)
+        tip = np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.asarray(np.choose(np.minimum(apart.sum(axis=1), 2), [2.0 * np.pi, np.pi, tip]))
 
 
 def _apart(points: FloatArray, corners: FloatArray) -> FloatArray:

@@ -51,6 +51,31 @@ def test_a_gap_narrower_than_the_slot_is_refused_with_the_neighbours_name(gap: f
         assert found[0].value == pytest.approx(1e3 * min(2 * HALF - gap, HALF), abs=0.02)
 
 
+@pytest.mark.parametrize(("gap", "good"), [(0.0004, False), (0.0012, False), (0.0015, True)])
+def test_strips_that_face_one_another_keep_the_slot_between_them(gap: float, good: bool) -> None:
+    """The message's remedy: as far apart as the slot is wide."""
+    low = blocks.prism("low", [(-0.15, 0.05), (0.15, 0.05)])
+    high = blocks.prism("high", [(0.15, 0.05 + gap), (-0.15, 0.05 + gap)])
+    found = [i for i in issues(blocks.part(low, high)) if i.code == "straight.crossing"]
+    assert bool(found) != good
+    if found:
+        assert {i.field for i in found} == {"cut/low", "cut/high"}
+        assert found[0].value == pytest.approx(1e3 * (2 * HALF - gap), abs=0.01)
+        assert f"move them apart by {1e3 * (2 * HALF - gap):.2f} mm" in found[0].message
+
+
+def test_surfaces_whose_wires_run_across_one_another_keep_the_slot_too() -> None:
+    """A hole along x that comes within 0.4 mm of a strip along y, at its top."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    ring = np.column_stack([np.zeros(48), 0.02 * np.cos(angle), 0.0296 + 0.02 * np.sin(angle)])
+    over = np.array([0.15, 0.0, 0.0])
+    rod = Ruled("rod", ring - over, ring + over, np.zeros(48, dtype=bool), True)
+    foam = blocks.prism("roof", [(0.15, 0.05), (-0.15, 0.05)])
+    assert "straight.crossing" in errors(blocks.part(rod, foam))
+    away = blocks.prism("roof", [(0.15, 0.0515), (-0.15, 0.0515)])
+    assert "straight.crossing" not in errors(blocks.part(rod, away))
+
+
 def test_neighbours_that_come_near_at_one_end_of_the_wire_alone_are_found_there() -> None:
     one, two = square("one", -0.03, 0.015, wide=0.0098), square("two", 0.01, 0.015)
     assert errors(blocks.part(one, two)) == {"straight.crossing"}
@@ -99,6 +124,11 @@ def test_a_strip_may_cross_what_bounds_the_part_together_with_it() -> None:
     assert not errors(
         blocks.part(blocks.prism("top", [(-0.15, 0.06), (0.15, 0.06)]), square("side", 0.0, 0.03))
     )
+    wedge = [
+        blocks.prism("top", [(-0.15, 0.06), (0.15, 0.05)]),
+        blocks.prism("sole", [(0.15, 0.06), (-0.15, 0.04)]),
+    ]
+    assert not errors(blocks.part(*wedge), spacers=True)
 
 
 def test_the_inmost_is_cut_first_and_comes_to_be_told_through_which_slit() -> None:

@@ -191,6 +191,33 @@ def test_distances_to_an_open_wall():
     assert np.abs(found[over] - (points[over, 2] - 0.02)).max() < 1e-9
 
 
+@pytest.mark.parametrize("degrees", [0.05, 2.0, 40.0])
+def test_what_lies_behind_a_sharp_edge_is_outside(degrees: float) -> None:
+    """As behind a wing, whose two skins have triangles of other sizes at their edge: beyond the planes of
+    both no point is inside, whichever triangles meet in the nearest place."""
+    t = np.tan(np.deg2rad(0.5 * degrees))
+    one, two = np.linspace(0.0, 0.2, 12), np.linspace(0.0, 0.2, 7)
+    places = [[0.0, y, 0.0] for y in np.unique(np.concatenate([one, two]))]
+    edge = np.array(places)
+    rows = [edge, edge + np.array([-0.1, 0.0, 0.1 * t]), edge - np.array([0.1, 0.0, 0.1 * t])]
+    count = len(edge)
+    k = np.arange(count - 1)
+    top = np.concatenate([np.stack([k, k + 1, count + k], 1), np.stack([k + 1, count + k + 1, count + k], 1)])
+    far = 2 * count + k
+    sole = np.concatenate([np.stack([k, far, far + 1], 1), np.stack([k, far + 1, k + 1], 1)])
+    claim = CutsSurface(
+        Segment.read("cut/x"), np.concatenate(rows), np.concatenate([top, sole]), KERF, 0.0003
+    )
+    random = np.random.default_rng(8)
+    behind = random.uniform([1e-4, 0.02, -0.02], [0.08, 0.18, 0.02], (3000, 3))
+    behind[:, 2] *= np.minimum(1.0, behind[:, 0] / 0.02) * 0.5
+    found, _ = walls((claim,)).off(behind)
+    assert (found > 0.0).all()
+    inside = random.uniform([-0.08, 0.02, -0.9], [-0.005, 0.18, 0.9], (500, 3))
+    inside[:, 2] *= -inside[:, 0] * t
+    assert (walls((claim,)).off(inside)[0] < 0.0).all()
+
+
 def test_walls_are_as_far_as_the_nearest_of_all_their_triangles_and_end_at_their_rims() -> None:
     """Against every triangle, one by one: long and short ones, twisted, as strips of meshes have them. Beyond
     the rim of a saddle of narrow facets, far away, nothing is known, whichever middles are nearest."""

@@ -36,7 +36,9 @@ def problem(folder: Path, ruled: list[Any], **more: Any) -> Problem:
     path = folder / "problem.yaml"
     operation = {**PROBLEM["operations"][0], "cuts": "all", **more}  # type: ignore[index]
     stock = {**PROBLEM["stock"], "oversize_mm": [[0, 0], [0, 0], [0, 0]]}  # type: ignore[dict-item]
-    path.write_text(yaml.safe_dump({**PROBLEM, "stock": stock, "operations": [operation]}))
+    path.write_text(
+        yaml.safe_dump({**PROBLEM, "accept": ["stock.support"], "stock": stock, "operations": [operation]})
+    )
     return dataclasses.replace(planner.load(path), part=blocks.part(*ruled), source={})
 
 
@@ -223,3 +225,36 @@ def test_a_cut_to_which_nothing_leads(tmp_path: Path) -> None:
     claims = planner.processes.claims(made)
     proof = Prover(made, claims).prove(texts, last="verify.slit")
     assert "verify.slit" in {issue.code for issue in proof.issues}
+
+
+def facing(gap: float) -> list[Any]:
+    """Two strips with foam above the one and below the other, [m] apart."""
+    low, high = [(-0.1, 0.05), (0.1, 0.05)], [(0.1, 0.05 + gap), (-0.1, 0.05 + gap)]
+    return [blocks.prism("low", low), blocks.prism("high", high)]
+
+
+def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
+    tmp_path: Path, unchecked: pytest.MonkeyPatch
+) -> None:
+    """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap."""
+    outcome = planned(problem(tmp_path, facing(0.0004)))
+    slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
+    found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]
+    assert {issue.field for issue in found} == {"cut/low", "cut/high"}
+    assert [issue.value for issue in found] == pytest.approx([slot - 0.4] * 2, abs=0.02)
+
+
+def test_strips_as_far_apart_as_the_slot_are_proven(tmp_path: Path) -> None:
+    slot = 1e-3 * float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
+    high_first = [{"surface": "high"}, {"surface": "low"}]
+    assert planner.plan(problem(tmp_path, facing(slot), cuts=high_first)).verified
+
+
+@pytest.mark.long
+def test_strips_that_cross_bound_the_part_together_and_are_proven(tmp_path: Path) -> None:
+    wedge = [
+        blocks.prism("top", [(-0.1, 0.06), (0.1, 0.05)]),
+        blocks.prism("sole", [(0.1, 0.06), (-0.1, 0.04)]),
+    ]
+    top_first = [{"surface": "top"}, {"surface": "sole"}]
+    assert planner.plan(problem(tmp_path, wedge, cuts=top_first)).verified
