@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Final
 
@@ -28,6 +29,8 @@ LIFTED: Final = 8e-5
 _DENSE: Final = 128
 _SAMPLES: Final = 32
 _WORST: Final = 12
+_TRIALS: Final = 8
+_NAMED: Final = 1e-5
 _STEEPEST: Final = np.radians(85.0)
 
 
@@ -198,11 +201,58 @@ def _sample(loop: Loop, count: int = _SAMPLES) -> tuple[FloatArray, FloatArray]:
     return (1.0 - share) * loop.point[row] + share * loop.point[row + 1], normal
 
 
+@dataclasses.dataclass(eq=False)
+class TooNarrow(Exception):  # noqa: N818
+    """Places of a pass are too narrow for its ball of ``radius`` [m]: at the worst one, ``place`` (3,) [m],
+    it stays ``gap`` [m] off. By these places alone one of ``fits`` [m] does."""
+
+    name: str
+    radius: float
+    place: FloatArray
+    gap: float
+    fits: float
+
+    def told(self, fits: float | None) -> TandemError:
+        """The error, with the radius [m] that a whole path was laid with, or None where none was found."""
+        at = 1e3 * self.place
+        what = (
+            f"{self.name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a "
+            f"ball of radius {1e3 * self.radius:.2f} mm, which stays {1e3 * self.gap:.3f} mm off it; "
+        )
+        if fits is None:
+            what += "no smaller radius was found that fits everywhere: round the part more"
+        else:
+            what += f"the largest radius that fits is {1e3 * fits:.2f} mm: take a smaller tool or round the "
+            what += "part more"
+        limit = None if fits is None else 1e3 * fits
+        return TandemError(
+            Issue("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
+        )
+
+
+def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> float | None:
+    """The largest radius [m] of those tried with which ``path`` lays the whole path, in whole hundredths of a
+    mm, ``above`` a least one [m]; or None. Paths of other balls have other targets, perhaps narrower ones."""
+    radius, step = first.fits, 0.0
+    for _ in range(_TRIALS):
+        radius = np.floor(radius / _NAMED + 1e-6) * _NAMED
+        if radius <= above:
+            return None
+        try:
+            path(radius)
+        except TooNarrow as error:
+            step = max(2.0 * step, 0.01 * radius)
+            radius = min(error.fits, radius - step)
+        else:
+            return float(radius)
+    return None
+
+
 def refuse(
     name: str, face: Face, wanted: FloatArray, normal: FloatArray, gap: FloatArray, missed: float
-) -> TandemError:
-    """The error that places (N, 3) [m] of a face are too narrow for its ball: with the worst of them and the
-    largest ball that fits them all."""
+) -> TooNarrow:
+    """That places (N, 3) [m] of a face are too narrow for its ball: the worst of them, and the largest ball
+    that fits a few of them."""
     order = np.argsort(-gap)
     rows = order[:: -(-len(order) // _WORST)]
     low = 0.0
@@ -225,15 +275,4 @@ def refuse(
         for _ in range(7 if quick else 6):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if fits(middle, quick) else (low, middle)
-    at = 1e3 * wanted[order[0]]
-    return TandemError(
-        Issue(
-            "forming.tool_radius",
-            f"{name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a ball "
-            f"of radius {1e3 * face.radius:.2f} mm, which stays {1e3 * gap[order[0]]:.3f} mm off it; the "
-            f"largest radius that fits is {1e3 * low:.2f} mm: take a smaller tool or round the part more",
-            value=1e3 * face.radius,
-            limit=1e3 * low,
-            unit="mm",
-        )
-    )
+    return TooNarrow(name, face.radius, wanted[order[0]], float(gap[order[0]]), low)
