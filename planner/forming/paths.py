@@ -68,7 +68,7 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         return groups
 
     creases = Creases(face)
-    groups = lowest_reached(sliced(levels), levels, sliced, face, creases)
+    groups = lowest_reached(sliced(levels), levels, sliced, face, creases, options.chord)
     loops, ways = in_order([group for group in groups if group], options, centre)
     if not loops:
         raise TandemError(

@@ -21,9 +21,12 @@ BoolArray = NDArray[np.bool_]
 
 PUSHED: Final = 2e-5
 """A ball that a crease pushes aside by more than this [m] does not reach its place."""
-CLEAR: Final = 1.2e-5
-"""The lowest loop at the foot of a wall keeps the ball so far [m] off the floor, with which it would lose the
-wall, facet by facet, else: the gap between two tools would hop from the wall's to the floor's."""
+CLEAR: Final = 1e-5
+"""The lowest loop at the foot of a wall keeps the ball so much farther [m] off the floor than straight moves
+between targets take it off the wall, which it would lose for the floor, facet by facet, else: the gap between
+two tools would hop from the wall's to the floor's."""
+MOST_CLEAR: Final = 1e-4
+"""But no farther than this [m], however coarse the moves."""
 LIFTED: Final = 8e-5
 """It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
 _DENSE: Final = 128
@@ -126,9 +129,11 @@ def lowest_reached(
     sliced: Callable[[FloatArray], list[list[Loop]]],
     face: Face,
     creases: Creases,
+    chord: float,
 ) -> list[list[Loop]]:
     """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
-    ball off all along; in place of the first level without any the lowest one that the ball reaches."""
+    ball off all along; in place of the first level without any the lowest one that the ball reaches. Straight
+    moves are off the loops by up to ``chord`` [m]."""
     reached = [[loop for loop in group if _reached(loop, face, creases)] for group in groups]
     for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
         if group or not before or k == 0 or not reached[k - 1]:
@@ -146,7 +151,7 @@ def lowest_reached(
     out: list[list[Loop]] = []
     last = np.inf
     for group in reached:
-        lifted = _lifted(group, sliced, face, creases)
+        lifted = _lifted(group, sliced, face, creases, min(chord + CLEAR, MOST_CLEAR))
         level = float(lifted[0].point[0, 2]) if lifted else -np.inf
         out.append(lifted if level < last - PUSHED else [])
         last = level if out[-1] else last
@@ -154,9 +159,14 @@ def lowest_reached(
 
 
 def _lifted(
-    group: list[Loop], sliced: Callable[[FloatArray], list[list[Loop]]], face: Face, creases: Creases
+    group: list[Loop],
+    sliced: Callable[[FloatArray], list[list[Loop]]],
+    face: Face,
+    creases: Creases,
+    clear: float,
 ) -> list[Loop]:
-    """Loops of one level, a little higher where the floor at the foot of their wall pushes the ball off."""
+    """Loops of one level, ``clear`` [m] higher where the floor at the foot of their wall pushes the ball off
+    it."""
     near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
     if not near or max(_stopped(loop, face) for loop in near) == 0.0:
         return group
@@ -172,7 +182,7 @@ def _lifted(
     while high - low > TOUCH:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if free(middle) else (middle, high)
-    return sliced(np.array([high + CLEAR]))[0]
+    return sliced(np.array([high + clear]))[0]
 
 
 def _stopped(loop: Loop, face: Face) -> float:
