@@ -12,7 +12,7 @@ from planner.forming.paths import make_path
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.forming.work import Work
-from planner.issues import TandemError
+from planner.issues import Issue, TandemError
 from planner.units import MM
 
 NARROW: Final = "forming.tool_radius"
@@ -25,7 +25,8 @@ TOP: Final = 5.0 * MM
 def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
     """Where the tools are over all passes. Raises ``TandemError`` with the codes ``forming.*``: of balls that
     are too large for several passes the one that has to be the smallest first."""
-    out, narrow = [], []
+    out: list[tuple[Pass, ToolPath]] = []
+    narrow: list[Issue] = []
     for one in work.passes:
         try:
             out.append((one, lay(work, one)))
