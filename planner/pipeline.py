@@ -4,8 +4,9 @@ one page.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,16 @@ def load(path: str | Path) -> Problem:
     return problem_file.read(_find(Path(path)), processes.schemas())
 
 
+@contextlib.contextmanager
+def _contained() -> Iterator[None]:
+    """Drake tells of conditions of its own that fail by ``SystemExit``: which is to end no process."""
+    try:
+        yield
+    except SystemExit as error:
+        raise RuntimeError(f"a library gave up: {error}") from error
+
+
+@_contained()
 def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
     tell = progress or _silent
@@ -99,6 +110,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     return Outcome(problem, made, proof, _with_margins(made, problem, programs, proof) if proof.ok else {})
 
 
+@_contained()
 def check(problem: Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
     notes = _notes(problem)
@@ -153,6 +165,7 @@ def _notes(problem: Problem) -> tuple[Issue, ...]:
     return (*(problem.part.notes if problem.part is not None else ()), *problem.notes)
 
 
+@_contained()
 def verify(problem: Problem, programs: Mapping[str, str]) -> Proof:
     """Prove programs from their text and the problem alone."""
     return prove.prove(problem, processes.claims(problem), programs)

@@ -12,9 +12,11 @@ import time
 from pathlib import Path
 
 import pytest
+from pydrake.common import trigger_an_assertion_failure
 
-from planner import files
+from planner import files, pipeline
 from planner.issues import TandemError
+from planner.problem import Problem
 from tests import small_problem
 
 OWNED = ("programs", "problem", "plan.json", "report.html")
@@ -162,3 +164,19 @@ def test_a_full_disk_is_an_issue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         files.write_folder(tmp_path, {"programs/x": "new"}, OWNED)
     assert (tmp_path / "programs" / "x").read_text() == "old"
     assert not litter(tmp_path)
+
+
+def test_a_library_that_gives_up_ends_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drake raises ``SystemExit`` where a condition of its own fails: here by its own function for that."""
+
+    def jobs(problem: Problem) -> list[object]:
+        trigger_an_assertion_failure()
+        return [problem]
+
+    problem = pipeline.load(small_problem.write(tmp_path))
+    with pytest.raises(SystemExit):
+        jobs(problem)
+    monkeypatch.setattr(pipeline.processes, "jobs", jobs)
+    for work in (pipeline.plan, pipeline.check):
+        with pytest.raises(RuntimeError, match="a library gave up"):
+            work(problem)

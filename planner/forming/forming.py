@@ -21,7 +21,7 @@ from planner.forming import forming_claims, holder, part_claim
 from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
-from planner.forming.laid import SHORTEST, lay
+from planner.forming.laid import SHORTEST, lay_all
 from planner.forming.operation import Forming
 from planner.forming.route import Route, lay_out
 from planner.forming.unreached import unreached_issues
@@ -63,7 +63,7 @@ class FormingJob(Job[Forming]):
         refused = [*holder.issues(made), *shift_issues(made), *(one for one in corners if has_errors([one]))]
         if refused:
             raise TandemError(refused)
-        paths = [(one, lay(made, one)) for one in made.passes]
+        paths = lay_all(made)
         issues = [*corners, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))

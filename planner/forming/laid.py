@@ -12,12 +12,31 @@ from planner.forming.paths import make_path
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.forming.work import Work
+from planner.issues import Issue, TandemError
 from planner.units import MM
 
+NARROW: Final = "forming.tool_radius"
 SHORTEST: Final = 0.006
 """Moves take so long [s] at least at the stated feed; controllers plan none that are much shorter."""
 TOP: Final = 5.0 * MM
 """Loops about the top of a male die that are no wider than this may be left out."""
+
+
+def lay_all(work: Work) -> list[tuple[Pass, ToolPath]]:
+    """Where the tools are over all passes. Raises ``TandemError`` with the codes ``forming.*``: of balls that
+    are too large for several passes the one that has to be the smallest first."""
+    out: list[tuple[Pass, ToolPath]] = []
+    narrow: list[Issue] = []
+    for one in work.passes:
+        try:
+            out.append((one, lay(work, one)))
+        except TandemError as error:
+            if any(issue.code != NARROW for issue in error.issues):
+                raise
+            narrow += error.issues
+    if narrow:
+        raise TandemError(sorted(narrow, key=lambda issue: issue.limit or 0.0))
+    return out
 
 
 def lay(work: Work, one: Pass) -> ToolPath:

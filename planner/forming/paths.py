@@ -13,7 +13,7 @@ from planner.forming.path_options import PathOptions
 from planner.forming.paths_slices import Loop, cut
 from planner.forming.paths_slices import loops as closed_lines
 from planner.forming.paths_targets import Targets, targets
-from planner.forming.paths_tool import Creases, lowest_reached
+from planner.forming.paths_tool import Creases, TooNarrow, largest, lowest_reached
 from planner.forming.spacing import EDGE, constant_levels, scallop_levels, scallop_width
 from planner.forming.spiral import Curve, in_order, loop_curve, spiral_curve
 from planner.forming.values import ContactPath, Pass
@@ -42,6 +42,15 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
     mesh ends, ``forming.tool_radius`` where a smooth place is narrower than the ball.
     """
     _check(one, radius, options)
+    try:
+        return _path(one, radius, options)
+    except TooNarrow as narrow:
+        fits = largest(narrow, lambda smaller: _path(one, smaller, options), options.scallop or 0.0)
+        raise narrow.told(fits) from None
+
+
+def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
+    """The path; raises ``TooNarrow`` where it is too narrow for the ball."""
     vertices = one.vertices if one.side > 0 else one.vertices * _MIRROR  # features that rise: upside down
     start, end = one.side * one.start, one.side * one.end
     region = _region(one)
@@ -59,7 +68,7 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         return groups
 
     creases = Creases(face)
-    groups = lowest_reached(sliced(levels), levels, sliced, face, creases)
+    groups = lowest_reached(sliced(levels), levels, sliced, face, creases, options.chord)
     loops, ways = in_order([group for group in groups if group], options, centre)
     if not loops:
         raise TandemError(

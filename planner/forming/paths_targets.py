@@ -56,7 +56,7 @@ class Targets:
 def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, name: str) -> Targets:
     """Targets on a curve, at least 0.05 mm apart.
 
-    Raises ``TandemError`` with ``forming.tool_radius`` where the face is too narrow for the ball.
+    Raises ``TooNarrow`` where the face is too narrow for the ball.
     """
 
     def put(at: FloatArray) -> Targets:
@@ -64,7 +64,7 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
 
     at = _spread(curve, face.radius, options)
     # a tool that is far too large is told soon, by a few places
-    wanted, normal = places(curve, face, at[:: -(-len(at) // _FIRST)])
+    wanted, normal = places(curve, face, creases, at[:: -(-len(at) // _FIRST)])
     contact = face.clear(wanted, normal, rounds=3)
     narrow = (contact.gap > 0.02 * face.radius) & ~creases.near(wanted)
     if narrow.any():
@@ -75,7 +75,7 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
     return _apart(found)
 
 
-def places(curve: Curve, face: Face, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+def places(curve: Curve, face: Face, creases: Creases, at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Wanted places (N, 3) [m] and unit normals (N, 3) at rows ``at`` (N,) of a curve."""
     row = np.clip(np.floor(at).astype(np.int64), 0, len(curve.point) - 2)
     share = (at - row)[:, None]
@@ -93,13 +93,14 @@ def places(curve: Curve, face: Face, at: FloatArray) -> tuple[FloatArray, FloatA
         place, on, weights = face.nearest(point[rows])
         point[rows] = place
         own = face.normal_at(on, weights)
-        smooth = dots(own, normal[rows]) > np.cos(_CORNER)
+        # in a fillet that is low for the step the normals of the loops beside are far from its own
+        smooth = (dots(own, normal[rows]) > np.cos(_CORNER)) | ~creases.near(place)
         normal[rows] = np.where(smooth[:, None], own, normal[rows])
     return point, normal
 
 
 def _put(at: FloatArray, curve: Curve, face: Face, creases: Creases, missed: float, name: str) -> Targets:
-    wanted, normal = places(curve, face, at)
+    wanted, normal = places(curve, face, creases, at)
     contact = face.clear(wanted, normal)
     narrow = creases.too_narrow(wanted, contact, missed)
     if narrow.any():

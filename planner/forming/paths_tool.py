@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Final
 
@@ -20,14 +21,19 @@ BoolArray = NDArray[np.bool_]
 
 PUSHED: Final = 2e-5
 """A ball that a crease pushes aside by more than this [m] does not reach its place."""
-CLEAR: Final = 1.2e-5
-"""The lowest loop at the foot of a wall keeps the ball so far [m] off the floor, with which it would lose the
-wall, facet by facet, else: the gap between two tools would hop from the wall's to the floor's."""
+CLEAR: Final = 1e-5
+"""The lowest loop at the foot of a wall keeps the ball so much farther [m] off the floor than straight moves
+between targets take it off the wall, which it would lose for the floor, facet by facet, else: the gap between
+two tools would hop from the wall's to the floor's."""
+MOST_CLEAR: Final = 1e-4
+"""But no farther than this [m], however coarse the moves."""
 LIFTED: Final = 8e-5
 """It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
 _DENSE: Final = 128
 _SAMPLES: Final = 32
 _WORST: Final = 12
+_TRIALS: Final = 8
+_NAMED: Final = 1e-5
 _STEEPEST: Final = np.radians(85.0)
 
 
@@ -123,9 +129,11 @@ def lowest_reached(
     sliced: Callable[[FloatArray], list[list[Loop]]],
     face: Face,
     creases: Creases,
+    chord: float,
 ) -> list[list[Loop]]:
     """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
-    ball off all along; in place of the first level without any the lowest one that the ball reaches."""
+    ball off all along; in place of the first level without any the lowest one that the ball reaches. Straight
+    moves are off the loops by up to ``chord`` [m]."""
     reached = [[loop for loop in group if _reached(loop, face, creases)] for group in groups]
     for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
         if group or not before or k == 0 or not reached[k - 1]:
@@ -143,7 +151,7 @@ def lowest_reached(
     out: list[list[Loop]] = []
     last = np.inf
     for group in reached:
-        lifted = _lifted(group, sliced, face, creases)
+        lifted = _lifted(group, sliced, face, creases, min(chord + CLEAR, MOST_CLEAR))
         level = float(lifted[0].point[0, 2]) if lifted else -np.inf
         out.append(lifted if level < last - PUSHED else [])
         last = level if out[-1] else last
@@ -151,9 +159,14 @@ def lowest_reached(
 
 
 def _lifted(
-    group: list[Loop], sliced: Callable[[FloatArray], list[list[Loop]]], face: Face, creases: Creases
+    group: list[Loop],
+    sliced: Callable[[FloatArray], list[list[Loop]]],
+    face: Face,
+    creases: Creases,
+    clear: float,
 ) -> list[Loop]:
-    """Loops of one level, a little higher where the floor at the foot of their wall pushes the ball off."""
+    """Loops of one level, ``clear`` [m] higher where the floor at the foot of their wall pushes the ball off
+    it."""
     near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
     if not near or max(_stopped(loop, face) for loop in near) == 0.0:
         return group
@@ -169,7 +182,7 @@ def _lifted(
     while high - low > TOUCH:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if free(middle) else (middle, high)
-    return sliced(np.array([high + CLEAR]))[0]
+    return sliced(np.array([high + clear]))[0]
 
 
 def _stopped(loop: Loop, face: Face) -> float:
@@ -198,11 +211,58 @@ def _sample(loop: Loop, count: int = _SAMPLES) -> tuple[FloatArray, FloatArray]:
     return (1.0 - share) * loop.point[row] + share * loop.point[row + 1], normal
 
 
+@dataclasses.dataclass(eq=False)
+class TooNarrow(Exception):  # noqa: N818
+    """Places of a pass are too narrow for its ball of ``radius`` [m]: at the worst one, ``place`` (3,) [m],
+    it stays ``gap`` [m] off. By these places alone one of ``fits`` [m] does."""
+
+    name: str
+    radius: float
+    place: FloatArray
+    gap: float
+    fits: float
+
+    def told(self, fits: float | None) -> TandemError:
+        """The error, with the radius [m] that a whole path was laid with, or None where none was found."""
+        at = 1e3 * self.place
+        what = (
+            f"{self.name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a "
+            f"ball of radius {1e3 * self.radius:.2f} mm, which stays {1e3 * self.gap:.3f} mm off it; "
+        )
+        if fits is None:
+            what += "no smaller radius was found that fits everywhere: round the part more"
+        else:
+            what += f"the largest radius that fits is {1e3 * fits:.2f} mm: take a smaller tool or round the "
+            what += "part more"
+        limit = None if fits is None else 1e3 * fits
+        return TandemError(
+            Issue("forming.tool_radius", what, value=1e3 * self.radius, limit=limit, unit="mm")
+        )
+
+
+def largest(first: TooNarrow, path: Callable[[float], object], above: float) -> float | None:
+    """The largest radius [m] of those tried with which ``path`` lays the whole path, in whole hundredths of a
+    mm, ``above`` a least one [m]; or None. Paths of other balls have other targets, perhaps narrower ones."""
+    radius, step = first.fits, 0.0
+    for _ in range(_TRIALS):
+        radius = np.floor(radius / _NAMED + 1e-6) * _NAMED
+        if radius <= above:
+            return None
+        try:
+            path(radius)
+        except TooNarrow as error:
+            step = max(2.0 * step, 0.01 * radius)
+            radius = min(error.fits, radius - step)
+        else:
+            return float(radius)
+    return None
+
+
 def refuse(
     name: str, face: Face, wanted: FloatArray, normal: FloatArray, gap: FloatArray, missed: float
-) -> TandemError:
-    """The error that places (N, 3) [m] of a face are too narrow for its ball: with the worst of them and the
-    largest ball that fits them all."""
+) -> TooNarrow:
+    """That places (N, 3) [m] of a face are too narrow for its ball: the worst of them, and the largest ball
+    that fits a few of them."""
     order = np.argsort(-gap)
     rows = order[:: -(-len(order) // _WORST)]
     low = 0.0
@@ -225,15 +285,4 @@ def refuse(
         for _ in range(7 if quick else 6):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if fits(middle, quick) else (low, middle)
-    at = 1e3 * wanted[order[0]]
-    return TandemError(
-        Issue(
-            "forming.tool_radius",
-            f"{name}: the face is bent too tightly at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm for a ball "
-            f"of radius {1e3 * face.radius:.2f} mm, which stays {1e3 * gap[order[0]]:.3f} mm off it; the "
-            f"largest radius that fits is {1e3 * low:.2f} mm: take a smaller tool or round the part more",
-            value=1e3 * face.radius,
-            limit=1e3 * low,
-            unit="mm",
-        )
-    )
+    return TooNarrow(name, face.radius, wanted[order[0]], float(gap[order[0]]), low)

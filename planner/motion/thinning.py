@@ -17,6 +17,7 @@ from planner.claims import FollowsPoses, FollowsTable
 from planner.geometry.rigid import interpolate, log_rotation
 from planner.geometry.vectors import lengths
 from planner.issues import Issue, Severity
+from planner.motion.rounding import MOST_RAMP
 from planner.motion.subset import subset
 from planner.motion.timing import SHORTEST
 from planner.targets import Targets
@@ -91,13 +92,18 @@ def picked(targets: Targets, kept: IntArray) -> Targets:
         )
     )
     alone = np.diff(kept, prepend=-1) == 1
-    slow = np.minimum.reduceat(targets.feed, starts)  # of moves from and to rest, which are faster in between
-    rest = targets.stop[kept] | np.append(True, targets.stop[kept][:-1])
+    ends = targets.stop[kept]
+    begins = np.append(True, ends[:-1])
     free = _times(targets.travel, targets.feed) <= 1.01 * SHORTEST  # their feeds say how short a move may be
     slowest_feed = np.minimum.reduceat(np.where(free, np.inf, targets.feed), starts)
     with np.errstate(divide="ignore", invalid="ignore"):
         feed = np.where(alone | (fastest <= 0.0), targets.feed[kept], travel / fastest)
-    feed = np.where(alone, feed, np.where(rest, slow, np.minimum(feed, slowest_feed)))
+    # moves from and to rest are faster in between: the feed of their part at the stop allows for that, unless
+    # it is free, perhaps with next to no way at next to no feed
+    bare = (begins & free[starts]) | (ends & free[kept])
+    slow = np.where(bare, slowest_feed / MOST_RAMP, slowest_feed)
+    slow = np.where(np.isfinite(slow), slow, feed)
+    feed = np.where(alone, feed, np.where(begins | ends, slow, np.minimum(feed, slowest_feed)))
     with np.errstate(divide="ignore", invalid="ignore"):
         least = np.where(alone, targets.feed_min[kept], np.where(slowest > 0.0, travel / slowest, 0.0))
     return dataclasses.replace(

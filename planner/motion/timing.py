@@ -160,10 +160,13 @@ def _piece(
     weaker = np.ones(len(knots) - 2)
     held: CornerConstraint | None = None
     rounds = 0
+    slower: tuple[FloatArray, FloatArray, Profile, str] | None = None
     while True:
         profile, used = parameterise(spline, grid, bound, speed, acceleration, held)
         if profile is None:
-            raise TimingError(last)
+            if slower is None:
+                raise TimingError(last)
+            return slower
         time: FloatArray = np.interp(knots, grid, profile.time)
         if len(steps) == 1:
             time[1] = max(time[1], from_stop_to_stop(spline, RESERVE_CORNER * limits.acceleration))
@@ -173,8 +176,10 @@ def _piece(
         over = max([*ends, *asked]) / RESERVE_CORNER
         if over <= 1.0:
             return time, asked, profile, used
-        if rounds == ROUNDS:  # all of the piece slower by one factor: accelerations fall with its square
-            return time * np.sqrt(over), asked / over, profile, used
+        # all of the piece slower by one factor: accelerations fall with its square
+        slower = time * np.sqrt(over), asked / over, profile, used
+        if rounds == ROUNDS:
+            return slower
         if held is not None:
             weaker = np.maximum(weaker, weaker * asked / RESERVE_CORNER * HARDER)
         held = on_grid(corners, knots, grid, weaker, RESERVE_CORNER * limits.acceleration)

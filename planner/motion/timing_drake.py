@@ -34,7 +34,10 @@ def parameterise_drake(
             break
         tight = np.minimum.reduceat(limit, rows)
         tight[1:] = np.minimum(tight[1:], tight[:-1])
-        found = solve_once(spline, grid[rows], tight if stride > 1 else limit, acceleration)
+        try:
+            found = solve_once(spline, grid[rows], tight if stride > 1 else limit, acceleration)
+        except (RuntimeError, SystemExit):  # by SystemExit Drake tells of its own conditions that fail
+            found = None
         if found is not None:
             return np.asarray(np.sqrt(np.interp(grid, grid[rows], found**2)))
     return None

@@ -185,6 +185,56 @@ def test_in_a_round_corner_of_coarse_facets_the_line_stays_at_what_is_touched(
     assert off_touched(one, middle, between, head.radius) < 3.1
 
 
+def ringed(wall: float, corner: float, parts: int, high: float, square: float) -> Pass:
+    """A pit with walls of ``wall`` [deg] down to a sharp floor ``high`` [mm] deep. Its corners, round by the
+    radius ``corner`` [mm] at the floor about those of a square, are ``parts`` facets each."""
+    wide = corner * MM + high * MM / np.tan(np.radians(wall))
+    turn = (np.linspace(0.0, np.pi / 2, parts + 1) + np.pi / 2 * np.arange(4)[:, None]).ravel()
+    signs = np.repeat(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]), parts + 1, axis=0)
+    rings = []
+    levels = np.linspace(0.0, -high * MM, 6)
+    for radius, z in [(wide + 0.02, 0.0), *((wide + z / np.tan(np.radians(wall)), z) for z in levels)]:
+        flat = square * MM * signs + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+        rings.append(np.column_stack([flat, np.full(len(flat), z + T0)]))
+    m = len(turn)
+    vertices = np.concatenate([*rings, [[0.0, 0.0, T0 - high * MM]]])
+    i = np.arange(m)
+    j = (i + 1) % m
+    bands = [
+        part
+        for a in range(0, 6 * m, m)
+        for part in (
+            np.column_stack([a + i, a + j, a + m + i]),
+            np.column_stack([a + j, a + m + j, a + m + i]),
+        )
+    ]
+    faces = np.concatenate([*bands, np.column_stack([6 * m + i, 6 * m + j, np.full(m, 7 * m)])])
+    ring = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * (square * MM + wide + 0.01)
+    thickness = np.full(len(vertices), T0 * np.cos(np.radians(wall)))
+    return Pass("f1", 1, 1, 1, vertices, faces, thickness, T0, T0 - high * MM, ring)
+
+
+@pytest.mark.parametrize(
+    ("wall", "corner", "parts", "high", "square", "ball", "step"),
+    [
+        (52.613966, 15.637319, 7, 9.488388, 9.736825, 6.35, 1.0),
+        (35.024832, 9.827912, 8, 9.674805, 10.762764, 5.0, 1.0),
+    ],
+)
+def test_all_along_the_foot_of_a_wall_the_ball_stays_at_the_wall(
+    wall: float, corner: float, parts: int, high: float, square: float, ball: float, step: float
+) -> None:
+    """Straight moves take the ball off the wall by some of their chord: it must not touch the floor first."""
+    one = ringed(wall, corner, parts, high, square)
+    head = dataclasses.replace(BALL, radius=ball * MM)
+    options = PathOptions(kind="helical", stepdown=step * MM, tangent_angle=np.radians(4.0))
+    path = opposite_path(one, make_path(one, head.radius, options), operation(), head, head, T0)
+    for share in (0.25, 0.5, 0.75):
+        former, support = (way[:-1] + share * np.diff(way, axis=0) for way in (path.former, path.support))
+        line = (former - support) / np.linalg.norm(former - support, axis=1, keepdims=True)
+        assert off_touched(one, former, line, head.radius) < 3.6
+
+
 def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
     """A dish of a ball's own shape in facets of 3 deg: the sphere's normal is that from its centre."""
     radius, ball, step = 0.03, BALL.radius, np.radians(3.0)

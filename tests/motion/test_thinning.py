@@ -13,6 +13,8 @@ from planner import corners
 from planner.claims import FollowsPoses
 from planner.motion import thinning
 from planner.motion.operation import plan_operation
+from planner.motion.rounding import MOST_RAMP
+from planner.motion.timing import SHORTEST
 from planner.problem import Settings
 from planner.targets import Action
 from planner.units import MM
@@ -127,3 +129,19 @@ def test_two_arms_are_joined_as_far_as_they_stay_together():
     shaken[1:-1, 2, 3] += np.random.default_rng(3).uniform(-5e-6, 5e-6, 298)
     apart = dataclasses.replace(pair, pose={**pair.pose, "other": shaken})
     assert len(together) < len(thinning.joined(apart, pair.neutral(), time, rows))
+
+
+def test_moves_of_next_to_no_way_do_not_hold_up_those_from_a_stop():
+    """Two places that rounding parts by 1e-18 m are no reason to stand still for days."""
+    _, targets = s_targets(60)
+    travel, feed, stop = targets.travel.copy(), targets.feed.copy(), targets.stop.copy()
+    stop[20] = True
+    travel[21] = 3e-18
+    feed[21] = travel[21] / SHORTEST
+    travel[20], feed[20] = 1e-12, 1e-12 / SHORTEST
+    targets = dataclasses.replace(targets, travel=travel, feed=feed, stop=stop)
+    kept = np.delete(np.arange(60), [19, 21])
+    fewer = thinning.picked(targets, kept)
+    row = int(np.flatnonzero(kept == 20)[0])
+    # the rest of each is FEED, which the end away from the stop may have
+    assert fewer.feed[row : row + 2] == pytest.approx(np.full(2, FEED / MOST_RAMP), rel=1e-9)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from planner.motion import timing
 from planner.motion.joints import JointPath, Piece, dense, joint_path
 from planner.motion.operation import plan_operation
 from planner.motion.reach import sample
+from planner.motion.rounding import Corners
 from planner.motion.search import Found, search, speed_limits
-from planner.motion.timing import Limits, Profile, clock, least_times, parameterise
+from planner.motion.timing import Limits, Profile, TimingError, clock, least_times, parameterise
 from planner.motion.timing_drake import parameterise_drake
 from planner.problem import Settings
 from planner.verify import time_law
@@ -142,3 +144,38 @@ def test_corners_ask_for_no_more_than_the_joints_have(seed: int) -> None:
     hard = np.diff(found, 2, axis=0) / np.diff(at)[0] ** 2
     inner = (at[1:-1] > ticks.time[1]) & (at[1:-1] < ticks.time[-2])  # between the ramps
     assert 10.0 < np.abs(hard[inner]).max() < 20.0
+
+
+def test_a_last_move_at_next_to_no_speed_gets_a_clock() -> None:
+    """A bound that no solver copes with; Drake's own conditions, which end a process, are no end of it."""
+    spline = CubicSpline([0.0, 1.45e-3, 1.51e-3], np.array([[0.0], [5e-4], [5.1e-4]]), bc_type="natural")
+    path = JointPath(3, (Piece(0, 2, spline, spline.x),), 0.0)
+    limits = Limits(np.array([1.0]), np.array([3.0]), np.array([0.0, 0.07, 3e6]), np.full(3, 0.5))
+    with pytest.raises(TimingError):
+        clock(path, limits)
+
+
+def test_a_piece_that_harder_bounds_leave_without_a_clock_keeps_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The piece is slowed as a whole then: its corners ask for what they may, by the formula of corners."""
+    place = np.array([[0.0, 0.0], [0.05, 0.0], [0.05, 0.05]])
+    s = np.linspace(0.0, 1.0, 5)
+    spline = CubicSpline(
+        s, np.array([place[0], 0.5 * (place[0] + place[1]), place[1], [0.05, 0.025], place[2]])
+    )
+    path = JointPath(3, (Piece(0, 2, spline, s[::2]),), 0.0)
+    limits = Limits(np.full(2, 1.0), np.full(2, 3.0), np.full(3, 1e-3), np.full(3, 0.05))
+    calls: list[bool] = []
+    real = timing.parameterise
+
+    def once(*args: object) -> tuple[Profile | None, str]:
+        calls.append(True)
+        return real(*args) if len(calls) == 1 else (None, "drake")  # type: ignore[arg-type]
+
+    monkeypatch.setattr(timing, "parameterise", once)
+    ticks = clock(path, limits)
+    assert len(calls) == 2
+    corner = Corners.of(spline, s[::2], np.array([0.05])).asked(np.diff(ticks.time), limits.acceleration)
+    assert corner.max() <= timing.RESERVE_CORNER * (1 + 1e-9)
+    assert ticks.asked[1] == pytest.approx(corner[0], rel=1e-9)
