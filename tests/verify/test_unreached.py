@@ -133,7 +133,7 @@ GROOVE = [(0.075, 0.09), (0.075, 0.078), (0.076, 0.078), (0.076, 0.09), *RIM[2:]
 
 @pytest.mark.parametrize("left", [0.005, 0.02])
 def test_a_slot_behind_a_wall_reaches_nothing_of_a_groove(left: float) -> None:
-    """By hand: as far in between the edges of its mouth as the slot comes, whatever is cut behind the wall."""
+    """By hand: as far in between the edges of its mouth as the slot comes, whatever lies behind the wall."""
     line = np.array([*RIM[:2], *GROOVE])
     found = unreached(claim(line, left), np.array([[0.076, 0.0, 0.080], [0.076, 0.0, 0.088]]), HALF)
     above = HALF * np.cos(np.pi / 6.0)
