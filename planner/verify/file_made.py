@@ -32,7 +32,10 @@ ALL: Final = "*"
 """In place of names: all surfaces of the part that are ruled."""
 OUTLINES: Final = frozenset({"outline", "hole"})
 """What outlines of a plate are called, before the letters that tell them apart."""
-_NEIGHBOURS: Final = 8
+ON_FACE: Final = 1e-4
+"""[m] a face that is claimed is the one that is read where it is no farther from it than this, ..."""
+ROUNDED: Final = 2.5
+"""... or, in a mesh with noise, than so many of its tolerances: folds are rounded there."""
 _HEIGHTS: Final = 5
 
 
@@ -117,7 +120,8 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
     the steps of its path may leave there (N,) [m].
 
     The face that a ball above the sheet touches is the read one moved up by the ``thickness`` [m]. With
-    ``shifted``, features are formed at other levels than the part has them at.
+    ``shifted``, features are formed at other levels than the part has them at. What a ball of that size
+    cannot reach is allowed too. NaN where no face that is claimed is the read one.
     """
     points = sheet.walls.points
     off, allowed = np.full(len(points), np.nan), np.zeros(len(points))
@@ -128,14 +132,16 @@ def off_sheet(forming: Forming, sheet: SheetFace, thickness: float, shifted: boo
         if shifted:
             here = here + np.array([0.0, 0.0, _shift(claim.vertices[claim.faces], sheet.face.corners + rise)])
         found = swept(one, here) - claim.radius
-        facets = claim.vertices[claim.faces].mean(axis=1)
-        near = np.asarray(cKDTree(facets).query(here, k=min(_NEIGHBOURS, len(facets)))[1])
-        ridge = claim.scallop[near.reshape(len(here), -1)].max(axis=1)
+        near = one.face.nearest(here)
+        # where the face that is claimed is not the read one, its steps and what balls reach of it say nothing
+        found[near.apart > ON_FACE + ROUNDED * sheet.tolerance] = np.nan
+        ridge = np.zeros(len(here))
+        np.maximum.at(ridge, near.row, claim.scallop[one.face.rows[near.triangle]])
         rows = np.flatnonzero((found > ridge) & (found < claim.radius))
         up = sheet.walls.normals[rows]
         up = up * np.where(up[:, 2:] < 0.0, -1.0, 1.0)
         ridge[rows] += short(one.face, here[rows], up, claim.radius, claim.side)
-        better = ~(np.abs(found) >= np.abs(off))  # NaN gives way
+        better = np.isfinite(found) & ~(np.abs(found) >= np.abs(off))  # NaN gives way
         off, allowed = np.where(better, found, off), np.where(better, ridge, allowed)
     return off, allowed
 

@@ -3,7 +3,8 @@ corner, or in a groove that is narrower than the slot, foam stays on the part ho
 
 In the plane across the wire the surface is a polyline. The middle of a slot may stand wherever no part of the
 line is nearer than half of it; how far the nearest such place is from a point of the surface is looked up
-among places that lie densely along the line's parallel.
+among places that lie densely along the line's parallel. A place on the other side of a wall of the part does
+not count: what is cut there takes nothing off this side.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def unreached(claim: FollowsRulings, places: FloatArray, half: float) -> FloatAr
     for k, place in enumerate(places):
         nearest = int(np.argmin(dots(place - middle, place - middle)))
         axis = along[nearest] / np.linalg.norm(along[nearest])
-        out[k] = _farther(_section(claim, along, place, axis), half, claim.left)
+        out[k] = _farther(_section(claim, along, place, axis), half, claim.left, claim.tolerance)
     return out
 
 
@@ -48,8 +49,9 @@ def _section(claim: FollowsRulings, along: FloatArray, place: FloatArray, axis: 
     return np.stack([row @ one, row @ np.cross(axis, one)], axis=1)
 
 
-def _farther(line: FloatArray, half: float, left: float) -> float:
-    """How much farther than ``half`` the nearest admissible place is from the origin, a point of the line."""
+def _farther(line: FloatArray, half: float, left: float, thin: float) -> float:
+    """How much farther than ``half`` the nearest admissible place is from the origin, a point of the line,
+    that does not lie behind more than ``thin`` of the part."""
     reach = 2.0 * half + left + 1e-3
     a, b = line[:-1], line[1:]
     size = np.linalg.norm(b - a, axis=1)
@@ -70,9 +72,26 @@ def _farther(line: FloatArray, half: float, left: float) -> float:
     for low in range(0, len(near), 256):  # the nearest ones first: one is enough
         some = near[low : low + 256]
         free = _apart(places[some], a, b).min(axis=1) >= half - NEARER
-        if free.any():
-            return max(float(distance[some[int(np.argmax(free))]]) - half, 0.0)
+        for k in some[free]:
+            if _within(places[k], a, b) <= thin:
+                return max(float(distance[k]) - half, 0.0)
     return float("inf")
+
+
+def _within(place: FloatArray, a: FloatArray, b: FloatArray) -> float:
+    """How much of the way from the origin to a place outside is within the part, whose border are the pieces
+    of a line, ``a`` to ``b`` (M, 2): between the crossings, counted from the place."""
+    edge = b - a
+    across = place[0] * edge[:, 1] - place[1] * edge[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (a[:, 0] * edge[:, 1] - a[:, 1] * edge[:, 0]) / across
+        on = (a[:, 0] * place[1] - a[:, 1] * place[0]) / across
+    length = float(np.linalg.norm(place))
+    crossed = (across != 0.0) & (on >= 0.0) & (on < 1.0) & (share * length > NEARER) & (share < 1.0)
+    at = np.sort(share[crossed])[::-1]
+    if len(at) % 2:  # the last of them is where the way begins
+        at = np.append(at, 0.0)
+    return float((at[::2] - at[1::2]).sum()) * length
 
 
 def _fans(a: FloatArray, b: FloatArray, normal: FloatArray, half: float) -> FloatArray:

@@ -30,7 +30,7 @@ PROBLEM = {
     "stock": {
         "size_mm": [200, 200, 100],
         "place": {"xyz_mm": [1500, 0, 700], "rpy_deg": [0, 0, 90]},
-        "support": [{"kind": "box", "size_mm": [100, 100, 600], "pose": {"xyz_mm": [0, 0, -300]}}],
+        "support": [{"kind": "box", "size_mm": [100, 100, 700], "pose": {"xyz_mm": [0, 0, -350]}}],
         "oversize_mm": [[5, 5], [0, 0], [0, 5]],
     },
     "operations": [

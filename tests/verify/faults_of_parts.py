@@ -116,6 +116,16 @@ FAULTS: Final = (
         {"geometry.mesh:read_mesh": fields(vertices=_times(z=1.2))},
     ),
     Fault(
+        "sheet_mesh_shallower",
+        "spif",
+        {"geometry.mesh:read_mesh": fields(vertices=_times(z=0.9))},
+    ),
+    Fault(
+        "sheet_mesh_narrower",
+        "oval",
+        {"geometry.mesh:read_mesh": fields(vertices=_times(x=0.95))},
+    ),
+    Fault(
         "sheet_mesh_axes_swapped",
         "oval",
         {"geometry.mesh:read_mesh": fields(vertices=lambda v: v[:, [1, 0, 2]], faces=lambda f: f[:, ::-1])},

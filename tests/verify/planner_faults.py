@@ -45,6 +45,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "hotwire.straight_check:check_cut",
         "hotwire.straight_check:check_holder",
         "hotwire.straight_check:check_model",
+        "hotwire.straight_heat:check_heat",
         "hotwire.straight_passed:check_driven",
         "hotwire.straight_passed:check_inner",
         "hotwire.straight_passed:check_passed",

@@ -22,6 +22,7 @@ FAULTS: Final = {
 }
 SAMPLE: Final = (
     "mesh_unit",
+    "sheet_mesh_shallower",
     "naca_half_thickness",
     "elastic_half_kerf",
     "straight_other_side_of_kerf",

@@ -11,10 +11,13 @@ import pytest
 import shapely
 
 import planner
+from planner import processes
 from planner.claims import FollowsRulings, KerfCurve
 from planner.hotwire import straight_cut
 from planner.hotwire.straight_offset import Beside
+from planner.problem import Problem
 from planner.segments import Segment
+from planner.verify.prove import prove
 from planner.verify.unreached import unreached
 from tests.hotwire import foam_blocks as blocks
 from tests.verify.test_slits import RIM, problem
@@ -122,3 +125,33 @@ def test_more_than_may_stay_is_caught(tmp_path: Path, monkeypatch: pytest.Monkey
     outcome = planner.plan(problem(tmp_path, [rim], kerf_mm=2.0, shape_tol_mm=0.1, left_mm=0.2))
     assert {issue.code for issue in outcome.proof.issues} == {"verify.rulings"}
     assert "round wire leaves" in outcome.proof.issues[0].message
+
+
+GROOVE = [(0.075, 0.09), (0.075, 0.078), (0.076, 0.078), (0.076, 0.09), *RIM[2:]]
+"""Of half the slot's width, 12 mm deep, behind a wall of 4 mm."""
+
+
+@pytest.mark.parametrize("left", [0.005, 0.02])
+def test_a_slot_behind_a_wall_reaches_nothing_of_a_groove(left: float) -> None:
+    """By hand: as far in between the edges of its mouth as the slot comes, whatever lies behind the wall."""
+    line = np.array([*RIM[:2], *GROOVE])
+    found = unreached(claim(line, left), np.array([[0.076, 0.0, 0.080], [0.076, 0.0, 0.088]]), HALF)
+    above = HALF * np.cos(np.pi / 6.0)
+    mouth = np.hypot(0.0005, np.array([0.010, 0.002]) + above) - HALF
+    assert found[1] == pytest.approx(mouth[1], abs=6e-5)
+    assert found[0] == (np.inf if left < 0.01 else pytest.approx(mouth[0], abs=6e-5))
+
+
+def test_a_groove_that_is_left_whole_is_caught(tmp_path: Path) -> None:
+    """Programs of a plate without a groove, held against the plate with it."""
+
+    def made(line: list[tuple[float, float]]) -> Problem:
+        rim = blocks.prism("rim", line, closed=True)
+        return problem(tmp_path, [rim], kerf_mm=2.0, shape_tol_mm=0.2, left_mm=5.0)
+
+    plain, grooved = made(RIM), made([*RIM[:2], *GROOVE])
+    programs = planner.plan(plain).programs
+    assert prove(plain, processes.claims(plain), programs).ok
+    issues = prove(grooved, processes.claims(grooved), programs).issues
+    assert {issue.code for issue in issues} == {"verify.rulings"}
+    assert "round wire leaves" in issues[0].message
