@@ -96,6 +96,8 @@ def lay(folder: Path, data: Any) -> list[Issue]:
 
 # ---- problems ----------------------------------------
 
+HUNG = change(POSES, "stock.place", {"xyz_mm": [450, 0, 100]})
+"""The small problem with its block in the air."""
 TABLE: Final = "\n".join([small_problem.COLUMNS, *small_problem.ROWS]) + "\n"
 ON_TABLE: Final = {**POSES, "stock": {**POSES["stock"], "support": "pedestal"}}
 OBSTACLE: Final = {
@@ -142,10 +144,10 @@ PROBLEMS: Final = [
         {"stock.gripper": Word("state it: {gripper: (\\w+)"),
         "stock.grip": Yaml("grip: ({xyz_mm: .*?\\})")}),
     Row("problem.field", load, change(POSES, "cell.wires", []), "take the key out", {"cell.wires": GONE}),
-    Row("stock.support", check, change(POSES, "stock.support", [{"kind": "box", "size_mm": [50, 50, 50],
+    Row("stock.support", check, change(HUNG, "stock.support", [{"kind": "box", "size_mm": [50, 50, 50],
         "pose": {"xyz_mm": [0, 0, -25]}}]), "support: pedestal",
         {"stock.support": Word("support: (pedestal)")}),
-    Row("stock.hangs", check, POSES, "support: pedestal", {"stock.support": Word("support: (pedestal)")}),
+    Row("stock.hangs", check, HUNG, "support: pedestal", {"stock.support": Word("support: (pedestal)")}),
     Row("cell.body_name", check, change(ON_TABLE, "cell.obstacles", [{**OBSTACLE, "name": "stock"}]), "",
         {"cell.obstacles.0.name": "pole"}),
     Row("targets.file", lay, POSES, "correct it", {"@targets.csv": TABLE},

@@ -150,7 +150,7 @@ def _near(cells: FloatArray, lines: Lines, half: FloatArray, box: FloatArray, re
     good = ((middle > box[0]) & (middle < box[1]) & (middle > low) & (middle < high)).all(axis=1)
     rows = np.flatnonzero(good)
     count = int(np.ceil(np.linalg.norm(ends[1] - ends[0], axis=1).max() / COARSE)) + 1
-    points = np.linspace(*ends, count, axis=1)
+    points = np.linspace(ends[0], ends[1], count, axis=1)
     step = np.linalg.norm(np.diff(points, axis=0), axis=2).max(initial=0.0)
     gap = 0.5 * float(np.hypot(COARSE, step))
     tree = cKDTree(points.reshape(-1, 3))
