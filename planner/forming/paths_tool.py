@@ -150,10 +150,12 @@ def lowest_reached(
         reached[k] = best
     out: list[list[Loop]] = []
     last = np.inf
-    for group in reached:
-        lifted = _lifted(group, sliced, face, creases, min(chord + CLEAR, MOST_CLEAR))
+    for k, group in enumerate(reached):
+        lifted = group  # the floor is at the foot of the lowest loops alone
+        if not any(reached[k + 1 :]):
+            lifted = _lifted(group, sliced, face, creases, min(chord + CLEAR, MOST_CLEAR))
         level = float(lifted[0].point[0, 2]) if lifted else -np.inf
-        out.append(lifted if level < last - PUSHED else [])
+        out.append(lifted if lifted is group or level < last - PUSHED else [])
         last = level if out[-1] else last
     return out
 

@@ -102,7 +102,7 @@ def test_out_of_reach_names_arm_target_and_the_shift_that_helps(targets: Targets
     assert issue.value is not None
     assert issue.value > 1.0
     assert issue.hint is not None
-    assert "mm in z" in issue.hint
+    assert "move the stock by (0, 0, -" in issue.hint
     assert check(problem(two_arms(), targets, place), [targets])[0].code == "motion.no_reach"
 
 

@@ -180,7 +180,7 @@ def test_check_tells_what_is_known_without_planning(here: InProcess) -> None:
 
 
 def test_check_can_test_reach(here: InProcess) -> None:
-    far = named("far").replace("[450, 0, 100]", "[450, 0, 101]")
+    far = named("far").replace("[450, 0, 0]", "[450, 0, 1]")
     files = [
         ("problem", ("p.yaml", far)),
         ("files", ("targets.csv", TABLE.replace(b"450,", b"4500,"))),

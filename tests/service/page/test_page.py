@@ -153,7 +153,7 @@ def test_a_preview_has_the_shapes_and_their_size(here: InProcess) -> None:
     assert np.ptp(vertices, axis=0).tolist() == [100.0, 100.0, 100.0]
     assert (way["name"], way["kind"]) == ("poses, left", "path")
     bars = np.array(way["vertices"]).reshape(-1, 8, 3)
-    assert bars.mean(axis=1).tolist() == [[0.0, y, 400.0] for y in range(-40, 41, 20)]
+    assert bars.mean(axis=1).tolist() == [[0.0, y, 500.0] for y in range(-40, 41, 20)]
     assert (
         here.http.post(
             "/ui/preview", files=[("problem", ("p", "a: 1")), ("files", ("t.csv", TABLE))]
