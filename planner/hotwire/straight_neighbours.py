@@ -223,7 +223,7 @@ def _of_the_part(places: FloatArray, own: Ruled, ruled: tuple[Ruled, ...], box: 
         return real
     points = np.concatenate([_cells(own).mean(axis=1), places])
     points = points[((points > box[0]) & (points < box[1])).all(axis=1)]
-    points = points[:: max(1, len(points) // SOME)]
+    points = np.random.default_rng(0).permutation(points)[:SOME]  # every so many would be of one row of cells
     for other in ruled:
         if other.name != own.name:
             off = _side(other, points)[0]

@@ -179,12 +179,11 @@ def _bounds_the_part(
 ) -> BoolArray:
     """Which places (N, 3) of a surface bound the part: those not outside of another one that it crosses in
     the block."""
-    corners = own.vertices[own.faces]
-    while len(corners) < SOME and len(corners):
-        corners = _halved(corners)
-    points = np.concatenate([corners.reshape(-1, 3), places])
+    # all over each facet: those of a ruled surface have all corners in faces of the block
+    inner = np.array([(i, j, 10 - i - j) for i in range(1, 9) for j in range(1, 10 - i)]) / 10.0
+    points = np.einsum("wk,fkd->fwd", inner, own.vertices[own.faces]).reshape(-1, 3)
     points = points[((points > block[0]) & (points < block[1])).all(axis=1)]
-    points = points[:: max(1, len(points) // (2 * SOME))]
+    points = np.random.default_rng(0).permutation(points)[: 2 * SOME]
     real = np.ones(len(places), dtype=np.bool_)
     for other in part:
         if other is own:

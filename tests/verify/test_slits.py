@@ -13,12 +13,15 @@ import pytest
 import yaml
 
 import planner
+from planner import processes
+from planner.claims import CutsSurface
 from planner.hotwire import straight, straight_cut, straight_leads
 from planner.hotwire.straight_cut import Cut
 from planner.hotwire.straight_lines import Lines
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
+from planner.verify import spared
 from planner.verify.prove import Prover
 from tests.hotwire import foam_blocks as blocks
 from tests.hotwire.test_straight_job import PROBLEM
@@ -258,3 +261,14 @@ def test_strips_that_cross_bound_the_part_together_and_are_proven(tmp_path: Path
     ]
     top_first = [{"surface": "top"}, {"surface": "sole"}]
     assert planner.plan(problem(tmp_path, wedge, cuts=top_first)).verified
+
+
+def test_what_goes_on_beyond_a_surface_that_it_crosses_is_no_part() -> None:
+    """The outline of the bundled wall goes through the whole block; its front is at 75 mm there."""
+    problem = planner.load("ruled_wall")
+    stated = processes.claims(problem, processes.jobs(problem))
+    part = tuple(c for claims in stated.values() for c in claims if isinstance(c, CutsSurface))
+    outline = next(claim for claim in part if claim.segment.name == "outline")
+    place = np.array([[0.10308477, 0.0337478, z] for z in (0.0735, 0.0755)])
+    block = np.array([[-0.145, -0.3, 0.0], [0.145, 0.3, 0.1]])
+    assert spared._bounds_the_part(place, outline, part, block).tolist() == [True, False]
