@@ -21,6 +21,15 @@ from tests.refusals import change
 from tests.test_infeasible import EXPECT, FOLDER, errors
 
 
+def said(issues: Sequence[Issue], pattern: str) -> str:
+    """The one group of a pattern in the issues' words; raises ``ValueError`` where it is not there."""
+    text = "; ".join(f"{issue.message}; {issue.hint or ''}" for issue in issues)
+    found = re.search(pattern, text)
+    if found is None:
+        raise ValueError(f"{pattern!r} is not said in: {text}")
+    return found[1]
+
+
 @dataclasses.dataclass(frozen=True)
 class Said:
     """A figure that is taken from an issue's words, where ``#`` stands in ``words``: ``times`` so much, added
@@ -33,11 +42,8 @@ class Said:
     more: bool = False
 
     def of(self, issues: Sequence[Issue], now: Any) -> float:
-        text = "; ".join(f"{issue.message}; {issue.hint or ''}" for issue in issues)
-        found = re.search(re.escape(self.words).replace(r"\#", r"(-?\d+(?:\.\d+)?)"), text)
-        if found is None:
-            raise ValueError(f"{self.words!r} is not said in: {text}")
-        rounded = (math.floor if self.down else math.ceil)(round(float(found[1]) * self.times / self.step, 6))
+        figure = said(issues, re.escape(self.words).replace(r"\#", r"(-?\d+(?:\.\d+)?)"))
+        rounded = (math.floor if self.down else math.ceil)(round(float(figure) * self.times / self.step, 6))
         return round(rounded * self.step + (now if self.more else 0.0), 9)
 
 
@@ -49,11 +55,7 @@ class Word:
 
     def of(self, issues: Sequence[Issue], now: Any) -> str:
         del now
-        text = "; ".join(f"{issue.message}; {issue.hint or ''}" for issue in issues)
-        found = re.search(self.pattern, text)
-        if found is None:
-            raise ValueError(f"{self.pattern!r} is not said in: {text}")
-        return found[1]
+        return said(issues, self.pattern)
 
 
 PLATE = [[-90, -70], [90, -70], [90, 70], [-90, 70]]

@@ -105,12 +105,6 @@ def noisy(mesh: Mesh, sigma: float, random: np.random.Generator) -> Mesh:
     return points, mesh[1]
 
 
-def unwelded(mesh: Mesh) -> Mesh:
-    """Every triangle with vertices of its own, as STL files have them."""
-    faces = triangles(mesh[1])
-    return mesh[0][faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
-
-
 def obj(mesh: Mesh, scale: float = 1.0, digits: int = 4) -> bytes:
     """An OBJ file; ``scale`` from mm to the file's unit, ``digits`` in mm."""
     places = digits - int(np.floor(np.log10(scale)))
