@@ -33,8 +33,8 @@ EVEN: Final = 1e-4
 """[m] cells at whose corners and middle distances differ by less are looked at there alone."""
 CHORD: Final = 2e-5
 """[m] surfaces are looked at as near as this."""
-MOST: Final = 4_000
-"""So many cells of one surface are looked at more closely, at most."""
+BATCH: Final = 2_000
+"""So many cells are looked at more closely together."""
 BENEATH: Final = 0.7
 """Least cosine of the way to the wire against the normal of a surface that the wire is beneath or above."""
 FACING: Final = -0.5
@@ -58,8 +58,12 @@ def check_neighbours(op: Straight, cut: Cut, ruled: tuple[Ruled, ...], box: Floa
             continue
         cells = _near(_cells(other), lines, half, box, reach + COARSE)
         uneven = _uneven(cells, lines, half)
-        finer = _near(_finer(cells[uneven][:MOST]), lines, half, box, reach)
-        cells = np.concatenate([cells[~uneven], finer])
+        coarse = cells[uneven]
+        finer = [
+            _near(_finer(coarse[k : k + BATCH]), lines, half, box, reach)
+            for k in range(0, len(coarse), BATCH)
+        ]
+        cells = np.concatenate([cells[~uneven], *finer])
         if not len(cells):
             continue
         places, normal = cells.mean(axis=1), _normals(cells)

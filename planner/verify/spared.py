@@ -24,8 +24,8 @@ BoolArray = NDArray[np.bool_]
 
 SMALL: Final = 5e-4
 """[m] pieces of a surface whose middle is no farther from their corners are looked at there alone."""
-MOST: Final = 60_000
-"""So many pieces of one surface are looked at, at most, beside one cut."""
+BATCH: Final = 20_000
+"""So many pieces are looked at together."""
 APART: Final = 0.003
 """[m] points of the wires by which near ones are found are no farther apart along the wire."""
 BEHIND: Final = 0.7
@@ -64,13 +64,18 @@ def taken(
     corners = corners[np.linalg.norm(_cross(corners), axis=1) > 0.0]
     wall = walls((claim,))
     worst: list[tuple[FloatArray, FloatArray, FloatArray, IntArray]] = []
-    while len(corners):
+    left = [corners]
+    while left:
+        corners = left.pop()
+        if len(corners) > BATCH:
+            left.append(corners[BATCH:])
+            corners = corners[:BATCH]
         middle = corners.mean(axis=1)
         size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         near = sheet.maybe(middle, size)
         corners, middle, size = corners[near], middle[near], size[near]
         if not len(corners):
-            break
+            continue
         distance, foot, half, row = sheet.nearest(middle)
         normal = _cross(corners)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -84,9 +89,8 @@ def taken(
         if bad.any():
             worst.append((depth[bad], middle[bad], half[bad], row[bad]))
         open_ = ~bad & (size > SMALL) & (distance - size < half - other.tolerance)
-        corners = _halved(corners[open_])
-        if len(corners) > MOST:
-            break
+        if open_.any():
+            left.append(_halved(corners[open_]))
     if not worst:
         return None
     depth, place, half, row = (np.concatenate([one[k] for one in worst]) for k in range(4))

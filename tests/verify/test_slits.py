@@ -236,10 +236,13 @@ def facing(gap: float) -> list[Any]:
     return [blocks.prism("low", low), blocks.prism("high", high)]
 
 
+@pytest.mark.parametrize("batch", [20_000, 7])
 def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
-    tmp_path: Path, unchecked: pytest.MonkeyPatch
+    tmp_path: Path, unchecked: pytest.MonkeyPatch, batch: int
 ) -> None:
-    """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap."""
+    """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap. All of the
+    surface is looked at, in however many batches."""
+    unchecked.setattr(spared, "BATCH", batch)
     outcome = planned(problem(tmp_path, facing(0.0004)))
     slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]
