@@ -40,6 +40,7 @@ FAMILIES: Final[dict[str, tuple[int, Any, Any]]] = {
     "dpif_l": (24, forming.base("dpif_l"), forming_faults.SUPPORTED),
     "dpif_p": (24, forming.base("dpif_p"), forming_faults.BORDER),
     "adsif": (15, forming.adsif, forming_faults.ADSIF),
+    "large": (12, forming.large, forming_faults.COMMON),
     "heat": (9, forming.base("heat"), forming_faults.TWO_ARMS),
     "flank": (21, milling.flank, milling.FLANKS),
     "lines": (15, milling.lines, milling.PANELS),

@@ -80,14 +80,16 @@ def pair_cell(draw: Draw, ball: float, other: Data | None = None) -> tuple[Data,
     return cells.facing(robots, tools, *apart, homes, handshake), payload
 
 
-def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data) -> meshes.Mesh:
+def shape(
+    draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: bool = False
+) -> meshes.Mesh:
     """A part that goes down, and in ``facts`` its half width, depth and sharpness."""
     angle = draw.number(30, steep, 0)
     rim, floor = draw.number(ball + 1.5, 2 * ball + 4), draw.number(ball + 1.5, 2 * ball + 4)
     rounds = (rim + floor) * (1.0 - math.cos(math.radians(angle)))
-    depth = round(rounds + draw.number(4, 14), 1)
+    depth = round(rounds + (draw.number(20, 45) if large else draw.number(4, 14)), 1)
     foot = depth / math.tan(math.radians(angle)) + (rim + floor) * math.tan(math.radians(angle / 2))
-    half = round(foot + draw.number(10, 25), 1)
+    half = round(foot + (draw.number(25, 70) if large else draw.number(10, 25)), 1)
     facts.update(angle=angle, depth=depth, half=half, share=0.95)
     line = sheets.profile(sheets.wall(depth, angle, rim, floor))
     around = draw.pick([96, 144, 180])
@@ -148,7 +150,7 @@ def sheet(draft_facts: Data, draw: Draw, name: str, thick: float, room: float, c
     return own
 
 
-def draft(draw: Draw, mode: str, kind: str) -> Draft:
+def draft(draw: Draw, mode: str, kind: str, large: bool = False) -> Draft:
     """A job of one mode and one kind of part without fault."""
     alone = mode in ("spif", "tpif")
     ball = draw.pick([5.0, 6.0, 6.35, 8.0]) if kind != "sharp" else draw.pick([3.0, 4.0])
@@ -166,7 +168,7 @@ def draft(draw: Draw, mode: str, kind: str) -> Draft:
         }
     cell, payload = ball_cell(draw, ball) if alone else pair_cell(draw, ball, other)
     name, thick = metal(draw, payload, ball)
-    mesh = shape(draw, kind, ball, 55.0 if alone else 60.0, facts)
+    mesh = shape(draw, kind, ball, 55.0 if alone else 60.0, facts, large)
     noise = draw.pick(NOISE) if kind != "sharp" else 0.0
     if noise:
         mesh = meshes.noisy(mesh, noise, draw.random)
@@ -225,6 +227,11 @@ def base(mode: str) -> Any:
         return draft(draw, mode, draw.turn(KINDS))
 
     return make
+
+
+def large(draw: Draw) -> Draft:
+    """Parts two to four times as wide and deep as the others."""
+    return draft(draw, draw.turn(("spif", "dsif", "dpif_l", "spif")), draw.turn(KINDS[:3]), True)
 
 
 def adsif(draw: Draw) -> Draft:

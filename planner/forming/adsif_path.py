@@ -18,14 +18,13 @@ import numpy as np
 
 from planner.forming.adsif import (
     Conditions,
-    Response,
     between_centres,
     compensated,
     deflection,
     invert,
     require,
 )
-from planner.forming.adsif_table import built_in, read
+from planner.forming.adsif_table import response_of
 from planner.forming.contact import CREASE
 from planner.forming.operation import Forming
 from planner.forming.paths_slices import Loop, cut, loops
@@ -64,7 +63,7 @@ def adsif_tool_path(
     if not ball or abs(former.radius - support.radius) > 1e-5:
         what = "mode adsif needs two balls of one radius, as the table was made with; mount such tools"
         raise TandemError(Issue("forming.support_tool", what, field="mode"))
-    response = _response(operation)
+    response = response_of(operation)
     held = operation.adsif
     wanted = Conditions(metal.name, thickness, former.radius, held.pitch_mm * MM, held.projection_mm * MM)
     require(response, wanted)
@@ -84,10 +83,6 @@ def adsif_tool_path(
     below = place + np.column_stack([across[:, None] * outward, -down])
     axis = np.tile([0.0, 0.0, -1.0], (len(place), 1))
     return ToolPath(place, axis, below, -axis, gap, dataclasses.replace(contact, centre=place))
-
-
-def _response(operation: Forming) -> Response:
-    return built_in() if operation.adsif.file is None else read(operation.adsif.file)
 
 
 def _contact(one: Pass, radius: float, operation: Forming) -> ContactPath:

@@ -6,6 +6,7 @@ import dataclasses
 from typing import Final
 
 from planner.forming import feature_order, feature_tree
+from planner.forming.adsif_table import pressed
 from planner.forming.clamp import Clamp, clamp_of
 from planner.forming.feature_order import OrderStep
 from planner.forming.feature_tree import FeatureTree
@@ -61,9 +62,9 @@ class Work:
     @property
     def pressed(self) -> float:
         """How far [m] tools may press into what is formed already or flat, besides the stated tolerance: in
-        adsif they press the flat sheet around them by the projection distance, else by what they squeeze."""
+        adsif they press the flat sheet around them, else by what they squeeze."""
         op = self.operation
-        depth = op.adsif.projection_mm * MM if op.mode == "adsif" else 0.0
+        depth = pressed(op)
         if op.mode in ("dsif", "dpif_l"):
             depth = max(1.0 - op.squeeze, 0.0) * self.thickness
         return op.gouge_tol_mm * MM + depth
