@@ -150,7 +150,8 @@ def _bends(ring: FloatArray, at: FloatArray, along: FloatArray) -> tuple[IntArra
     index = np.where(back, stop[move] - 1 - step, begin[move] + step)
     place = corner[np.mod(index, len(corner))] + np.floor_divide(index, len(corner)) * length
     share = (place - along[move]) / (along[move + 1] - along[move])
-    inside = (share > 1e-6) & (share < 1.0 - 1e-6)
+    whole = np.abs(along[move + 1] - along[move])
+    inside = np.minimum(share, 1.0 - share) * whole > CUT  # what is nearer would be a move that hardly moves
     move, place, share = move[inside], place[inside], share[inside]
 
     def on(value: FloatArray) -> FloatArray:
