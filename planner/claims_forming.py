@@ -97,7 +97,7 @@ class SheetState:
     of what is formed already and moves along z with the floor that the forming ball of ``arms[0]`` sinks:
     at each instant by the lowest (``side`` +1) or highest (-1) level that the ball has reached less
     ``start`` [m]. ``heads``: radius profiles (K, 2) of the tools, distance behind the TCP and radius [m];
-    no point may be inside a tool by more than ``tolerance`` [m].
+    no point may be inside a tool by more than ``tolerance`` [m], or ``other`` [m] for the second arm's.
     """
 
     segment: Segment
@@ -108,6 +108,7 @@ class SheetState:
     carried: NDArray[np.float64]
     heads: tuple[NDArray[np.float64], ...]
     tolerance: float
+    other: float
 
 
 @dataclasses.dataclass(frozen=True)

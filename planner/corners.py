@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims import CutsSurface, StraightWire
+from planner.claims_forming import FormsSheet
 from planner.claims_milling import (
     Engraves,
     MillsAlong,
@@ -42,6 +43,8 @@ SURFACE_SHARE: Final = 0.15
 """Part of a surface's tolerance that rounded corners of a straight wire may take, where it is more."""
 TIGHT_SHARE: Final = 0.5
 """The same of a cutter's tolerance that is tighter than :data:`DEVIATION`."""
+FORMED_SHARE: Final = 0.4
+"""The same of what a forming ball may cut into its face."""
 SPLINE_OFF: Final = 0.08
 """How far [mm] the curve of a spline block may be off straight moves; the proof allows no more than 0.1."""
 SPLINE_SHARE: Final = 0.75
@@ -100,10 +103,13 @@ def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
     """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
 
     A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
-    it. A cutter may take a share of what its surfaces allow. Whatever follows poses or joins two arms keeps
-    to :data:`DEVIATION` everywhere.
+    it. A cutter and a forming ball may take a share of what their surfaces allow. Whatever follows poses or
+    joins two arms keeps to :data:`DEVIATION` everywhere.
     """
     least = np.full(len(segments), DEVIATION)
+    formed = [c.tolerance for c in targets.claims if isinstance(c, FormsSheet)]
+    if formed:
+        return np.asarray(np.minimum(least, FORMED_SHARE * 1e3 * min(formed)))
     milled = [c.tolerance for c in targets.claims if isinstance(c, (SparesPart, *FOLLOWED))]
     if milled:
         tolerance = 1e3 * min(milled)

@@ -180,19 +180,6 @@ def between_centres(
     return apart * np.sin(position), apart * np.cos(position)
 
 
-def pressing(response: Response, yielded: float = 0.0) -> float:
-    """How deep [m] tools are in the flat sheet at most, at any stable cell: the forming one by the projection
-    distance, the other by what its ball is above the far face. Gaps are less by tools that have ``yielded``
-    [m]."""
-    held = response.conditions
-    row, column = np.nonzero(np.isfinite(response.wall))
-    position = response.position[column]
-    gap = response.gap[row] * held.thickness - yielded * np.sin(position)
-    down = between_centres(position, gap, held.radius, held.radius)[1]
-    above = 2.0 * held.radius - held.projection - down + held.thickness
-    return max(held.projection, float(above.max()))
-
-
 def _place(grid: FloatArray, values: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     """Interval and fraction of values on an ascending grid; NaN off the grid."""
     at = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)

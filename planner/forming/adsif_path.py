@@ -18,15 +18,16 @@ import numpy as np
 
 from planner.forming.adsif import (
     Conditions,
+    Response,
     between_centres,
     compensated,
     deflection,
     invert,
     require,
 )
-from planner.forming.adsif_table import response_of
+from planner.forming.adsif_table import built_in, read
 from planner.forming.contact import CREASE
-from planner.forming.operation import Forming
+from planner.forming.operation import Adsif, Forming
 from planner.forming.paths_slices import Loop, cut, loops
 from planner.forming.values import ContactPath, FloatArray, Pass, ToolPath
 from planner.geometry.closest import corner_normals
@@ -41,6 +42,8 @@ EDGE: Final = 1e-5
 CELL: Final = 1e-4
 """Heights [m] over which the mean wall angle of a level is taken."""
 MOST: Final = 5000
+WALLS: Final = 0.01 * DEG
+"""Angles [rad] of walls, so far apart, are asked what a table holds at most."""
 _MIRROR: Final = np.array([1.0, 1.0, -1.0])
 
 
@@ -63,7 +66,7 @@ def adsif_tool_path(
     if not ball or abs(former.radius - support.radius) > 1e-5:
         what = "mode adsif needs two balls of one radius, as the table was made with; mount such tools"
         raise TandemError(Issue("forming.support_tool", what, field="mode"))
-    response = response_of(operation)
+    response = _response(operation)
     held = operation.adsif
     wanted = Conditions(metal.name, thickness, former.radius, held.pitch_mm * MM, held.projection_mm * MM)
     require(response, wanted)
@@ -72,10 +75,7 @@ def adsif_tool_path(
         one = dataclasses.replace(one, side=1, vertices=vertices, start=start, end=end)
         return _mirrored(adsif_tool_path(one, operation, former, support, thickness, metal))
     contact = _contact(one, former.radius, operation)
-    position, gap = invert(response, contact.angle, held.prefer)
-    gap = gap * thickness
-    if held.force_n > 0.0 and held.stiffness_n_mm is not None:
-        gap = compensated(gap, position, deflection(held.force_n, held.stiffness_n_mm / MM))
+    position, gap = _commanded(response, contact.angle, held, thickness)
     across, down = between_centres(position, gap, former.radius, support.radius)
     outward = -contact.normal[:, :2] / np.linalg.norm(contact.normal[:, :2], axis=1, keepdims=True)
     level = one.start - held.projection_mm * MM + former.radius
@@ -83,6 +83,33 @@ def adsif_tool_path(
     below = place + np.column_stack([across[:, None] * outward, -down])
     axis = np.tile([0.0, 0.0, -1.0], (len(place), 1))
     return ToolPath(place, axis, below, -axis, gap, dataclasses.replace(contact, centre=place))
+
+
+def pressed_by_support(operation: Forming, radii: float, thickness: float) -> float:
+    """How far [m] the support presses the flat sheet around at most for any wall of the response table, by
+    the geometry in `adsif`: its way of forming, for the forming ball's tip stays at the projection distance.
+    ``radii`` [m] of both balls together, ``thickness`` [m] of the sheet."""
+    response, held = _response(operation), operation.adsif
+    low, high = response.range
+    wall = np.append(np.arange(low, high, WALLS), high)
+    position, gap = _commanded(response, wall, held, thickness)
+    _, down = between_centres(position, gap, radii, 0.0)
+    return float(thickness - held.projection_mm * MM + radii - down.min())
+
+
+def _commanded(
+    response: Response, wall: FloatArray, held: Adsif, thickness: float
+) -> tuple[FloatArray, FloatArray]:
+    """Position angles [rad] and gaps [m] as commanded (N,) for wall angles (N,) [rad]."""
+    position, gap = invert(response, wall, held.prefer)
+    gap = gap * thickness
+    if held.force_n > 0.0 and held.stiffness_n_mm is not None:
+        gap = compensated(gap, position, deflection(held.force_n, held.stiffness_n_mm / MM))
+    return position, gap
+
+
+def _response(operation: Forming) -> Response:
+    return built_in() if operation.adsif.file is None else read(operation.adsif.file)
 
 
 def _contact(one: Pass, radius: float, operation: Forming) -> ContactPath:

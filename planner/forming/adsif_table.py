@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from planner.files import is_file
-from planner.forming.adsif import Conditions, Response, pressing
-from planner.forming.operation import Forming
+from planner.forming.adsif import Conditions, Response
 from planner.issues import Issue, TandemError
 from planner.units import DEG, MM
 
@@ -33,21 +32,6 @@ UNSTABLE: Final = "unstable"
 def built_in() -> Response:
     """The table for 1 mm AA5754-O, balls of 5 mm radius, 0.2 mm pitch, 1.6 mm projection distance."""
     return read(BUILT_IN)
-
-
-def response_of(operation: Forming) -> Response:
-    """The table that an operation is planned by. Raises as `read` does."""
-    return built_in() if operation.adsif.file is None else read(operation.adsif.file)
-
-
-def pressed(operation: Forming) -> float:
-    """How deep [m] tools may press into the flat sheet: in adsif as deep as where the table was made. Raises
-    as `read` does."""
-    if operation.mode != "adsif":
-        return 0.0
-    held = operation.adsif
-    stiff = held.stiffness_n_mm
-    return pressing(response_of(operation), 0.0 if stiff is None else held.force_n / stiff * MM)
 
 
 def text_of(path: Path) -> str:

@@ -7,6 +7,7 @@ mode), ``route`` (the ways between), ``frames`` (poses and freedoms), ``forming_
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Final
@@ -18,11 +19,12 @@ from planner import dialogue
 from planner.arrays import read_only
 from planner.claims import Claim
 from planner.forming import forming_claims, holder, part_claim
-from planner.forming.forming_check import check, shift_issues
+from planner.forming.forming_check import check, shift_issues, step_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
-from planner.forming.laid import SHORTEST, lay_all
-from planner.forming.operation import Forming
+from planner.forming.laid import NARROW, SHORTEST, lay_all
+from planner.forming.operation import GAPPED, Forming
+from planner.forming.opposite import DRIFT
 from planner.forming.route import Route, lay_out
 from planner.forming.unreached import unreached_issues
 from planner.forming.values import Pass, ToolPath
@@ -59,11 +61,17 @@ class FormingJob(Job[Forming]):
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
         made, setup = self.made, self.setup
+        steps = list(step_issues(made))
+        if steps:
+            raise TandemError(steps)
         corners = unreached_issues(made)
         refused = [*holder.issues(made), *shift_issues(made), *(one for one in corners if has_errors([one]))]
         if refused:
             raise TandemError(refused)
-        paths = lay_all(made)
+        try:
+            paths = lay_all(made)
+        except TandemError as error:
+            raise TandemError(_or_allowed(made, error.issues, corners)) from None
         issues = [*corners, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
@@ -114,11 +122,32 @@ def _targets(
         stop=stop,
         segment=route.segment,
         apart=APART * op.gap_tol_mm * MM,
+        ahead=_ahead(made),
         actions=actions,
         claims=claims,
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )
+
+
+def _or_allowed(made: Work, narrow: Sequence[Issue], corners: Sequence[Issue]) -> list[Issue]:
+    """Issues of a path, of which a ball that is too large for hollows may be allowed to stay off them, where
+    no other tool has to be opposite it."""
+    most = max((issue.value for issue in corners if issue.value is not None), default=None)
+    alone = made.operation.mode in ("spif", "tpif")
+    if most is None or not alone or made.operation.unreached_mm is not None:
+        return list(narrow)
+    hint = f"or allow the ball to stay off there: unreached_mm: {most + 0.01:.2f}"
+    return [
+        dataclasses.replace(one, hint=hint) if one.code == NARROW and one.hint is None else one
+        for one in narrow
+    ]
+
+
+def _ahead(made: Work) -> float:
+    """How much [m] of the gap's change with one controller ahead may come of one move."""
+    op = made.operation
+    return DRIFT * op.handshake_gap_mm * MM / made.every if made.every and op.mode in GAPPED else np.inf
 
 
 def _stops(route: Route, actions: Sequence[Action]) -> NDArray[np.bool_]:

@@ -49,6 +49,25 @@ def shift_issues(work: Work) -> Iterator[Issue]:
             )
 
 
+def step_issues(work: Work) -> Iterator[Issue]:
+    """A stepdown that is more than the whole part is deep (forming.path_options): its one loop would be at
+    the floor, where balls are easily too large, and nothing above it would be formed."""
+    op = work.operation
+    deep = max(abs(one.end - one.start) for one in work.passes) / MM
+    if op.mode != "adsif" and op.stepdown_mm is not None and op.stepdown_mm > deep:
+        what = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {deep:.3g}, the depth of the part"
+        hint = f"take a tenth of that, {0.1 * deep:.2g}, or state scallop_mm instead"
+        yield Issue(
+            "forming.path_options",
+            what,
+            field="operations.stepdown_mm",
+            value=op.stepdown_mm,
+            limit=deep,
+            unit="mm",
+            hint=hint,
+        )
+
+
 def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
     """The axial force on the forming tool of a pass."""
     op, radius = work.operation, work.heads[work.former(one)].radius

@@ -117,7 +117,7 @@ def _state(work: Work, one: Pass, state: State) -> SheetState:
     arms = tuple(filter(None, (work.former(one), work.supporter(one))))
     heads = tuple(profile(work.heads[arm]) for arm in arms)
     return SheetState(
-        segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, work.pressed
+        segment(one), arms, one.side, one.start, state.fixed, state.carried, heads, *work.pressed
     )
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from planner import dialogue as words
 from planner.claims_dialogue import DialogueStop, OperatorDialogue, asked, powered, told, unpowered
 from planner.claims_forming import FormsPart, SinksHolder
-from planner.forming.adsif_table import pressed
 from planner.forming.operation import Forming
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Setup
@@ -25,7 +24,9 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
     tools = [setup.cell.arm(arm).tool for arm in op.arms]
     heads = [tool.head if isinstance(tool, FormingTool) else None for tool in tools]
     thickness = float(setup.stock.size[2])
-    squeezed = max(1.0 - op.squeeze, 0.0) * thickness if op.mode in ("dsif", "dpif_l") else 0.0
+    pressed = {"adsif": op.adsif.projection_mm * MM}.get(op.mode, 0.0)
+    if op.mode in ("dsif", "dpif_l"):
+        pressed = max(1.0 - op.squeeze, 0.0) * thickness
     die = op.die
     sinks = die is not None and die.holder == "sinking"
     step = op.stepdown_mm if die is None or die.step_mm is None else die.step_mm
@@ -50,7 +51,7 @@ def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
         gouge=op.gouge_tol_mm * MM,
         gap=op.gap_tol_mm * MM,
         handshake=op.handshake_gap_mm * MM,
-        pressed=pressed(op) + squeezed,
+        pressed=pressed,
         passes=None if op.passes == "auto" else tuple(angle * DEG for angle in op.passes),
         limit=sheet.metal.wall_angle_limit(op.mode in ("dsif", "dpif_l", "adsif")),
         angle_step=op.angle_step_deg * DEG,

@@ -24,10 +24,12 @@ class PathOptions:
     Spacing: ``stepdown`` [m] from level to level or ``scallop`` [m], the height of the ridges left between
     loops: exactly one of both. ``tangent_angle`` [rad]: a target wherever the contact's way has turned by so
     much; corners always get one. ``chord`` [m]: the straight moves of the ball's centre stay within it of
-    the true offset of the face. ``start_angle`` [rad] of the ray from the middle of the feature on which the
+    the true offset of the face, and where they would cut into the face, within ``cut`` [m]. ``start_angle``
+    [rad] of the ray from the middle of the feature on which the
     loops begin, ``direction`` of the loops as seen from +z. ``longest`` [m] move. ``lift`` [m]: so far above
     everything the ball goes over to another loop. ``missed`` [m]: a place of a smooth face that the ball
-    stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool.
+    stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool;
+    infinite where a stated tolerance is asked before.
     """
 
     kind: Kind = "contour"
@@ -35,6 +37,7 @@ class PathOptions:
     scallop: float | None = None
     tangent_angle: float = math.radians(5.0)
     chord: float = 5e-5
+    cut: float = 5e-5
     start_angle: float = 0.0
     direction: Direction = "ccw"
     longest: float = 0.02

@@ -66,7 +66,7 @@ def targets(curve: Curve, face: Face, creases: Creases, options: PathOptions, na
     # a tool that is far too large is told soon, by a few places
     wanted, normal = places(curve, face, creases, at[:: -(-len(at) // _FIRST)])
     contact = face.clear(wanted, normal, rounds=3)
-    narrow = (contact.gap > 0.02 * face.radius) & ~creases.near(wanted)
+    narrow = (contact.gap > max(0.02 * face.radius, options.missed)) & ~creases.near(wanted)
     if narrow.any():
         raise refuse(name, face, wanted[narrow], normal[narrow], contact.gap[narrow], options.missed)
     found = put(at)
@@ -206,10 +206,10 @@ def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targ
         straight = 0.5 * (found.centre[rows] + found.centre[rows + 1])
         # at a corner the middle is not where the ball goes; only what it cuts there counts
         odd = np.flatnonzero(middle.missed)
-        cuts = np.zeros(len(rows), dtype=np.bool_)
+        cuts = dots(middle.centre - straight, middle.normal) > options.cut
         if len(odd):
-            cuts[odd] = face.clearance(straight[odd]) < face.radius - options.chord
-        more = np.where(middle.missed, cuts, off > options.chord) | (length[rows] > 1.001 * options.longest)
+            cuts[odd] = face.clearance(straight[odd]) < face.radius - min(options.chord, options.cut)
+        more = cuts | (~middle.missed & (off > options.chord)) | (length[rows] > 1.001 * options.longest)
         if not more.any():
             break
         fresh = np.zeros(len(found.at), dtype=np.bool_)

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from planner.forming.contour_tree import ContourTree
-from planner.forming.values import FloatArray, IntArray
+from planner.forming.values import BoolArray, FloatArray, IntArray
 
 EXACT: Final = 1e-6
 """Heights [m] that differ by less are those of a mesh without noise."""
@@ -178,6 +178,14 @@ class _Builder:
             if element[vertex] < 0:
                 element[vertex], flat[vertex] = element[up[vertex]], flat[up[vertex]]
         where, z = np.array(element), np.array(self.z)
+        places = self._places(level, where, z)
+        while (kept := self._apart(places)).sum() < len(places):
+            where = self._join(kept, where)
+            places = self._places(level, where, z)
+        smooth = np.array(flat)
+        return Skeleton(tuple(self._with_noise(places, where, z, smooth)), where, smooth)
+
+    def _places(self, level: float, where: IntArray, z: FloatArray) -> list[Place]:
         at_place = np.nonzero(where % 2 == 0)[0]
         order = at_place[np.argsort(where[at_place], kind="stable")]
         groups = np.split(order, np.nonzero(np.diff(where[order]))[0] + 1)
@@ -186,8 +194,28 @@ class _Builder:
             heights = z[members]
             own = level if index == 0 else self._level(index, heights, self.weight[members])
             places.append(Place(own, float(np.abs(heights - own).max()), self.before[index]))
-        smooth = np.array(flat)
-        return Skeleton(tuple(self._with_noise(places, where, z, smooth)), where, smooth)
+        return places
+
+    def _apart(self, places: list[Place]) -> BoolArray:
+        """Whether (P,) places are off those before them by no less than noise: of a noisy flat the first fork
+        that was found may be off its level by as much again."""
+        level = np.array([place.level for place in places])
+        kept = np.abs(level - level[[max(place.before, 0) for place in places]]) >= self.noise
+        kept[0] = True
+        return np.asarray(kept)
+
+    def _join(self, kept: BoolArray, where: IntArray) -> IntArray:
+        """The places that are ``kept`` (P,) stay, the others and the walls to them become those before them;
+        ``where`` (N,) as `Skeleton.element`."""
+        number = np.cumsum(kept) - 1
+        to = np.zeros(len(kept), dtype=np.int64)
+        for index, place in enumerate(self.before):  # each comes after the one before it
+            to[index] = number[index] if kept[index] else to[place]
+        self.ends = {int(to[place]): end for place, end in self.ends.items() if kept[place]}
+        self.before = [
+            int(to[place]) if place >= 0 else -1 for place, own in zip(self.before, kept, strict=True) if own
+        ]
+        return np.asarray(2 * to[where // 2] + (where % 2) * kept[where // 2])
 
     def _with_noise(
         self, places: list[Place], element: IntArray, z: FloatArray, smooth: FloatArray

@@ -38,10 +38,10 @@ def clear_issues(
     state: State,
     arms: Sequence[str],
     profiles: Sequence[FloatArray],
-    tolerance: float,
+    tolerances: Sequence[float],
 ) -> tuple[Issue, ...]:
     """Issues (forming.clear) of both tools of a pass, the forming one first in ``arms`` and ``profiles``
-    (K, 2) [m] (`planner.tooling.profile`): the deepest cut beyond ``tolerance`` [m] of each."""
+    (K, 2) [m] (`planner.tooling.profile`): the deepest cut beyond ``tolerances`` [m] of each."""
     tools = [(path.former, path.axis)]
     if path.support is not None and path.support_axis is not None:
         tools.append((path.support, path.support_axis))
@@ -49,7 +49,7 @@ def clear_issues(
     tip = one.side * (path.former[:, 2] - one.side * radius)
     sunk = one.side * np.minimum(np.minimum.accumulate(tip) - one.side * one.start, 0.0)
     issues = []
-    for (place, axis), arm, profile in zip(tools, arms, profiles, strict=False):
+    for (place, axis), arm, profile, tolerance in zip(tools, arms, profiles, tolerances, strict=False):
         found = [
             deepest(place, axis, profile, state.fixed),
             deepest(place - np.array([0.0, 0.0, 1.0]) * sunk[:, None], axis, profile, state.carried),

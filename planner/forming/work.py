@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Final
 
+import numpy as np
+
 from planner.forming import feature_order, feature_tree
-from planner.forming.adsif_table import pressed
+from planner.forming.adsif_path import pressed_by_support
 from planner.forming.clamp import Clamp, clamp_of
 from planner.forming.feature_order import OrderStep
 from planner.forming.feature_tree import FeatureTree
@@ -20,6 +22,9 @@ from planner.segments import Segment
 from planner.tooling import FormingHead, FormingTool
 from planner.units import DEG, MM
 
+CUT: Final = 0.4
+"""Share of what tools may cut in that straight moves between two places of the path may take: moves that are
+joined take as much again (`planner.corners`), and the proof does not know the way between its looks."""
 NAMED: Final = 5
 """Features that a message names at most."""
 
@@ -60,14 +65,19 @@ class Work:
         return arm == self.operation.arms[0]
 
     @property
-    def pressed(self) -> float:
-        """How far [m] tools may press into what is formed already or flat, besides the stated tolerance: in
-        adsif they press the flat sheet around them, else by what they squeeze."""
+    def pressed(self) -> tuple[float, float]:
+        """How far [m] the forming and the other tool may press into what is formed already or flat, the
+        stated tolerance included: in adsif the flat sheet around them by the projection distance, and as far
+        as the response table has the other one, else by what they squeeze."""
         op = self.operation
-        depth = pressed(op)
+        allowed = op.gouge_tol_mm * MM
+        if op.mode == "adsif":
+            depth = op.adsif.projection_mm * MM
+            radii = 2.0 * next(iter(self.heads.values())).radius
+            return allowed + depth, allowed + max(depth, pressed_by_support(op, radii, self.thickness))
         if op.mode in ("dsif", "dpif_l"):
-            depth = max(1.0 - op.squeeze, 0.0) * self.thickness
-        return op.gouge_tol_mm * MM + depth
+            allowed += max(1.0 - op.squeeze, 0.0) * self.thickness
+        return allowed, allowed
 
     @property
     def options(self) -> PathOptions:
@@ -79,10 +89,11 @@ class Work:
             scallop=None if op.scallop_mm is None else op.scallop_mm * MM,
             tangent_angle=op.tangent_deg * DEG,
             chord=op.chord_mm * MM,
+            cut=CUT * op.gouge_tol_mm * MM,
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
-            missed=max(MISSED, self.tolerance),
+            missed=max(MISSED, self.tolerance) if op.unreached_mm is None else np.inf,
         )
 
 

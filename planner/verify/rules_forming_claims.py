@@ -27,6 +27,7 @@ from planner.geometry.closest import corner_normals
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue
 from planner.segments import Segment
+from planner.verify import response
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.forming_face import CREASE
 from planner.verify.forming_shapes import NOISE, Feature, PartShapes, Shape
@@ -39,6 +40,8 @@ BoolArray = NDArray[np.bool_]
 CODE = "verify.forming_claims"
 NONE = "no part is to be formed"
 SAME = 1e-9
+TABLED = 1e-6
+"""The same [m] for what follows from the response table, which is asked at angles that are so close."""
 GAP, LATER = 0.01, 0.02
 """Shares of the flat sheet's thickness by which a wanted gap may be off what follows from the walls, and
 where shapes came before, whose walls are faceted in another way."""
@@ -133,6 +136,8 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
         elif isinstance(claim, SheetState):
             allowed = part.gouge + part.pressed
             wrong = ["tolerance"] if claim.tolerance > allowed + SAME else []
+            allowed = part.gouge + max(part.pressed, _pressed_by_table(claim, group))
+            wrong += ["other"] if claim.other > allowed + TABLED else []
         elif isinstance(claim, SinksHolder):
             signal, step = part.sinking or ("", 0.0)
             wrong = _differ(claim, signal=signal, step=step, radius=radius.get(claim.arm))
@@ -140,6 +145,19 @@ def _numbers(part: FormsPart, group: Sequence[Claim]) -> Iterator[Issue]:
         for name in wrong:
             what = f"{claim.segment}: {name} of {type(claim).__name__} is not what the problem states"
             yield Issue(CODE, what, field=str(claim.segment))
+
+
+def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
+    """How far [m] the second tool presses the flat sheet at most where the response table wants it for any
+    wall: both stay at the sheet's level while it is formed, so that is how it was formed when the table was
+    made."""
+    deep = 0.0
+    for claim in group:
+        if isinstance(claim, FormsByTable) and claim.segment == state.segment:
+            table = response.wanted(claim.table, claim.prefer)
+            down = table.apart(claim.thickness, sum(claim.radii), claim.give)[:, 1]
+            deep = max(deep, claim.thickness - claim.projection + sum(claim.radii) - float(down.min()))
+    return deep
 
 
 def _differ(claim: Any, **wanted: Any) -> list[str]:

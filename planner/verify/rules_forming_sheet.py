@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,6 +49,8 @@ def sheet(context: Context, forming: Forming) -> Outcome:
                 issues.append(Issue("verify.sheet", what, field=str(state.segment)))
                 continue
             held = state.segment.key in forming.gapped
+            allowed = state.tolerance if number == 0 else state.other
+            state = dataclasses.replace(state, tolerance=allowed)
             for deep, row in _all(formed, way, state, number, held):
                 k = int(np.argmax(deep)) if len(deep) else -1
                 if k >= 0 and deep[k] - state.tolerance > worst:

@@ -186,13 +186,3 @@ def test_faults_of_a_table_are_named(tmp_path: Path, old: str, new: str, what: s
 def test_a_table_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(TandemError, match="no such file"):
         adsif_table.read(tmp_path / "nothing.csv")
-
-
-def test_tools_may_press_the_flat_sheet_as_where_the_table_was_made() -> None:
-    """By hand, at 55 deg and 0.6 mm: 2 * 5 + 1 - 1.6 mm, less 10.6 mm cos 55 deg between the centres."""
-    by_hand = 1e-3 * (2 * 5.0 + 1.0 - 1.6 - 10.6 * np.cos(np.radians(55.0)))
-    assert adsif.pressing(TABLE) == pytest.approx(by_hand, abs=1e-9)
-    shallow = dataclasses.replace(TABLE, position=TABLE.position[:2], wall=TABLE.wall[:, :2])
-    assert adsif.pressing(shallow) == TABLE.conditions.projection
-    yielded = 1e-3 * 0.1 * np.sin(np.radians(55.0)) * np.cos(np.radians(55.0))
-    assert adsif.pressing(TABLE, 1e-4) == pytest.approx(by_hand + yielded, abs=1e-9)

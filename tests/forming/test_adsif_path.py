@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner.forming.adsif import wall_angle
-from planner.forming.adsif_path import adsif_tool_path
+from planner.forming.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.adsif_table import built_in
 from planner.forming.passes import passes
 from planner.forming.values import Pass, ToolPath
@@ -60,6 +60,17 @@ def test_a_cone_is_formed_at_the_angle_of_the_table(side: int, kind: str, prefer
     mean = np.array([r[path.contact.loop == number].mean() for number in range(path.contact.loop.max() + 1)])
     between = np.diff(mean)[2:-2]
     assert np.abs(between - 0.2e-3).max() < 5e-6
+
+
+def test_the_support_presses_the_flat_as_the_table_has_it() -> None:
+    """At 55 degrees, the largest position angle of the table, with gaps of 0.7 to 0.8 of 1 mm, and balls of 5
+    mm: 1 - 1.6 + 10 - (10 + Tg) cos 55 mm is between 3.20 and 3.27 mm, by the source's own formula."""
+    most = pressed_by_support(operation("adsif", adsif={"prefer": "gap"}), 0.01, T0)
+    assert 3.20e-3 < most < 3.27e-3
+    one, path = made(cone(26.0, 0.008, 0.04, 240), adsif={"prefer": "gap"})
+    assert path.support is not None
+    pressed = path.support[:, 2].max() + BALL.radius - (one.start - T0)
+    assert 1.65e-3 < pressed <= most
 
 
 def test_walls_that_vary_get_tools_that_vary() -> None:

@@ -337,6 +337,17 @@ def test_features_that_lie_over_each_other_are_refused() -> None:
     assert "lie over each other" in text
 
 
+def test_bumps_of_a_noisy_floor_are_no_features_by_the_place_where_they_part() -> None:
+    """Heights off by up to 0.05 mm either way: from the lowest place of the floor to its highest is 0.1 mm,
+    from the floor's own level to either no more than the noise of 0.07 mm."""
+    for seed in range(6):
+        part = sheet(
+            lambda x, y: -frustum(x, y, (0.0, 0.0), 25 * MM, 6 * MM, 50.0), 0.035, 2e-3, seed, 0.05 * MM
+        )
+        (one,) = build(part, 5e-4, 0.07 * MM).features
+        assert (one.start, one.end) == pytest.approx((0.0, -6 * MM), abs=0.05 * MM)
+
+
 def test_noise_is_no_feature_and_a_flat_part_is_refused() -> None:
     assert "forming.flat" in refused(sheet(lambda x, y: 0.0 * x, 50 * MM, 2 * MM, noise=20e-6))
 

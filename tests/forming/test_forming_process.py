@@ -229,6 +229,30 @@ def test_a_support_too_large_for_a_bend_is_told_with_the_largest_that_fits(tmp_p
     assert "pass f1: on" in told.message and "largest that fits" in told.message
 
 
+def test_a_step_deeper_than_the_part_is_refused_as_that(tmp_path: Path) -> None:
+    part = shapes.cone(40.0, 0.006, 0.03, 96)
+    told = refusal(problem(tmp_path, "spif", part, stepdown_mm=7))
+    assert list(told) == ["forming.path_options"]
+    assert "stepdown_mm is 7, allowed is up to 6" in told["forming.path_options"]
+    assert "a tenth of that, 0.6" in told["forming.path_options"]
+    assert processes.job(problem(tmp_path, "spif", part, stepdown_mm=0.6), 0).targets().count > 100
+
+
+def test_small_fillets_are_left_to_the_ball_where_the_stated_tolerance_allows_it(tmp_path: Path) -> None:
+    """Fillets of 2 mm below walls of 40 degrees: a ball of 6 mm stays (6 - 2) (1 / cos 20 - 1) = 0.26 mm off.
+    The tolerance that the refusal names is enough, and half of it is not."""
+    part = small_forming.dish(fillet=2.0)
+    told = refusal(problem(tmp_path, "spif", part))
+    named = re.search(r"unreached_mm: ([0-9.]+)", told["forming.tool_radius"])
+    assert named is not None and 0.24 < float(named[1]) < 0.30
+    assert list(refusal(problem(tmp_path, "spif", part, unreached_mm=0.5 * float(named[1])))) == [
+        "forming.unreached"
+    ]
+    targets = processes.job(problem(tmp_path, "spif", part, unreached_mm=float(named[1])), 0).targets()
+    assert not any(issue.severity is Severity.ERROR for issue in targets.issues)
+    assert targets.pose["robot"][:, 2, 3].min() == pytest.approx(-0.006 + 0.001 + 0.006, abs=1e-4)
+
+
 def test_a_shift_beyond_the_wall_is_refused(tmp_path: Path) -> None:
     told = refusal(problem(tmp_path, "dpif_l", shift_deg=41))["forming.shift"]
     assert "shift_deg is 41, allowed is 0 to 40.0" in told

@@ -123,7 +123,7 @@ def test_a_support_that_meets_the_dish_around_is_found() -> None:
     for support, wrong in ((fits, False), (wide, True)):
         path = tool_path(one, contact, operation(), former, support, T0)
         profiles = (profile(former), profile(support))
-        issues = clear_issues(one, path, state, ("left", "right"), profiles, 5e-5)
+        issues = clear_issues(one, path, state, ("left", "right"), profiles, (5e-5, 5e-5))
         assert [(issue.code, issue.arm) for issue in issues] == (
             [("forming.clear", "right")] if wrong else []
         )
@@ -142,9 +142,11 @@ def test_what_is_carried_sinks_with_the_floor() -> None:
     contact = cone_path(one, angle, 0.1, BALL.radius, 72)
     path = tool_path(one, contact, operation("dpif_p"), BALL, BALL, T0)
     outlines = (profile(BALL), profile(BALL))
-    assert clear_issues(one, path, state, ("A", "B"), outlines, 5e-5) == ()
+    assert clear_issues(one, path, state, ("A", "B"), outlines, (5e-5, 5e-5)) == ()
     # a dome that stands where the ball comes by sinks with it: it is cut by how far the ball is into it
     carried = np.array([[0.08, 0.0, T0 + 0.004]])
-    cut = clear_issues(one, path, dataclasses.replace(state, carried=carried), ("A", "B"), outlines, 5e-5)
+    cut = clear_issues(
+        one, path, dataclasses.replace(state, carried=carried), ("A", "B"), outlines, (5e-5, 5e-5)
+    )
     assert [issue.code for issue in cut] == ["forming.clear"]
     assert cut[0].value == pytest.approx(4.0, abs=0.3)

@@ -157,6 +157,7 @@ def claims(more=(), **changes):
             none,
             (head, head),
             TOLERANCE,
+            TOLERANCE,
         ),
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),

@@ -133,7 +133,7 @@ def test_heads_are_left_out_in_those_intervals_alone_that_form():
     none = np.zeros((0, 3))
     profile = np.array([[-0.01, 0.0], [0.0, 0.01], [0.1, 0.01]])
     claim = SheetState(
-        Segment.read("cut/front"), handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3
+        Segment.read("cut/front"), handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3, 1e-3
     )
     here = context(2, claims={"panel": (claim,)})
     found = handshake_apart.intervals(here)

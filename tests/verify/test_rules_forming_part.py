@@ -210,6 +210,7 @@ NUMBERS = {
     "a wide gap": ("ToolGap", {"tolerance": 2e-4}),
     "tools that face anywhere": ("ToolGap", {"turn": 1.0}),
     "tools that press": ("SheetState", {"tolerance": 1e-3}),
+    "a support that presses": ("SheetState", {"other": 1e-3}),
 }
 
 
