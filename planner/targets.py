@@ -142,7 +142,8 @@ class Targets:
     wire), so no arm may move alone and every move keeps the relation that the targets prescribe; transit
     moves keep the relative pose of the TCPs fixed. ``apart`` [m]: by how much two TCPs may stand to each
     other otherwise where they pass by targets at which they need not stand, 0 where they have to stand at
-    each.
+    each. ``ahead`` [m]: by how much the distance of two TCPs may be another than at either end of a move
+    with one of them at its end already and the other still at its start, where they do not go by one clock.
     ``segment`` (N,): the segment that the move to target i belongs to.
     ``exhibits`` is named data for the report, by kind of picture.
     """
@@ -163,6 +164,7 @@ class Targets:
     exhibits: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     issues: tuple[Issue, ...] = ()
     apart: float = 0.0
+    ahead: float = np.inf
     run_up: float | None = None
 
     @property

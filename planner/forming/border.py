@@ -19,19 +19,35 @@ from planner.forming.values import ContactPath, FloatArray, IntArray, Pass
 from planner.geometry.vectors import dots
 from planner.tooling import FormingHead
 
-MARGIN: Final = 4e-4
-"""The support keeps so far [m] outside the border, by half of which straight moves may cut its bends."""
+MARGIN: Final = 3e-4
+"""The support keeps so far [m] outside the border."""
+CUT: Final = 1e-4
+"""Straight moves may cut its bends by so much [m], inward or outward."""
+MOVED: Final = 5e-5
+"""What is off the flat by less [m] may be noise of its mesh, and is not formed."""
 _FINE: Final = 64
 
 
 def border_curve(one: Pass, support: FormingHead, thickness: float, margin: float = 0.0) -> FloatArray:
     """The closed curve (K, 3) [m], the first point repeated, on which the TCP of a support runs round a pass:
-    anticlockwise seen from above. ``thickness`` [m] of the sheet; ``margin`` [m] farther out."""
-    outline = shapely.Polygon(one.region[:, :2]).buffer(0.0)
-    grown = shapely.Polygon(outline.buffer(support.radius + margin, quad_segs=_FINE).exterior)
+    anticlockwise seen from above. ``thickness`` [m] of the sheet; ``margin`` [m] farther out.
+
+    The border is that of the feature's outermost level line and all triangles of the face with a corner off
+    the flat: in a fillet at the rim that line is millimetres inside of them where the mesh is noisy."""
+    grown = shapely.Polygon(_moved(one).buffer(support.radius + margin, quad_segs=_FINE).exterior)
     ring = shapely.get_coordinates(shapely.orient_polygons(grown).exterior)
     off = thickness + (support.radius if support.kind == "ball" else 0.0)
     return np.column_stack([ring, np.full(len(ring), one.start - one.side * off)])
+
+
+def _moved(one: Pass) -> shapely.Polygon:
+    """What a pass moves, seen from above: its largest piece."""
+    corners = one.vertices[one.faces]
+    moved = corners[(np.abs(corners[:, :, 2] - one.start) > MOVED).any(axis=1)]
+    region = shapely.Polygon(one.region[:, :2]).buffer(0.0)
+    both = shapely.union_all([region, *shapely.polygons(moved[:, [0, 1, 2, 0], :2])])
+    pieces = shapely.get_parts(both)
+    return pieces[int(np.argmax(shapely.area(pieces)))]
 
 
 def border_path(
@@ -114,7 +130,7 @@ def _bends(ring: FloatArray, at: FloatArray, along: FloatArray) -> tuple[IntArra
     """Corners of the border that moves between places ``along`` (N,) [m] would cut: the row (M,) that each
     move ends at, the share (M,) of it and the place (M,) along the border."""
     line = shapely.LineString(ring[:, :2])
-    kept = shapely.get_coordinates(line.simplify(0.25 * MARGIN))[:-1]
+    kept = shapely.get_coordinates(line.simplify(0.5 * CUT))[:-1]
     known = set(map(tuple, kept.tolist()))
     corner = at[:-1][[tuple(point) in known for point in ring[:-1, :2].tolist()]]
     low, high = np.minimum(along[1:], along[:-1]), np.maximum(along[1:], along[:-1])
@@ -146,5 +162,5 @@ def _bends(ring: FloatArray, at: FloatArray, along: FloatArray) -> tuple[IntArra
     off = np.linalg.norm(rest - part[:, None] * way, axis=1)
     worst = np.zeros(len(number))
     np.maximum.at(worst, move, off)
-    needed = worst[move] > 0.5 * MARGIN
+    needed = worst[move] > CUT
     return (move + 1)[needed], share[needed], place[needed]

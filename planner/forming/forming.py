@@ -22,7 +22,8 @@ from planner.forming.forming_check import check, shift_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
 from planner.forming.laid import SHORTEST, lay_all
-from planner.forming.operation import Forming
+from planner.forming.operation import GAPPED, Forming
+from planner.forming.opposite import DRIFT
 from planner.forming.route import Route, lay_out
 from planner.forming.unreached import unreached_issues
 from planner.forming.values import Pass, ToolPath
@@ -114,11 +115,18 @@ def _targets(
         stop=stop,
         segment=route.segment,
         apart=APART * op.gap_tol_mm * MM,
+        ahead=_ahead(made),
         actions=actions,
         claims=claims,
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
     )
+
+
+def _ahead(made: Work) -> float:
+    """How much [m] of the gap's change with one controller ahead may come of one move."""
+    op = made.operation
+    return DRIFT * op.handshake_gap_mm * MM / made.every if made.every and op.mode in GAPPED else np.inf
 
 
 def _stops(route: Route, actions: Sequence[Action]) -> NDArray[np.bool_]:

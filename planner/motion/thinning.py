@@ -51,8 +51,9 @@ def joined(targets: Targets, values: FloatArray, time: FloatArray, kept: IntArra
     """Those of the targets ``kept`` (K,) that stay where short moves are joined to longer ones.
 
     ``time`` (K,) [s] is the clock of the kept ones. No target is farther off the joined moves than a corner
-    may be, along the way too, nor do two TCPs stand to each other otherwise than by ``targets.apart``. Poses
-    that a user stated stay, and so do stops, actions and the ends of segments.
+    may be, along the way too, nor do two TCPs stand to each other otherwise than by ``targets.apart``, or by
+    ``targets.ahead`` with one a move ahead. Poses that a user stated stay, and so do stops, actions and the
+    ends of segments.
     """
     if _stated(targets) or (len(targets.arms) > 1 and targets.apart <= 0.0):
         return kept
@@ -161,7 +162,7 @@ class _Line:
         self.along = np.cumsum(_ways(targets, values))
         off = corners.deviations(targets, targets.segment)
         self.allowed = MM * np.minimum(off, corners.DEVIATION)
-        self.apart = targets.apart
+        self.apart, self.ahead = targets.apart, targets.ahead
 
     def way(self, first: int, last: int) -> float:
         """Way and turning [mm] from one target to another."""
@@ -183,7 +184,17 @@ class _Line:
             turn = log_rotation(np.swapaxes(there[:, :3, :3], -1, -2) @ pose[inner, :3, :3])
             if np.any(lengths(off[-1]) + MM * corners.LEVER * lengths(turn) > allowed):
                 return False
-        return len(off) < 2 or not np.any(lengths(off[1] - off[0]) > self.apart)
+        if len(off) < 2:
+            return True
+        return self._together(first, last) and not np.any(lengths(off[1] - off[0]) > self.apart)
+
+    def _together(self, first: int, last: int) -> bool:
+        """Whether two TCPs keep their distance within ``ahead`` with either of them a move ahead."""
+        if np.isinf(self.ahead):
+            return True
+        one, two = (pose[[first, last], :3, 3] for pose in self.poses.values())
+        apart = lengths(one[:, None] - two)
+        return bool(np.abs(apart[[0, 1], [1, 0]][:, None] - apart[[0, 1], [0, 1]]).max() <= self.ahead)
 
 
 def _ways(targets: Targets, values: FloatArray) -> FloatArray:

@@ -7,12 +7,15 @@ import pytest
 import shapely
 
 from planner.forming.border import border_curve, border_path
+from planner.forming.feature_order import in_place
+from planner.forming.feature_tree import NOISE, build
 from planner.forming.passes import passes
 from planner.forming.support import tool_path
 from planner.forming.values import ContactPath, Pass
 from planner.problem import Mesh
 from planner.sheet_metals import sheet_metal
 from planner.tooling import FormingHead
+from tests.forming.nests import sheet
 from tests.forming.shapes import (
     BALL,
     T0,
@@ -103,6 +106,37 @@ def test_at_corners_of_the_border_targets_are_added() -> None:
     rows = [int(np.argmin(np.linalg.norm(path.point - point, axis=1))) for point in contact.point[::7]]
     there = np.arctan2(*(place[rows, :2] - middle).T[::-1])
     assert np.abs(np.angle(np.exp(1j * (seen[::7] - there)))).max() < np.radians(1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_the_border_is_around_all_that_is_off_the_flat(noise: float) -> None:
+    """A wall that leaves the flat in a fillet of 12 mm is 1.5 mm inside of its foot where it is 0.1 mm deep,
+    which is as far as noise goes. All of the face that is off the flat by more than 60 um lies the tool's
+    radius inside of the border, and the tool nowhere farther than 0.3 mm off that which is off it by 1 um.
+    Shapely's distances to the triangles themselves are asked."""
+
+    def height(x: Array, y: Array) -> Array:
+        far = np.hypot(x, y)
+        rim, wall = 0.03, np.sqrt(0.5) * 0.012
+        fillet = np.sqrt(np.maximum(0.012**2 - np.maximum(rim - far, 0.0) ** 2, 0.5 * 0.012**2)) - 0.012
+        return np.maximum(fillet - np.maximum(rim - wall - far, 0.0), -0.01)
+
+    part = sheet(height, 0.05, 2e-3, noise=noise)
+    part = Mesh(
+        np.where(
+            np.abs(part.vertices).max(axis=1)[:, None] > 0.045, part.vertices * [1, 1, 0], part.vertices
+        ),
+        part.faces,
+    )
+    tree = build(part, 5e-4, max(NOISE, 2.0 * noise))
+    one = passes(tree, in_place(tree), part, T0, operation("dpif_p"), sheet_metal("aluminium"))[-1]
+    ring = shapely.points(border_curve(one, BALL, T0)[:, :2])
+    corners = one.vertices[one.faces]
+    off = np.abs(corners[:, :, 2] - one.start).max(axis=1)
+    for least, low, high in ((6e-5, -1e-6, 0.1), (1e-6, -0.1, 3e-4)):
+        face = shapely.union_all(shapely.polygons(corners[off > least][:, [0, 1, 2, 0], :2]))
+        apart = shapely.distance(face, ring) - BALL.radius
+        assert low <= apart.min() and apart.max() <= high
 
 
 @pytest.mark.parametrize("back", [False, True])

@@ -131,6 +131,32 @@ def test_two_arms_are_joined_as_far_as_they_stay_together():
     assert len(together) < len(thinning.joined(apart, pair.neutral(), time, rows))
 
 
+def test_arms_of_two_controllers_are_not_joined_beyond_what_a_move_ahead_may_change():
+    """One tool follows the other 13 mm behind: with one of them a move ahead their distance changes by the
+    move's length, to which no joined move comes."""
+    _, targets = s_targets(300)
+    place = targets.pose["arm"][:, :3, 3]
+    away = np.diff(place, axis=0, append=2.0 * place[-1:] - place[-2:-1])
+    other = targets.pose["arm"].copy()
+    other[:, :3, 3] -= 0.013 * away / np.linalg.norm(away, axis=1, keepdims=True)
+    step = np.linalg.norm(np.diff(place, axis=0), axis=1).max()
+    pair = dataclasses.replace(
+        targets,
+        arms=("arm", "other"),
+        pose={"arm": targets.pose["arm"], "other": other},
+        frame={"arm": "stock", "other": "stock"},
+        apart=1e-3,
+    )
+    rows, time = np.arange(300), np.arange(300) * 0.01
+    changed = []
+    for most in (2.5 * step, np.inf):
+        kept = thinning.joined(dataclasses.replace(pair, ahead=most), pair.neutral(), time, rows)
+        one, two = (pose[kept, :3, 3] for pose in pair.pose.values())
+        changed.append(np.abs(np.linalg.norm(one[1:] - two[:-1], axis=1) - 0.013).max())
+        assert len(kept) < 300
+    assert step < changed[0] <= 2.5 * step < changed[1]
+
+
 def test_moves_of_next_to_no_way_do_not_hold_up_those_from_a_stop():
     """Two places that rounding parts by 1e-18 m are no reason to stand still for days."""
     _, targets = s_targets(60)
