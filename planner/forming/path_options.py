@@ -24,10 +24,11 @@ class PathOptions:
     Spacing: ``stepdown`` [m] from level to level or ``scallop`` [m], the height of the ridges left between
     loops: exactly one of both. ``tangent_angle`` [rad]: a target wherever the contact's way has turned by so
     much; corners always get one. ``chord`` [m]: the straight moves of the ball's centre stay within it of
-    the true offset of the face. ``start_angle`` [rad] of the ray from the middle of the feature on which the
-    loops begin, ``direction`` of the loops as seen from +z. ``longest`` [m] move. ``lift`` [m]: so far above
-    everything the ball goes over to another loop. ``missed`` [m]: a place of a smooth face that the ball
-    stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool.
+    the true offset of the face; ``cut`` [m]: they cut into it by no more. ``start_angle`` [rad] of the ray
+    from the middle of the feature on which the loops begin, ``direction`` of the loops as seen from +z.
+    ``longest`` [m] move. ``lift`` [m]: so far above everything the ball goes over to another loop. ``missed``
+    [m]: a place of a smooth face that the ball stays farther off than this (and than the mesh's own facets
+    make it) is too narrow for the tool.
     """
 
     kind: Kind = "contour"
@@ -35,6 +36,7 @@ class PathOptions:
     scallop: float | None = None
     tangent_angle: float = math.radians(5.0)
     chord: float = 5e-5
+    cut: float = 2.5e-5
     start_angle: float = 0.0
     direction: Direction = "ccw"
     longest: float = 0.02

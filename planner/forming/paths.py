@@ -31,7 +31,7 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
     start to its end.
 
     The ball touches the face (to 3 um) at every target and cuts into it nowhere (to 2 um), nor by more than
-    ``options.chord`` on the straight moves between targets of its centre. Targets are at least 0.05 mm apart.
+    ``options.cut`` on the straight moves between targets of its centre. Targets are at least 0.05 mm apart.
     Concave creases, where no ball fits, are left with a fillet of the ball's own radius: the path keeps off
     them as far as it must. Rows whose ``working`` is False are the ends of moves that do not form (lifts to
     another loop; the move along the sheet of kind "stepped"): at those in the air ``point`` is the nearest
@@ -157,7 +157,7 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
         wrong.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")
     wrong += [
         f"{name} is {getattr(options, name):.4g}, it must be above 0"
-        for name in ("tangent_angle", "chord", "longest", "lift", "missed")
+        for name in ("tangent_angle", "chord", "cut", "longest", "lift", "missed")
         if not getattr(options, name) > 0.0
     ]
     if not radius > 0.0:

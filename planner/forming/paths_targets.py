@@ -30,6 +30,8 @@ _HALVINGS: Final = 10
 _CLOSED: Final = 3e-4
 """Where a crease keeps the ball off a piece of the curve whose ends are so near [m], the piece is a corner
 and the ball goes from end to end."""
+_LOOKS: Final = (0.5, 0.3, 0.7)
+"""Shares of a move at which is looked how deep it cuts into the face."""
 _SPARE: Final = 0.9
 _FIRST: Final = 40
 
@@ -203,13 +205,12 @@ def _halved(found: Targets, put: _Put, face: Face, options: PathOptions) -> Targ
             break
         middle = put(0.5 * (found.at[rows] + found.at[rows + 1]))
         off = _off_line(middle.centre, found.centre[rows], found.centre[rows + 1])
-        straight = 0.5 * (found.centre[rows] + found.centre[rows + 1])
         # at a corner the middle is not where the ball goes; only what it cuts there counts
-        odd = np.flatnonzero(middle.missed)
-        cuts = np.zeros(len(rows), dtype=np.bool_)
-        if len(odd):
-            cuts[odd] = face.clearance(straight[odd]) < face.radius - options.chord
-        more = np.where(middle.missed, cuts, off > options.chord) | (length[rows] > 1.001 * options.longest)
+        more = ~middle.missed & (off > options.chord) | (length[rows] > 1.001 * options.longest)
+        may = np.flatnonzero(~more & (middle.missed | (off > options.cut)))
+        for share in _LOOKS if len(may) else ():
+            way = found.centre[rows[may] + 1] - found.centre[rows[may]]
+            more[may] |= face.clearance(found.centre[rows[may]] + share * way) < face.radius - options.cut
         if not more.any():
             break
         fresh = np.zeros(len(found.at), dtype=np.bool_)

@@ -24,6 +24,11 @@ NAMED: Final = 5
 """Features that a message names at most."""
 
 
+CUT_SHARE: Final = 0.5
+"""Share of the stated tolerance that straight moves may cut into the face: short ones that are joined and
+the mesh's own facets cut, too."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Work:
     """An operation on its sheet: ``mesh`` is the part's lower face in the sheet's frame, ``heads`` the tools'
@@ -79,6 +84,7 @@ class Work:
             scallop=None if op.scallop_mm is None else op.scallop_mm * MM,
             tangent_angle=op.tangent_deg * DEG,
             chord=op.chord_mm * MM,
+            cut=CUT_SHARE * op.gouge_tol_mm * MM,
             start_angle=op.seam_deg * DEG,
             direction=op.direction,
             longest=op.longest_mm * MM,
