@@ -92,8 +92,7 @@ def _levels(
         levels = scallop_levels(mesh.vertices, mesh.faces, face.smooth, region, start, end, width)
     else:
         levels = constant_levels(start, end, options.stepdown or start - end)
-    if options.kind == "helical":  # its first turn is flat, at the flat around the feature
-        levels = np.append(start, levels)
+    levels = np.append(start, levels)  # the first turn is flat, at the flat around the feature
     # levels of the flat have no lines of their own
     return np.asarray(np.clip(levels, end + EDGE, start - EDGE))
 
