@@ -154,18 +154,23 @@ def _levelled(mesh: TriangleMesh, rim: IntArray, down: bool) -> TriangleMesh:
 
 
 def _turned_up(mesh: TriangleMesh, path: Path) -> TriangleMesh:
-    """The mesh with normals up; refused where neither way round makes it a surface over the sheet."""
+    """The mesh with normals up; refused where its faces look to different sides. Those of a wall that leans
+    over do not: that is told where the features are found."""
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
     up = float(area[normal[:, 2] > 0.0].sum() / area.sum())
     if up >= 1.0 - TURNED:
         return mesh
-    if up <= TURNED:
+    directed = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    alike = len(np.unique(directed, axis=0)) == len(directed)  # each edge is passed once either way
+    if up <= TURNED or (alike and up < 0.5):
         return TriangleMesh(mesh.vertices, mesh.faces[:, ::-1])
+    if alike:
+        return mesh
     what = (
         f"{path}: {100 * min(up, 1 - up):.0f} % of the area faces the other way than the rest, at most "
-        f"{100 * TURNED:.0f} % may; the faces are oriented inconsistently or the walls lean over"
+        f"{100 * TURNED:.0f} % may: the faces are oriented inconsistently"
     )
     hint = "orient the faces alike (normals to one side), or check frame and unit"
     raise TandemError(Issue("forming.inside_out", what, file=str(path), hint=hint))

@@ -80,9 +80,7 @@ def pair_cell(draw: Draw, ball: float, other: Data | None = None) -> tuple[Data,
     return cells.facing(robots, tools, *apart, homes, handshake), payload
 
 
-def shape(
-    draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: bool = False
-) -> meshes.Mesh:
+def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: bool = False) -> meshes.Mesh:
     """A part that goes down, and in ``facts`` its half width, depth and sharpness."""
     angle = draw.number(30, steep, 0)
     rim, floor = draw.number(ball + 1.5, 2 * ball + 4), draw.number(ball + 1.5, 2 * ball + 4)

@@ -184,11 +184,11 @@ FAULTS: Final = [
     foams.TOO_COLD,
     Fault(
         "walls stand where the wire's ends and clamps must be",
-        ("motion.collision", "motion.no_path", "motion.entry"),
+        ("motion.collision", "motion.no_path", "motion.entry", "motion.home"),
         _walls,
     ),
     _file(_GOOD[: len(_GOOD) // 2], "open"),
-    Fault("the tip is a fifth of the root: it burns", ("kerf.too_hot",), _steep_taper),
+    Fault("the tip is a fifth of the root: it burns", ("kerf.too_hot", "straight.uneven"), _steep_taper),
     foams.NO_DATA,
     _file(_GOOD[::6], "few"),
     Fault("the airfoil's file is not there", ("problem.missing_file",), _missing),

@@ -63,13 +63,14 @@ to its neighbour, which is next; rounds with few of them cost little."""
 class Way:
     """N targets: ``contact``; ``lean`` at them; ``still`` (N,): the forming ball stands still on the way to
     the target; ``middle``: what it leans on halfway there, of which the first row has no meaning; ``off``
-    (N,): the ball steps over, off the face but not in the air."""
+    (N,): 1 where the ball steps over, off the face but not in the air, 0 on it, and between on the way from
+    one to the other."""
 
     contact: ContactPath
     lean: Lean
     still: BoolArray
     middle: Lean
-    off: BoolArray
+    off: FloatArray
 
 
 def opposite_path(
@@ -96,7 +97,7 @@ def opposite_path(
         normal = way.lean.held(steady_normals(way.lean.normal, about, STEADY), HELD)
         steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         # off the face it cannot be opposite that: it is below what the ball stands on
-        tilt = np.where(way.off, 0.0, np.maximum(steep - shift, 0.0))
+        tilt = (1.0 - way.off) * np.maximum(steep - shift, 0.0)
         tilt = np.minimum(tilt, below_flat(contact.centre[:, 2], apart, level, support.radius))
         squeezed = np.maximum(thickness * np.cos(contact.angle) - gap, 0.0)
         inner = support.radius - squeezed - operation.gouge_tol_mm * MM
@@ -159,7 +160,7 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
     still = np.isin(new, -1 - np.flatnonzero(kept)[np.flatnonzero(kept) % 2 == 1])
     still |= np.isin(new, row[1::2][own[1]])
     between = np.concatenate([path.centre[:1], 0.5 * (path.centre[1:] + path.centre[:-1])])
-    off = np.insert(aloft, row[kept], aloft[row[kept]] | aloft[row[kept] - 1])
+    off = np.insert(aloft, row[kept], aloft[row[kept]] | aloft[row[kept] - 1]).astype(np.float64)
     return Way(path, lean, still, touching.lean(between), off)
 
 
@@ -228,7 +229,7 @@ def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
     step = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
     turned_far = _angle(lean.normal, np.concatenate([lean.normal[:1], lean.normal[:-1]])) > STEADY
     still = np.insert(way.still, row, still) | ((step < _STILL) & turned_far)
-    off = np.insert(way.off, row, way.off[row] | way.off[row - 1])
+    off = np.insert(way.off, row, way.off[row - 1] + share * (way.off[row] - way.off[row - 1]))
     return Way(contact, lean, still, middle, off)
 
 

@@ -31,7 +31,7 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
     start to its end.
 
     The ball touches the face (to 3 um) at every target and cuts into it nowhere (to 2 um), nor by more than
-    ``options.chord`` on the straight moves between targets of its centre. Targets are at least 0.05 mm apart.
+    ``options.cut`` on the straight moves between targets of its centre. Targets are at least 0.05 mm apart.
     Concave creases, where no ball fits, are left with a fillet of the ball's own radius: the path keeps off
     them as far as it must. Rows whose ``working`` is False are the ends of moves that do not form (lifts to
     another loop; the move along the sheet of kind "stepped"): at those in the air ``point`` is the nearest
@@ -92,8 +92,7 @@ def _levels(
         levels = scallop_levels(mesh.vertices, mesh.faces, face.smooth, region, start, end, width)
     else:
         levels = constant_levels(start, end, options.stepdown or start - end)
-    if options.kind == "helical":  # its first turn is flat, at the flat around the feature
-        levels = np.append(start, levels)
+    levels = np.append(start, levels)  # the first turn is flat, at the flat around the feature
     # levels of the flat have no lines of their own
     return np.asarray(np.clip(levels, end + EDGE, start - EDGE))
 
@@ -157,7 +156,7 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
         wrong.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")
     wrong += [
         f"{name} is {getattr(options, name):.4g}, it must be above 0"
-        for name in ("tangent_angle", "chord", "longest", "lift", "missed")
+        for name in ("tangent_angle", "chord", "cut", "longest", "lift", "missed")
         if not getattr(options, name) > 0.0
     ]
     if not radius > 0.0:

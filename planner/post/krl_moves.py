@@ -25,6 +25,8 @@ LED_BY_WAY: Final = 0.01
 """Least way [mm] of a move whose speed along it sets the time."""
 LEAST_SPEED: Final = 1e-4
 """Least $VEL.CP [m/s]."""
+LEAST_TIME: Final = 6e-3
+"""No controller plans a move in less [s]."""
 LEAST_TURN: Final = 0.1
 """Least $VEL.ORI [deg/s]."""
 FREE_TURN: Final = 200.0
@@ -71,9 +73,10 @@ def written(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
 def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) -> Rows:
     """The moves of a track; ``start``: position (3,) [mm] and angles (3,) [deg] before them, as written."""
     angles = np.round(abc(from_quaternion(track.quaternion)), ANGLE_DECIMALS) + 0.0
-    position = np.concatenate([start[0][None], track.position])
+    position, angles = np.concatenate([start[0][None], track.position]), np.vstack([start[1], angles])
+    _settle(position, angles)
     way = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    turn = _turns(np.concatenate([start[1][None], angles]))
+    turn = _turns(angles)
     still = np.all(np.diff(position, axis=0) == 0.0, axis=1) & (turn == 0.0)
     stop = stop | still | np.append(still[1:], False)
     wanted = 1e-3 * way / track.duration
@@ -81,8 +84,8 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
     turning = _down(np.rad2deg(turn) / (np.sqrt(2.0) * track.duration), TURN_DECIMALS)
     distance, angle = _corners(track)
     return Rows(
-        position=track.position,
-        angles=angles,
+        position=position[1:],
+        angles=angles[1:],
         way=way,
         turn=turn,
         duration=track.duration,
@@ -93,6 +96,16 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
         stop=stop,
         still=still,
     )
+
+
+def _settle(position: FloatArray, angles: FloatArray) -> None:
+    """Poses that are no farther from the one before than the least speeds go in the least time of a move are
+    that one."""
+    near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, LEAST_TURN * LEAST_TIME
+    step = np.abs(np.diff(position, axis=0)).max(axis=1), np.abs(np.diff(angles, axis=0)).max(axis=1)
+    for row in np.flatnonzero((step[0] < near) & (step[1] < alike)).tolist():
+        if np.abs(position[row + 1] - position[row]).max() < near:
+            position[row + 1], angles[row + 1] = position[row], angles[row]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -226,7 +226,7 @@ class Forming:
         way = self.track(claim.segment, index, claim.arms)
         parts = pieces(way, SPARE * claim.tolerance)
         own = way.own[parts.first]
-        parts = Pieces(parts.first[own], parts.last[own], parts.off[own])
+        parts = Pieces(parts.first[own], parts.last[own], parts.off[own], parts.apart[own])
         knots = np.unique(np.concatenate([parts.first, parts.last, _meetings(self.context, way)]))
         face = self._face(claim.vertices, claim.faces, claim.radii[0])
         near = self._ball(way, face).near(knots)

@@ -77,11 +77,13 @@ def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
 @dataclasses.dataclass(frozen=True)
 class Pieces:
     """K straight pieces of a track: from row ``first`` to row ``last`` (K,) of it, with ``off`` (K,) [m], how
-    far the way between them is off the straight one at most, both arms at one share of their pieces."""
+    far the way between them is off the straight one at most, both arms at one share of their pieces, and
+    ``apart`` (K,) [m], how far the way from one arm to the other is."""
 
     first: IntArray
     last: IntArray
     off: FloatArray
+    apart: FloatArray
 
 
 def pieces(way: Track, within: float) -> Pieces:
@@ -90,7 +92,7 @@ def pieces(way: Track, within: float) -> Pieces:
     count = len(way.rows)
     if count < 2:
         none = np.zeros(0, dtype=np.int64)
-        return Pieces(none, none, np.zeros(0))
+        return Pieces(none, none, np.zeros(0), np.zeros(0))
     cut = np.flatnonzero(~way.joined)
     turn = np.flatnonzero((way.own[1:] != way.own[:-1]) & way.joined) + 1  # ends one piece and begins another
     starts = np.sort(np.concatenate([[0], cut + 1, turn]))
@@ -109,9 +111,11 @@ def pieces(way: Track, within: float) -> Pieces:
     first, last = np.concatenate(done_first), np.concatenate(done_last)
     order = np.argsort(first)
     first, last = first[order], last[order]
-    bend = np.append(_bend(way), 0.0)
-    most = np.maximum.reduceat(bend, first) if len(first) else np.zeros(0)
-    return Pieces(first, last, within + most)
+    most, between = (
+        np.maximum.reduceat(np.append(_bend(places, way.joined), 0.0), first) if len(first) else np.zeros(0)
+        for places in (way.centre, way.centre[:, :1] - way.centre[:, 1:2])
+    )
+    return Pieces(first, last, within + most, 2.0 * within + between)
 
 
 def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
@@ -131,19 +135,19 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     return out
 
 
-def _bend(way: Track) -> FloatArray:
-    """How far (T - 1,) [m] the motion between two samples may be off the straight way: with second
+def _bend(places: FloatArray, joined: BoolArray) -> FloatArray:
+    """How far (T - 1,) [m] ``places`` (T, A, 3) may be off the straight way between two samples: with second
     differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
     bend makes a quarter of that."""
-    count = len(way.rows)
-    turn = np.zeros((count, way.centre.shape[1]))
+    count = len(places)
+    turn = np.zeros((count, places.shape[1]))
     for begin in range(1, count - 1, _CHUNK):
         end = min(begin + _CHUNK, count - 1)
-        step = np.diff(way.centre[begin - 1 : end + 1], axis=0)
+        step = np.diff(places[begin - 1 : end + 1], axis=0)
         along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
         second -= dots(second, along[:-1])[..., None] * along[:-1]
         turn[begin:end] = lengths(second)
-    turn[1:-1][~(way.joined[1:] & way.joined[:-1])] = 0.0
+    turn[1:-1][~(joined[1:] & joined[:-1])] = 0.0
     a, b = turn[:-1], turn[1:]
-    return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1))
+    return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1, initial=0.0))

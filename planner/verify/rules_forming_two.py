@@ -34,7 +34,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
     worst, limit, where = -np.inf, None, ""
     for one in forming.opened:
         claim, way, low, high = one.claim, one.track, one.low, one.high
-        first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
+        first, last, off = one.pieces.first, one.pieces.last, one.pieces.apart
         if not len(first):
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
             issues.append(Issue("verify.gap", what, field=str(claim.segment)))
@@ -45,7 +45,7 @@ def gap(context: Context, forming: Forming) -> Outcome:
         # within a piece the wanted gap is between those at its ends
         wide = most - both - np.maximum(high[start], high[end])
         narrow = np.minimum(low[start], low[end]) - (least - both)
-        error = np.maximum(wide, narrow) + 2.0 * off
+        error = np.maximum(wide, narrow) + off
         k = int(np.argmax(error))
         if error[k] - claim.tolerance > worst:
             worst, limit, where = float(error[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
