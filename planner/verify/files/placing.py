@@ -94,7 +94,8 @@ def _straight(
     pose: FloatArray, cloud: Cloud, goal: _Target, bound: FloatArray, middle: FloatArray
 ) -> FloatArray:
     """The pose turned about the mean normal so that least lies beyond the borders: on planes alone, a nearly
-    flat surface turns freely in its own."""
+    flat surface turns freely in its own. Distances to planes count far more, as before: places are apart from
+    one another along the surface wherever it lies."""
     axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
     size = float(np.linalg.norm(axis))
     if size < _FLAT:
@@ -104,7 +105,9 @@ def _straight(
     def apart(one: FloatArray) -> float:
         own = _at(one, cloud[0])
         at, _ = goal.near(own, cloud[1] @ one[:3, :3].T)
-        return float(cloud[2] @ np.sum((own - goal.points[at]) ** 2, axis=1))
+        off = own - goal.points[at]
+        across = np.einsum("ij,ij->i", off, goal.normals[at])
+        return float(cloud[2] @ (across**2 + _SLIDE**2 * np.sum(off**2, axis=1)))
 
     while spread > _FINE:
         tried = []
