@@ -41,3 +41,23 @@ def test_a_gentle_panel_is_found_where_it_lies(sag: tuple[float, float]) -> None
     off = np.abs(z - panel(np.clip(x, -0.14, 0.14), y, sag))
     assert np.percentile(off, 99) < 2e-5
     assert np.abs(at @ away - np.eye(4)).max() < 2e-3
+
+
+def test_the_back_of_a_panel_that_is_alike_on_both_sides_is_no_place_for_its_front() -> None:
+    """A wave turned over lies on itself: only which face is which tells the two places apart."""
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 81), np.linspace(-0.3, 0.3, 121), indexing="ij")
+    wave = (0.02 + 0.01 * y) * np.sin(8.0 * x)
+    corners = []
+    for rise, sense in ((0.014, 1), (-0.014, -1)):
+        grid = np.stack([x, y, wave + rise], axis=-1)
+        a, b, c, d = (grid[i : i - 1 or None, j : j - 1 or None] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
+        two = np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3, 3)
+        corners.append(two[:, ::sense])
+    rows = np.arange(len(corners[0])) + 1
+    made = [on_triangles(face, rows, 10_000) for face in corners]
+    for turn in (0.0, np.pi):
+        away = from_rpy([0.1, 0.0, 0.0], [0.0, turn, 0.0])
+        read = [transform(away, face.reshape(-1, 3)).reshape(face.shape) for face in corners]
+        source = [on_triangles(face, rows, 600) for face in read]
+        at = placing.found(source, made, np.concatenate(read).reshape(-1, 3), np.zeros(3))
+        assert np.abs(at @ away - np.eye(4)).max() < 5e-3
