@@ -131,7 +131,7 @@ def check_driven(
         hint = "let the panel twist less, or move the arms so that they turn less (place: auto, base: auto)"
     what = (
         f"{op.name}: on cut/{here.name} the arms drive the wire at {100.0 * slow[k]:.0f} % of its feed at "
-        f"[{place}] mm, since they turn no faster; it melts {width[k] / MM:.2f} mm there, allowed are "
+        f"[{place}] mm, which is as fast as they may; it melts {width[k] / MM:.2f} mm there, allowed are "
         f"{limit[k] / MM:.2f} mm"
     )
     measure = {"value": float(width[k] / MM), "limit": float(limit[k] / MM), "unit": "mm"}
