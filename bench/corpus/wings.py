@@ -184,6 +184,7 @@ FAULTS: Final = [
     foams.TOO_COLD,
     Fault(
         "walls stand where the wire's ends and clamps must be",
+        # nearer to each other than the bow is wide, they reach its home, too
         ("motion.collision", "motion.no_path", "motion.entry", "motion.home"),
         _walls,
     ),

@@ -9,6 +9,7 @@ hold).
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping
 
@@ -27,12 +28,13 @@ from planner.hotwire.elastic_family import FamilyFit, fit_family, fit_first
 from planner.hotwire.elastic_path import Face, Route, lay_out, refine, travel
 from planner.hotwire.elastic_planes import cut_sections, direction_of, make_spine
 from planner.hotwire.elastic_slack import slack_freedom
-from planner.hotwire.elastic_sweep import Screen
+from planner.hotwire.elastic_sweep import Screen, Sweep
 from planner.hotwire.elastic_wires import box_distance
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
+from planner.segments import Segment
 from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
@@ -67,9 +69,7 @@ class ElasticJob(Job[ElasticWire]):
                     arm=stock.held_by,
                 )
             )
-        wanted = _wanted(operation, part)
-        screen = Screen(operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
-        made, tried = choose(screen, _attempt)
+        screen, made, tried = self._made
         return _targets(
             made.op,
             made.wire,
@@ -79,6 +79,32 @@ class ElasticJob(Job[ElasticWire]):
             [*made.issues, *told(screen, made, tried)],
             exhibits(made.op, made.wire, made.route, made.cuts, made.figures, tried),
         )
+
+    @functools.cached_property
+    def _made(self) -> tuple[Screen, Attempt, list[Sweep]]:
+        """What wires and sweeps are chosen from, the one that is, and all that were looked at."""
+        setup = self.setup
+        wanted = _wanted(self.operation, self.part)
+        screen = Screen(self.operation, setup, wanted, lambda op: 0.5 * _slot(op, setup))
+        return (screen, *choose(screen, _attempt))
+
+    def driven(self, targets: Targets, time: FloatArray) -> tuple[Issue, ...]:
+        """``kerf.too_hot`` where the arms cannot drive the wire as fast as the feed asks for."""
+        screen, made, _ = self._made
+        op, edge = made.op, targets.edge
+        if op.power_w is None or edge is None:
+            return ()
+        kinds = np.array([segment.key for segment in targets.segment])
+        spare = max(op.shape_tol_mm * MM - made.within, 0.1 * op.shape_tol_mm * MM)
+        out: list[Issue] = []
+        for here in _passed(op, made.cuts, screen.wanted, self.setup):
+            rows = np.flatnonzero(kinds == Segment("cut", here.name).key)
+            rows = np.append(rows[0] - 1, rows)
+            gone = np.cumsum(np.append(0.0, targets.travel[rows[1:]]))
+            clock = np.stack([gone, time[rows]])
+            curve = _kerf(op, self.setup)
+            out += elastic_kerf.check_driven(op, here, curve, edge.points[rows], clock, spare)
+        return aggregate(out)
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
@@ -127,26 +153,30 @@ def _refuse_heat(op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], s
     if op.power_w is None:
         return
 
-    def passed(own: ElasticWire, made: list[Cut]) -> list[elastic_kerf.Passed]:
-        feed, box = FEED_SHARE * own.feed_mm_s * MM, setup.stock.box
-        return [
-            elastic_kerf.Passed(name, face.vertices, elastic_kerf.speeds(cut.face, face.vertices, feed, box))
-            for (name, face), cut in zip(wanted.items(), made, strict=True)
-        ]
-
     def tried(changed: ElasticWire) -> list[Issue]:
         try:
             return elastic_kerf.check_heat(
-                changed, passed(changed, _cuts(changed, wanted, setup)), _kerf(changed, setup)
+                changed, _passed(changed, _cuts(changed, wanted, setup), wanted, setup), _kerf(changed, setup)
             )
         except TandemError as error:
             return list(error.issues)
 
-    here = passed(op, cuts)
+    here = _passed(op, cuts, wanted, setup)
     found = elastic_kerf.check_heat(op, here, _kerf(op, setup))
     if found:
         hint = elastic_kerf.advice(op, here, lambda own: _kerf(own, setup), tried)
         raise TandemError([dataclasses.replace(issue, hint=hint) for issue in found])
+
+
+def _passed(
+    op: ElasticWire, cuts: list[Cut], wanted: Mapping[str, Mesh], setup: Setup
+) -> list[elastic_kerf.Passed]:
+    """The speeds with which the wire passes each face, at the feed that plans use."""
+    feed, box = FEED_SHARE * op.feed_mm_s * MM, setup.stock.box
+    return [
+        elastic_kerf.Passed(name, face.vertices, elastic_kerf.speeds(cut.face, face.vertices, feed, box))
+        for (name, face), cut in zip(wanted.items(), cuts, strict=True)
+    ]
 
 
 def _kerf(op: ElasticWire, setup: Setup) -> KerfCurve:

@@ -23,6 +23,8 @@ PLACES = 160
 """Places along the sweep at which speeds along the wire are worked out."""
 
 
+MELTED = 1e-3
+"""[m] what the wire does on less of its way either way is melted together: stops are not told."""
 FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
 """Powers and feeds that are looked at where a slot is too wide or too narrow, as multiples."""
 FASTEST = 50.0
@@ -97,6 +99,43 @@ def check_heat(op: ElasticWire, passed: list[Passed], curve: KerfCurve) -> list[
                 value = float(width[k])
                 out.append(Issue(code, what, field="operations.power_w", value=value, limit=limit, unit="mm"))
     return out
+
+
+def check_driven(
+    op: ElasticWire, here: Passed, curve: KerfCurve, edge: FloatArray, clock: FloatArray, spare: float
+) -> list[Issue]:
+    """``kerf.too_hot`` where the arms drive the wire so much slower than its feed that the slot leaves its
+    range, or more of the face than may be is off by over ``spare`` [m].
+
+    ``here`` has the speeds that the face was offset for; ``edge`` (N, P, 3) [m] are the wires from the target
+    before the face to its last one, ``clock`` (2, N) how far the fastest point has come there [m] and when
+    [s].
+    """
+    gone, time = clock
+    ends = np.clip(np.stack([gone - MELTED, gone + MELTED]), gone[0], gone[-1])
+    way, took = ends[1] - ends[0], np.interp(ends[1], gone, time) - np.interp(ends[0], gone, time)
+    slow = np.clip(way / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
+    vertices = here.vertices
+    slow = slow[cKDTree(edge.reshape(-1, 3)).query(vertices)[1] // edge.shape[1]]
+    width = curve.at(slow * here.speed)
+    more = 0.5 * (width - curve.at(here.speed))
+    high = op.kerf_range_mm[1] * MM
+    limit = np.minimum(high, width - 2.0 * (more - spare))
+    if width.max() <= high and (more > spare).mean() <= 1.0 - op.share:
+        return []
+    k = int(np.argmax(width - limit))
+    place = ", ".join(f"{value:.1f}" for value in vertices[k] / MM)
+    held = np.floor(100.0 * FEED_SHARE * op.feed_mm_s * slow.min()) / 100.0
+    hint = f"feed_mm_s: {held:g}, which the arms hold all along; check then says which power fits"
+    if held < op.feed_min_mm_s:
+        hint = "let the panel twist less, or move the arms so that they turn less (place: auto, base: auto)"
+    what = (
+        f"{op.name}: on cut/{here.name} the arms drive the wire at {100.0 * slow[k]:.0f} % of its feed at "
+        f"[{place}] mm, which is as fast as they may; it melts {width[k] / MM:.2f} mm there, allowed are "
+        f"{limit[k] / MM:.2f} mm"
+    )
+    measure = {"value": float(width[k] / MM), "limit": float(limit[k] / MM), "unit": "mm"}
+    return [Issue("kerf.too_hot", what, field="operations.feed_mm_s", hint=hint, **measure)]  # type: ignore[arg-type]
 
 
 def advice(

@@ -118,7 +118,8 @@ def _cuts(
     """The cuts of some surfaces, each from air to air."""
     contours = () if part is None else tuple(r for r in part.ruled if r.closed)
     stock = setup.stock
-    return [make_cut(op, one, contours, kerf, bow.radius, stock.box, -stock.gravity) for one in todo]
+    down = stock.gravity if stock.support or stock.pedestal is not None else None
+    return [make_cut(op, one, contours, kerf, bow.radius, stock.box, -stock.gravity, down) for one in todo]
 
 
 def _kerf(op: Straight, setup: Setup, bow: Bow, todo: list[Wanted]) -> tuple[KerfCurve, float]:

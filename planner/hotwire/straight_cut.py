@@ -55,16 +55,17 @@ def make_cut(
     radius: float,
     box: FloatArray,
     up: FloatArray,
+    down: FloatArray | None = None,
 ) -> Cut:
     """The cut of one surface in the block ``box`` (2, 3); ``radius`` [m] is the wire's, ``contours`` are all
-    closed surfaces of the part."""
+    closed surfaces of the part; ``up`` and ``down`` as for :func:`planner.hotwire.straight_leads.choose`."""
     step, feed = op.step_mm * MM, FEED_SHARE * op.feed(wanted.cut)
     plain = step * PLAIN
     step = plain if isinstance(wanted.cut, TrimCut) else step
     ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step)
     start = None
     if wanted.ruled.closed and isinstance(wanted.cut, SurfaceCut):
-        start = choose(ruled, contours, wanted.cut, box, up)
+        start = choose(ruled, contours, wanted.cut, box, up, down)
     allowed = op.shape_tol_mm * MM, op.left_mm * MM
     sharpest = _sharpest(0.5 * float(kerf.at(np.array([feed]))[0]), allowed[0])
     on = followed(_row(ruled, wanted, start, sharpest), wanted.ruled, kerf, feed, box, allowed)
@@ -73,7 +74,7 @@ def make_cut(
     if longest > 1.05 * step and on.settled:  # the wire in the foam moves farther than its guide points
         ruled = resample(wanted.ruled, CHORD * op.shape_tol_mm * MM, step * step / longest)
         if start is not None and isinstance(wanted.cut, SurfaceCut):
-            start = choose(ruled, contours, wanted.cut, box, up)
+            start = choose(ruled, contours, wanted.cut, box, up, down)
         on = followed(_row(ruled, wanted, start, sharpest), wanted.ruled, kerf, feed, box, allowed)
     clear = op.margin_mm * MM + radius
     if start is not None:

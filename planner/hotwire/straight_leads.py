@@ -30,6 +30,12 @@ TURN: Final = 0.05
 """What a sharp turn between slit and contour costs, as a share of the block's diagonal."""
 HELD: Final = 0.6
 """What it costs to cut the wrong side last, as a share of the block's diagonal."""
+BELOW: Final = 3.0
+"""What a slit costs that leaves the block below, where its support stands, as a share of its diagonal,"""
+BELOW_LONGER: Final = 1.2
+"""and by how much one elsewhere may be longer in the part than that: the proof allows somewhat more."""
+UNDER: Final = 0.04
+"""[m] so far below the block there must be room for a way that leaves it there."""
 OUT: Final = 0.05
 """Least cosine between a slit and the outward normal: a flatter one would graze the part."""
 
@@ -57,16 +63,26 @@ class _Tries:
 
 
 def choose(
-    ruled: Ruled, contours: tuple[Ruled, ...], cut: SurfaceCut, box: FloatArray, up: FloatArray
+    ruled: Ruled,
+    contours: tuple[Ruled, ...],
+    cut: SurfaceCut,
+    box: FloatArray,
+    up: FloatArray,
+    down: FloatArray | None = None,
 ) -> Start:
-    """The beginning of a closed cut with the shortest slit that spares the part, turns little, and leaves
-    the wanted side for last.
+    """The beginning of a closed cut with the shortest slit that spares the part, does not come from where the
+    block stands, turns little, and leaves the wanted side for last.
 
-    ``contours`` are all closed surfaces of the part, ``up`` (3,) the direction that ``last: top`` means.
+    ``contours`` are all closed surfaces of the part, ``up`` (3,) the direction that ``last: top`` means,
+    ``down`` (3,) that in which the block stands on something, if it does.
     """
     tries = _tries(ruled, contours, cut, box)
     diagonal = float(np.linalg.norm(box[1] - box[0]))
     cost = tries.length + THROUGH_PART * tries.through
+    if down is not None:
+        below = _below(Lines(ruled.start[tries.first], ruled.end[tries.first]), tries, box, down)
+        more = (BELOW_LONGER - 1.0) * THROUGH_PART * tries.through + BELOW * diagonal
+        cost = cost + np.where(below, more, 0.0)
     best: tuple[float, Start] | None = None
     for backward in (False, True):
         held = HELD * diagonal * (1.0 - _held(ruled, tries.first, backward, cut, up))
@@ -81,6 +97,13 @@ def choose(
     if best is None:
         raise ValueError("no beginning was tried")
     return best[1]
+
+
+def _below(lines: Lines, tries: _Tries, box: FloatArray, down: FloatArray) -> NDArray[np.bool_]:
+    """Which slits (K,) from ``lines`` (K) leave the block by its lower side: those that would be longer in a
+    block that reached farther down."""
+    lower = np.stack([box[0] + UNDER * np.minimum(down, 0.0), box[1] + UNDER * np.maximum(down, 0.0)])
+    return np.asarray(exit_length(lines, tries.way, lower) - tries.length > 0.5 * UNDER)
 
 
 def _tries(ruled: Ruled, contours: tuple[Ruled, ...], cut: SurfaceCut, box: FloatArray) -> _Tries:

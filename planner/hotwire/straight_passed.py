@@ -40,7 +40,9 @@ def check_passed(op: Straight, cut: Cut, kerf: KerfCurve, box: FloatArray) -> It
     passed = Melted(whole.lines[own], number[own], whole.speed[own], whole.half[own])
     low, high = op.kerf_range_mm
     at_guides = 2.0 * cut.on.half / MM
-    if op.power_w is not None and low <= at_guides.min() and at_guides.max() <= high:  # else told with advice
+    if op.power_w is not None:
+        if not low <= at_guides.min() <= at_guides.max() <= high:
+            return  # it is uneven since it is too hot or too cold somewhere, which is told with advice
         yield from _width(op, cut, passed)
     yield from _off(op, cut, passed)
 

@@ -246,6 +246,10 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
         place = Place(stand.place, {}, 0.0, 0)
         reasons = _no_path(problem, stand, models, place, at)
         return (None if reasons else place), reasons
+    try:
+        _require_home(problem, stand, models)
+    except TandemError as error:
+        return None, list(error.issues)
     places, trace = _search(problem, stand).run(stand.each(models))
     reasons = []
     for place in places[:PLACES_TRIED]:
@@ -265,6 +269,11 @@ def _no_path(
         for index, job in zip(setup.operations, jobs, strict=True):
             scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
             at[0] = at[0] if out else index
+            try:
+                entry.require_home(scene, job)
+            except TandemError as error:  # as the plan does, which asks for this first
+                out += error.issues
+                continue
             grid, found = find(scene, job)
             if isinstance(found, Blocked):
                 out += diagnose.no_path(scene, job, grid, found)

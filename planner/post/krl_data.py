@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,7 +21,8 @@ from planner.tooling import Tool
 
 FloatArray = NDArray[np.float64]
 
-_STEM = NAME_LENGTH - 6
+_STEM = NAME_LENGTH - 3
+"""A number may follow where two tools are called alike."""
 
 
 class Data:
@@ -48,11 +50,11 @@ class Data:
         key = (tool.name, frame(tool.tcp) + load_data(tool, None))
         if key not in self.tools:
             stem = name(f"t_{tool.name}", _STEM)[2:]
-            count = sum(key[0] == tool.name for key in self.tools)
-            suffix = "" if count == 0 else f"_{count + 1}"
-            self.tools[key] = f"{stem}{suffix}"
-            self.declare("FRAME", f"t_{stem}{suffix}", frame(tool.tcp))
-            self.declare("LOAD", f"l_{stem}{suffix}", load_data(tool, None))
+            names = itertools.chain([stem], (f"{stem}_{n}" for n in itertools.count(2)))
+            own = next(one for one in names if one not in self.tools.values())
+            self.tools[key] = own
+            self.declare("FRAME", f"t_{own}", frame(tool.tcp))
+            self.declare("LOAD", f"l_{own}", load_data(tool, None))
         return f"t_{self.tools[key]}"
 
     def load(self, tool: Tool, held: Load | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Iterable
 
@@ -25,7 +26,9 @@ ENTRY_SPEED = "v_entry"
 _ENTRY_SPEED = 250.0
 """Highest speed [mm/s] of joint moves: the first one begins at a place that is not known."""
 _ENTRY_TURN = 45
-_TOOL_NAME = 12
+_TOOL_NAME = 26
+"""Letters of a tool's name, with the number where two are called alike: identifiers may have 32, but the
+longest moves would then have more than the 206 characters of lines that are known to load."""
 _LEAST_MASS = 0.001
 
 
@@ -68,8 +71,10 @@ class Tools:
         key = (tool.name, _tool(tool))
         if key not in self.names:
             stem = identifier(f"t_{tool.name}"[:_TOOL_NAME])
-            count = sum(name == stem or name.startswith(f"{stem}_") for name in self.names.values())
-            self.names[key] = stem if count == 0 else f"{stem}_{count + 1}"
+            taken = {name.lower() for name in self.names.values()}
+            tails = (f"_{n}" for n in itertools.count(2))
+            names = itertools.chain([stem], (stem[: _TOOL_NAME - len(tail)] + tail for tail in tails))
+            self.names[key] = next(name for name in names if name.lower() not in taken)
         return self.names[key]
 
     def lines(self) -> list[str]:

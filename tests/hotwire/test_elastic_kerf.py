@@ -65,6 +65,29 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     assert np.corrcoef(got, wanted)[0, 1] > 0.8
 
 
+def test_a_clock_that_is_slower_than_the_feed_is_refused_with_the_feed_that_the_arms_hold() -> None:
+    """The slot that the arms melt follows from the foam's own curve, at a third of the speed on a part of the
+    way; a clock that keeps the feed is fine."""
+    block = panels.stock(size=(0.16, 0.23, 0.2))
+    block = type(block)(**{**vars(block), "foam": FOAM})
+    own = operation(feed_min_mm_s=0.5)
+    job = elastic.ElasticJob(own, panels.setup(block), panels.part(twisted(), None, block))
+    targets = job.targets()
+    even = targets.travel / (FEED_SHARE * targets.feed)
+    assert job.driven(targets, np.cumsum(even)) == ()
+    y = targets.edge.points[:, :, 1].mean(axis=1)
+    cut = np.array([str(s) == "cut/front" for s in targets.segment])
+    slow = np.cumsum(np.where(cut & (np.abs(y) < 0.05), 3.0, 1.0) * even)
+    (issue,) = job.driven(targets, slow)
+    assert issue.code == "kerf.too_hot"
+    held = float(re.findall(r"feed_mm_s: ([\d.]+),", str(issue.hint))[0])
+    assert 0.95 * 4.0 / 3.0 < held < 4.0 / 3.0
+    known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.0005, 0.05]))
+    # no point in the foam is faster than the feed
+    assert issue.value >= 1e3 * float(known.at(np.array([FEED_SHARE * FEED / 3.0]))[0]) - 1e-3
+    assert "at 33 % of its feed" in issue.message
+
+
 def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
     with pytest.raises(TandemError) as caught:
         elastic.ElasticJob(operation(), panels.setup(), panels.part()).claims()

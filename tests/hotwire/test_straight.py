@@ -18,6 +18,7 @@ from planner.claims import (
 )
 from planner.claims_dialogue import OperatorDialogue
 from planner.geometry.rigid import exp_twist, from_rpy, interpolate, inverse, transform
+from planner.geometry.shapes import Shape
 from planner.hotwire import straight
 from planner.hotwire.straight_lines import distance_to_polyline
 from planner.issues import Severity
@@ -177,6 +178,21 @@ def test_a_given_lead_is_taken() -> None:
     into = targets.pose["left"][rows(targets, "cut/sq_in"), :3, 3]
     assert into[0, 0] < -0.15
     assert np.ptp(into[:-2, 2]) < 1e-9
+
+
+@pytest.mark.parametrize("hole", [False, True])
+def test_no_slit_leaves_the_block_where_it_stands(hole: bool) -> None:
+    """With a post under the block, its wires keep off it, by points along them; with none the same part is
+    come to from below, which is nearest."""
+    ell = [(-0.04, 0.02), (-0.04, 0.08), (-0.02, 0.08), (-0.02, 0.04), (0.03, 0.04), (0.03, 0.02)]
+    part = [blocks.prism("ell", ell, closed=True)]
+    if hole:  # somewhat nearer to the lower side of its square than to the others
+        part = [square("ell", 0.0, 0.045, 0.06), ring("bore", 0.01, 0.0, 0.0422, hole=True)]
+    post = Shape("box", (0.14, 0.08, 0.4), from_rpy([0.0, 0.0, 0.0], [0.0, 0.0, -0.2]))
+    box = np.array([[-0.07, -0.04, -0.4], [0.07, 0.04, 0.0]])
+    for support, free in (((post,), True), ((), False)):
+        targets = make(*part, block=blocks.stock(support=support))
+        assert (box_gap(targets, np.arange(targets.count), box).min() > 0.0) == free
 
 
 def test_a_hole_is_cut_first_through_the_shortest_slit_which_is_told() -> None:

@@ -260,3 +260,8 @@ def test_a_wire_that_turns_faster_than_its_slot_can_follow_is_refused() -> None:
     issue = refusal("straight.uneven", _twisted(), setup, power_w=30.0, **heat)
     assert issue.value > issue.limit == pytest.approx(0.3)
     assert "straight.uneven" not in issues(_twisted(), setup, power_w=30.0, shape_tol_mm=30, **heat)
+    # a slot that is too wide anyway is uneven for that, and told with the advice for it alone
+    heat["kerf_range_mm"] = [0.3, 0.6]
+    found = issues(_twisted(), setup, power_w=30.0, **heat)
+    assert "kerf.too_hot" in found
+    assert "straight.uneven" not in found

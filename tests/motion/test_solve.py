@@ -274,3 +274,16 @@ def test_homes_are_judged_without_what_the_block_will_stand_on(targets: Targets)
     (stand,) = stands(job, [targets])
     _require_home(job, stand, stand.models())
     assert stand.models()[0].stock.pedestal is PEDESTAL
+
+
+@pytest.mark.parametrize("place", [HIGH, None])
+def test_a_home_in_a_box_is_found_by_the_check_as_by_the_plan(place: np.ndarray | None) -> None:
+    scene, few = pair(20)
+    hand = scene.chains["left"].pose(scene.chains["left"].home)[:3, 3]
+    job = problem(two_arms(obstacles=(box("crate", (0.1, 0.1, 0.1), tuple(hand)),)), few, place)
+    found = check(job, [few])
+    assert found[0].code == "motion.home"
+    assert "crate" in found[0].bodies
+    with pytest.raises(TandemError) as caught:
+        solve(job, [few])
+    assert caught.value.issues[0].message == found[0].message

@@ -50,6 +50,19 @@ def test_a_small_job_is_written_as_read_by_a_person(small):
     assert written == stored
 
 
+@pytest.mark.parametrize(
+    ("name", "called"),
+    [("wire_holder_across", "t_wire_holder_across"), ("spindle with a long shank", "t_spindle_with_a_long")],
+)
+def test_names_of_tools_are_as_long_as_krl_takes(name, called):
+    """KRL's names have 24 characters, three of which tell tools of one name apart."""
+    plan, problem = krl_job.alone()
+    arms = (dataclasses.replace(problem.cell.arms[0], tool=synthetic.tool(name=name)),)
+    files = programs(plan, dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, arms=arms)))
+    assert f"$TOOL={called}" in flat(files)
+    assert {called, "l" + called[1:]} <= set(data(files))
+
+
 def test_the_same_plan_gives_the_same_text_and_margins_change_comments_only(small):
     plan, problem, files = small
     assert programs(plan, problem, MARGINS) == files

@@ -128,6 +128,29 @@ def test_tools_that_differ_have_names_that_differ():
     assert [data(files, "T_ROB1", "tooldata", name)[2][0] for name in dict.fromkeys(names)] == [3.0, 4.0]
 
 
+@pytest.mark.parametrize(
+    ("name", "called", "second"),
+    [
+        ("wire_holder_across_start", "t_wire_holder_across_start", "t_wire_holder_across_sta_2"),
+        (
+            "spindle with a very long shank and more",
+            "t_spindle_with_a_very_long",
+            "t_spindle_with_a_very_lo_2",
+        ),
+    ],
+)
+def test_names_of_tools_are_as_long_as_rapid_takes(name, called, second):
+    """RAPID's identifiers have 32 characters at most; two tools of one name are told apart."""
+    plan, problem = synthetic.two_setups()
+    tools = [synthetic.tool(name=name, mass=2.0 + n) for n in (1, 2)]
+    arms = (dataclasses.replace(problem.cell.arms[0], tool=tools[0]), problem.cell.arms[1])
+    changes = {**problem.changes, 1: dataclasses.replace(problem.changes[1], tools={"left": tools[1]})}
+    cell = dataclasses.replace(problem.cell, arms=arms)
+    files = programs(plan, dataclasses.replace(problem, cell=cell, changes=changes))
+    assert {row[7] for row in moves(files, "T_ROB1")} == {called, second}
+    assert all(len(word) <= 32 for text in files.values() for word in re.findall(r"\bt_\w+", text))
+
+
 def test_a_tool_that_stays_has_one_name(two):
     text = "\n".join(modules(two[2], "T_ROB2").values())
     assert len(re.findall("PERS tooldata", text)) == 1

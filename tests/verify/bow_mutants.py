@@ -366,7 +366,7 @@ def load_not_known(rng, texts):
         rows.pop(next(i for i, row in enumerate(rows) if "GripLoad load_block" in row))
         return put(texts, 2, "Main", rows)
     i = next(i for i, row in enumerate(rows) if "GripLoad load0" in row)
-    rows[i] = "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_gripper_pl;"
+    rows[i] = "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_gripper_plate;"
     texts = put(texts, 2, "Main", rows)
     rows = rows_of(texts, 1, "Main")  # let it move alone
     at = next(i for i, row in enumerate(rows) if "MoveAbsJ j_2_entry_1" in row)

@@ -130,7 +130,7 @@ MUTANTS = {
         rng,
     ),
     "data changed in it": lambda rng, t: swap(
-        t, FILE, r"(    check_pose \"Frame)", r"    t_wire_holde.tframe.trans.z:=0;\n\1", rng
+        t, FILE, r"(    check_pose \"Frame)", r"    t_wire_holder_across_start.tframe.trans.z:=0;\n\1", rng
     ),
     "a second handler": lambda rng, t: swap(
         t,

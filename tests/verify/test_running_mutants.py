@@ -105,7 +105,7 @@ def starts(programs):
             "power before the first meeting": (meeting, "    SetDO doWirePower,1;"),
             "move before the first meeting": (
                 meeting,
-                "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_wire_holde;",
+                "    MoveAbsJ j_home\\NoEOffs,v_entry,fine,t_wire_holder_across_start;",
             ),
             "stands behind the first meeting": (behind, "    WaitDI diPartnerRunning,0\\MaxTime:=30;"),
         }

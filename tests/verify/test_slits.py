@@ -98,8 +98,8 @@ def slanted(tries: Any) -> int:
 def test_a_slit_that_is_longer_than_it_has_to_be_is_not(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, pick: Callable[[Any], int]
 ) -> None:
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, up: Any) -> straight_leads.Start:
-        found = straight_leads.choose(ruled, contours, cut, box, up)
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_leads.Start:
+        found = straight_leads.choose(ruled, contours, cut, box, *sides)
         if not ruled.hole:
             return found
         tries = straight_leads._tries(ruled, contours, cut, box)
@@ -150,8 +150,8 @@ def beside_another(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     hole = np.column_stack([-0.04 + 0.01 * np.cos(angle), 0.055 + 0.01 * np.sin(angle)])
     window = [(0.0, 0.0553), (0.02, 0.0553), (0.02, 0.07), (0.0, 0.07)]
 
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, up: Any) -> straight_leads.Start:
-        found = straight_leads.choose(ruled, contours, cut, box, up)
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_leads.Start:
+        found = straight_leads.choose(ruled, contours, cut, box, *sides)
         if ruled.name != "hole":
             return found
         tries = straight_leads._tries(ruled, contours, cut, box)

@@ -25,6 +25,9 @@ _NEAR: Final = 1.3
 _TURNS: Final = 12
 _LEAN: Final = 0.1
 """Weight, of the part's size, of the angle between normals against distance."""
+_OTHER: Final = 10.0
+"""Distance, in the part's size, to another surface: the back of a panel that is alike on both sides is no
+place for its front."""
 _SLIDE: Final = 0.03
 """Weight of distances along the surface, which keep steps from sliding."""
 _TRIED: Final = 240
@@ -41,21 +44,28 @@ _AROUND: Final = 400
 """Turns all over, the nearest of which is some 15 degrees off."""
 
 
-Cloud = tuple[FloatArray, FloatArray, FloatArray]
-"""Points and normals (N, 3) with weights (N,)."""
+Cloud = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Points and normals (N, 3) with weights and the numbers of their surfaces (N,)."""
 
 
 class _Target:
     """Places of a surface with normals, and what is nearest to others of both."""
 
     def __init__(self, parts: list[Samples], size: float) -> None:
-        self.points, self.normals, self.weight = _together(parts)
-        self.size, self._lean = size, _LEAN * size
-        self._tree = cKDTree(np.concatenate([self.points, self._lean * self.normals], axis=1))
+        self.points, self.normals, self.weight, number = _together(parts)
+        self.size = size
+        self._tree = cKDTree(self._told(self.points, self.normals, number))
 
-    def near(self, points: FloatArray, normals: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The nearest places (N,) to points with normals (N, 3), and how far they are, bounded [m]."""
-        apart, at = self._tree.query(np.concatenate([points, self._lean * normals], axis=1))
+    def _told(self, points: FloatArray, normals: FloatArray, number: FloatArray) -> FloatArray:
+        apart = _OTHER * self.size * number[:, None]
+        return np.concatenate([points, _LEAN * self.size * normals, apart], axis=1)
+
+    def near(
+        self, points: FloatArray, normals: FloatArray, number: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The nearest places (N,) of the same surface to points with normals (N, 3), and how far they are,
+        bounded [m]."""
+        apart, at = self._tree.query(self._told(points, normals, number))
         return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
 
 
@@ -66,20 +76,20 @@ def found(
     middle: FloatArray,
     all_around: bool = False,
 ) -> FloatArray:
-    """The pose (4, 4) at which ``source`` is nearest to ``target``, each surface counting by its area, with
-    the box around ``bound`` (K, 3) about ``middle`` (3,).
+    """The pose (4, 4) at which ``source`` is nearest to ``target``, which has the same surfaces in the same
+    order, each counting by its area, with the box around ``bound`` (K, 3) about ``middle`` (3,).
 
     ``all_around``: begin from turns all over, for where the axes of inertia lead to another pose, or are not
     those of what is made, of which ``source`` may have the guides only."""
-    points, normals, weight = _together(source)
+    cloud = points, normals, weight, number = _together(source)
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target(target, size)
     some = np.unique(np.linspace(0, len(points) - 1, _TRIED).astype(np.int64))
     seeds = _all_around(bound, middle) if all_around else _seeds((points, weight), (goal.points, goal.weight))
-    best = _best(seeds, (points, normals, weight), goal, some)
+    best = _best(seeds, cloud, goal, some)
     for _ in range(_MOST):
         own, up = _at(best, points), normals @ best[:3, :3].T
-        at, _ = goal.near(own, up)
+        at, _ = goal.near(own, up, number)
         # the place is given, so that only the turn about it is looked for
         after = _turned(own, goal.points[at], goal.normals[at], weight, middle) @ best
         seen = _at(after, bound)
@@ -87,14 +97,15 @@ def found(
         change, best = float(np.abs(after - best).max()), after
         if change < 1e-9:
             break
-    return _straight(best, (points, normals, weight), goal, bound, middle)
+    return _straight(best, cloud, goal, bound, middle)
 
 
 def _straight(
     pose: FloatArray, cloud: Cloud, goal: _Target, bound: FloatArray, middle: FloatArray
 ) -> FloatArray:
     """The pose turned about the mean normal so that least lies beyond the borders: on planes alone, a nearly
-    flat surface turns freely in its own."""
+    flat surface turns freely in its own. Distances to planes count far more, as before: places are apart from
+    one another along the surface wherever it lies."""
     axis = cloud[2] @ (cloud[1] @ pose[:3, :3].T)
     size = float(np.linalg.norm(axis))
     if size < _FLAT:
@@ -103,8 +114,10 @@ def _straight(
 
     def apart(one: FloatArray) -> float:
         own = _at(one, cloud[0])
-        at, _ = goal.near(own, cloud[1] @ one[:3, :3].T)
-        return float(cloud[2] @ np.sum((own - goal.points[at]) ** 2, axis=1))
+        at, _ = goal.near(own, cloud[1] @ one[:3, :3].T, cloud[3])
+        off = own - goal.points[at]
+        across = np.einsum("ij,ij->i", off, goal.normals[at])
+        return float(cloud[2] @ (across**2 + _SLIDE**2 * np.sum(off**2, axis=1)))
 
     while spread > _FINE:
         tried = []
@@ -122,7 +135,7 @@ def _straight(
 
 def found_piece(piece: Samples, whole: Samples) -> FloatArray:
     """The pose (4, 4) at which a part of ``whole`` is nearest to ``piece``."""
-    points, normals, weight = _together([piece])
+    cloud = points, normals, weight, _ = _together([piece])
     size = float(np.sqrt(weight @ np.sum((points - weight @ points) ** 2, axis=1)))
     goal = _Target([whole], size)
     some = np.unique(np.linspace(0, len(points) - 1, _TRIED // 3).astype(np.int64))
@@ -135,9 +148,9 @@ def found_piece(piece: Samples, whole: Samples) -> FloatArray:
         pose[:3, :3] = _upright(whole.normals[spot]) @ around @ here.T
         pose[:3, 3] = whole.points[spot] - pose[:3, :3] @ points.mean(axis=0)
         out.append(pose)
-    best = _best(out, (points, normals, weight), goal, some, 3)
+    best = _best(out, cloud, goal, some, 3)
     for _ in range(_MOST):
-        best = _step(best, (points, normals, weight), goal, np.arange(len(points)))
+        best = _step(best, cloud, goal, np.arange(len(points)))
     return np.asarray(np.linalg.inv(best), dtype=np.float64)
 
 
@@ -150,14 +163,14 @@ def _best(
         pose = seed
         for _ in range(steps):
             pose = _step(pose, cloud, goal, some)
-        _, apart = goal.near(_at(pose, cloud[0][some]), cloud[1][some] @ pose[:3, :3].T)
+        _, apart = goal.near(_at(pose, cloud[0][some]), cloud[1][some] @ pose[:3, :3].T, cloud[3][some])
         tried.append((float(cloud[2][some] @ apart**2), pose))
     return min(tried, key=lambda one: one[0])[1]
 
 
 def _step(pose: FloatArray, cloud: Cloud, goal: _Target, rows: IntArray) -> FloatArray:
     own = _at(pose, cloud[0][rows])
-    at, _ = goal.near(own, cloud[1][rows] @ pose[:3, :3].T)
+    at, _ = goal.near(own, cloud[1][rows] @ pose[:3, :3].T, cloud[3][rows])
     return np.asarray(_moved(own, goal.points[at], goal.normals[at], cloud[2][rows]) @ pose)
 
 
@@ -173,11 +186,12 @@ def _upright(normal: FloatArray) -> FloatArray:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _together(parts: list[Samples]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _together(parts: list[Samples]) -> Cloud:
     points = np.concatenate([part.points for part in parts])
     normals = np.concatenate([part.normals for part in parts])
     weight = np.concatenate([np.full(len(part.points), part.area / len(part.points)) for part in parts])
-    return points, normals, weight / weight.sum()
+    number = np.repeat(np.arange(len(parts), dtype=np.float64), [len(part.points) for part in parts])
+    return points, normals, weight / weight.sum(), number
 
 
 def _seeds(source: tuple[FloatArray, FloatArray], target: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
