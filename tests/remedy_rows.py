@@ -206,10 +206,12 @@ def drawing(*open_by: float, closed: bool = True) -> str:
     return out.getvalue()
 
 
-def ply(height: Callable[[Any, Any], Any], cells: int, holes: tuple[int, ...] = ()) -> bytes:
-    """A mesh file of z = height(x, y) over 200 x 150 mm, some of its faces left out."""
+def ply(
+    height: Callable[[Any, Any], Any], cells: int, holes: tuple[int, ...] = (), turned: bool = False
+) -> bytes:
+    """A mesh file of z = height(x, y) over 200 x 150 mm, some of its faces left out, or all turned round."""
     made = grid_mesh(height, cells)
-    faces = np.delete(made.faces, list(holes), axis=0)
+    faces = np.delete(made.faces, list(holes), axis=0)[:, :: -1 if turned else 1]
     return bytes(trimesh.Trimesh(1e3 * made.vertices, faces, process=False).export(file_type="ply"))
 
 

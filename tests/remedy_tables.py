@@ -35,7 +35,7 @@ NONE: Final = {
     **dict.fromkeys(("report.exhibit", "plan.not_saveable"), OURS),
     **dict.fromkeys(("part.extra_missing", "sign.extra", "batch.install", "service.install"), INSTALL),
     **dict.fromkeys(("catalogue.missing_data", "plan.missing_file", "plan.damaged", "plan.schema"), DAMAGED),
-    **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good"), FACT),
+    **dict.fromkeys(("part.ruled_deviation", "part.strips_found", "sign.good", "gcode.skipped"), FACT),
     **dict.fromkeys(("wire.chosen", "straight.slit"), FACT),
     **dict.fromkeys(
         (
@@ -66,16 +66,12 @@ _TO_DO: Final = """
     post.tool post.frame post.no_split post.handshake_process post.handshake_drift post.load
     verify.files verify.problem_differs verify.duration verify.unread verify.no_programs
     sign.key
-    milling.tool milling.no_surface milling.guides milling.guide_lengths milling.holder milling.gouge
-    milling.front milling.pattern milling.off_surface
     forming.wall_angle forming.support_radius forming.gap
     forming.shift forming.support_tool forming.die_gouge forming.die_far forming.holder
     forming.holder_step forming.clamp forming.clear forming.trial forming.force_input
     forming.adsif_table forming.adsif_conditions forming.adsif_unstable forming.adsif_compliance
     forming.path_options forming.no_contour forming.open_contour forming.unreached forming.hole
     forming.touching forming.step
-    gcode.syntax gcode.word gcode.mode gcode.spindle gcode.rotary gcode.axis gcode.arc gcode.position
-    gcode.tool gcode.offset gcode.empty gcode.after_end gcode.skipped
     motion.joint_limit motion.singular motion.no_path motion.collision motion.linear_move motion.home
     motion.entry motion.timing motion.feed_min motion.stops motion.short_moves motion.no_placement
     motion.path_kept

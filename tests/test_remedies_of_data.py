@@ -15,11 +15,14 @@ import pytest
 from planner.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
+from tests import remedy_rows_milling
 from tests import remedy_tables as tables
 from tests.refusals import change
-from tests.remedy_rows import GONE, ROWS, Row
+from tests.remedy_rows import GONE, Row
 from tests.test_infeasible import EXPECT
 from tests.test_remedies import REMEDIES, Said, Word
+
+ROWS = [*rows.ROWS, *remedy_rows_milling.ROWS]
 
 
 def taken_out(data: Any, field: str) -> Any:
@@ -62,7 +65,7 @@ def follow(row: Row, data: Any, issues: Sequence[Issue], folder: Path) -> Any:
         if not field:
             data = value
         elif field.startswith("@"):
-            put(folder, field[1:], value)
+            put(folder, field[1:], figures(value, issues, None))
         elif value is GONE:
             data = taken_out(data, field)
         else:
