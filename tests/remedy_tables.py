@@ -12,7 +12,14 @@ ELSEWHERE: Final = {
         "test_sheet_file",
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",
     ),
-}
+    **dict.fromkeys(
+        (
+            "service.request", "service.not_found", "service.unknown_job", "service.unknown_file",
+            "service.not_uploaded", "service.file_name", "service.archive", "service.too_large",
+        ),
+        ("service/test_request_remedies", "test_what_an_answer_advises_makes_a_good_one"),
+    ),
+}  # fmt: skip
 """File and name of tests that follow the remedy of a code."""
 
 UNDO: Final = (
@@ -75,8 +82,6 @@ _TO_DO: Final = """
     motion.joint_limit motion.singular motion.no_path motion.collision motion.linear_move motion.home
     motion.entry motion.timing motion.feed_min motion.stops motion.short_moves motion.no_placement
     motion.path_kept
-    service.request service.not_found service.unknown_job service.unknown_file service.not_uploaded
-    service.file_name service.archive service.too_large
 """
 TO_DO: Final = frozenset(_TO_DO.split())
 """Codes whose remedy nothing follows yet. It only shrinks: a code with a row must not stand here."""
