@@ -20,7 +20,6 @@ from planner.hotwire import kerf, kerf_csv, kerf_fit, wire
 from planner.issues import Issue, TandemError
 from planner.materials import foam
 from planner.post import write as post
-from planner.problem import Controller
 from tests import small_forming, small_problem, test_gripping
 from tests.geometry.part_specs import SQUARE, WING, circle, guides, outline
 from tests.geometry.test_surfaces import grid_mesh
@@ -36,7 +35,8 @@ How = Callable[[Path, Any], list[Issue]]
 @dataclasses.dataclass(frozen=True)
 class Row:
     """One fault: ``how`` finds the issues of ``data`` in a folder with ``files``; ``says`` stands in the
-    issue of that ``code``, and ``remedy`` does so: fields of the data, or files by ``@name``."""
+    issue of that ``code``, and ``remedy`` does so: fields of the data, or files by ``@name``. ``long``: it
+    takes seconds."""
 
     code: str
     how: How
@@ -44,6 +44,7 @@ class Row:
     says: str
     remedy: Mapping[str, Any]
     files: Mapping[str, str | bytes] = dataclasses.field(default_factory=dict)
+    long: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -335,39 +336,6 @@ CUTS: Final = [
 
 BOTH: Final = {**CUT, "arms": ["left", "right"], "kerf_mm": 1.5}
 
-# ---- controllers ----------------------------------------
-
-ARM_COLUMNS: Final = [
-    f"{arm}.{one}" for arm in ("left", "right") for one in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-]
-PAIRS: Final = "\n".join(
-    [",".join([*ARM_COLUMNS, "feed_mm_s"]), *(f"450,{y},500,1,0,0,0,450,{y},500,1,0,0,0,20" for y in (0, 20))]
-)
-NUMBERS: Final = {
-    arm: {
-        getattr(own, name): 2 * k + side
-        for k, name in enumerate(("output", "input", "running", "partner_running", "move_enable"), 1)
-    }
-    for side, arm in enumerate(("left", "right"))
-    for own in [Controller().handshake.of(arm)]
-}
-TOGETHER: Final = change(change(HELD, "operations.0.arms", ["left", "right"]), "stock.held_by", None)
-KUKA: Final = change(change(TOGETHER, "cell.arms.0.robot", "kr60_ha"), "cell.arms.1.robot", "kr60_ha")
-STANDING: Final = change(STRAIGHT, "cell.arms.0.robot", "kr60_ha")
-
-POSTS: Final = [
-    Row("post.controller", lay, change(KUKA, "cell.controller", {"io": NUMBERS}),
-        "set controller: {sync: handshake}",
-        {"cell.controller.sync": Word("set controller: \\{sync: (\\w+)")}, {"targets.csv": PAIRS}),
-    Row("post.signal", lay, change(STANDING, "operations.0.signal", "doHeat"), "state the numbers",
-        {"cell.controller": Yaml("controller: (\\{.*\\}\\})")}),
-    Row("post.option", load, change({**HELD, "operations": [BOTH]}, "cell.controller", {"options": []}), "",
-        {"cell.controller.options": [Word("(604-1 MultiMove Coordinated)")]}),
-    Row("post.tasks", load, change(STRAIGHT, "cell.controller", {"tasks": ["T_ROB1"]}), "",
-        {"cell.controller.tasks": ["T_ROB1", "T_ROB2"]}),
-]  # fmt: skip
-
-
 # ---- sheets ----------------------------------------
 
 
@@ -582,4 +550,4 @@ OTHERS: Final = [
         {"t.csv": "settings.seed,settings.clearance_mm\n1\n"}),
 ]  # fmt: skip
 
-ROWS: Final = [*PROBLEMS, *PARTS, *CUTS, *POSTS, *SHEETS, *WIRES, *OTHERS]
+ROWS: Final = [*PROBLEMS, *PARTS, *CUTS, *SHEETS, *WIRES, *OTHERS]

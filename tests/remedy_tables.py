@@ -69,8 +69,6 @@ _TO_DO: Final = """
     part.edges
     wire.held wire.unstable wire.touches wire.between_targets
     straight.uneven
-    post.turn_near_zero post.krl_turn post.path post.spline post.spline_left post.krl_size post.action
-    post.tool post.frame post.no_split post.handshake_process post.handshake_drift post.load
     verify.files verify.problem_differs verify.duration verify.unread verify.no_programs
     sign.key
     forming.wall_angle forming.support_radius forming.gap

@@ -15,14 +15,14 @@ import pytest
 from planner.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
-from tests import remedy_rows_milling
+from tests import remedy_rows_controllers, remedy_rows_milling
 from tests import remedy_tables as tables
 from tests.refusals import change
 from tests.remedy_rows import GONE, Row
 from tests.test_infeasible import EXPECT
 from tests.test_remedies import REMEDIES, Said, Word
 
-ROWS = [*rows.ROWS, *remedy_rows_milling.ROWS]
+ROWS = [*rows.ROWS, *remedy_rows_milling.ROWS, *remedy_rows_controllers.ROWS]
 
 
 def taken_out(data: Any, field: str) -> Any:
@@ -90,7 +90,10 @@ def tried(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
     return before, row.how(folder, follow(row, row.data, own, folder))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.code)
+EACH = [pytest.param(row, marks=[pytest.mark.long] * row.long, id=row.code) for row in ROWS]
+
+
+@pytest.mark.parametrize("row", EACH)
 def test_what_an_issue_advises_ends_it_and_leaves_no_other_fault(row: Row, tmp_path: Path) -> None:
     """What was an error may stay as a note: foam that is left, where more is allowed to be."""
     before, after = tried(row, tmp_path)
