@@ -11,7 +11,8 @@ import numpy as np
 
 from tests.milling.small_mill import BALL, MILL, PANEL, WALL
 from tests.refusals import change
-from tests.remedy_rows import Row, Yaml, lay, ply
+from tests.remedy_rows import Row, Yaml, lay
+from tests.remedy_rows_parts import ply
 from tests.test_remedies import Said, Word, Words
 
 CUT: Final = "operations.0.cuts.0."

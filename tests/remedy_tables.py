@@ -33,7 +33,7 @@ FACT: Final = "a note of what was found or chosen; nothing is wrong"
 DAMAGED: Final = "what is damaged or another version's is not mended, but planned or installed again"
 
 FOLLOWED: Final = frozenset(
-    {"verify.no_programs", "verify.files", "verify.problem_differs", "verify.duration", "verify.unread"}
+    {"verify.no_programs", "verify.files", "verify.problem_differs", "verify.duration"}
 )
 """Codes of proofs that a user can do something about but undo a change."""
 NONE: Final = {
@@ -59,18 +59,16 @@ NONE: Final = {
     "sign.missing": "who made the result signs it; the reader cannot",
     "wire.no_equilibrium": "of the solver, for callers of the library; jobs are told wire.shape and its kin",
     "wire.no_stable_shape": "of the solver, for callers of the library; jobs are told wire.unstable",
+    "verify.unread": "tells by line what of somebody else's programs is not read or proven; as nobody knows "
+    "where an arm starts, its first move is always among it",
     "post.plan": "a saved plan that no program can carry out was changed: it is planned again",
 }  # fmt: skip
 """Why no remedy of a code can be tried here."""
 
 _TO_DO: Final = """
-    output.folder
     kerf.unsettled kerf.doubt
-    part.edges
     wire.held wire.unstable wire.touches wire.between_targets
     straight.uneven
-    verify.files verify.problem_differs verify.duration verify.unread verify.no_programs
-    sign.key
     forming.wall_angle forming.support_radius forming.gap
     forming.shift forming.support_tool forming.die_gouge forming.die_far forming.holder
     forming.holder_step forming.clamp forming.clear forming.trial forming.force_input
