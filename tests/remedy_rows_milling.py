@@ -142,6 +142,10 @@ MILLED: Final = [
         "part.ruled.0.end.polyline_mm.1.0": Said("shorten the guide end to # mm", down=True, times=0.5)}),
     mill("milling.gouge", hole(), "give a lead_mm",
         {f"{CUT}lead_mm": Said("a lead_mm that ends before (#:")}),
+    # a tool that leans so far that its holder meets the panel
+    mill("milling.gouge", with_cut(PANEL, {**ENGRAVE, "lead_deg": 59}, {**BALL, "overhang_mm": 13,
+        "holder": [{"length_mm": 60, "diameter_mm": 60}]}), "as was tried",
+        {f"{TOOL}overhang_mm": Said("an overhang of # mm or more")}),
     mill("milling.no_surface", change(FLANK, f"{CUT}flank", "door"), "name one of them",
         {f"{CUT}flank": Word("it has (\\w+)")}),
     mill("milling.tool", change(FLANK, "cell.arms.0.tool", {"kind": "bow"}), "a tool of kind mill",
