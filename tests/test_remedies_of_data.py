@@ -145,6 +145,11 @@ TWO = {
         "arms": ["right"]}, {**SECOND, "name": "third", "cuts": [{"trim": ["left"]}]}]}),
     "heat and surface": ("kerf.too_hot", "part.missing_surface", rows.lay, {**rows.heat(60, 2.5),
         "operations": [rows.heat(60, 2.5)["operations"][0], {**SECOND, "cuts": [{"surface": "wing"}]}]}),
+    "flute and holder": ("milling.flute", "milling.holder", rows.lay, remedy_rows_milling.with_cut(
+        remedy_rows_milling.WALL, {"flank": "wall"}, {"flute_mm": 21.1, "overhang_mm": 33.3})),
+    "surface and margin": ("milling.no_surface", "milling.pattern", rows.lay, change(
+        remedy_rows_milling.with_cut(remedy_rows_milling.PANEL, {}, remedy_rows_milling.BALL),
+        "operations.0.cuts", [{"flank": "door"}, {**remedy_rows_milling.LINES, "margin_mm": 300}])),
     "support and side": ("stock.support", "bow.missing", rows.lay, change(change(STRAIGHT, "stock.support",
         [{"kind": "box", "size_mm": [50, 50, 50], "pose": {"xyz_mm": [0, 0, -25]}}]), "operations.0.arms",
         ["right"])),
