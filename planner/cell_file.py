@@ -197,7 +197,7 @@ class MillFile(Strict):
         float, Field(ge=-135, le=135, description="of the spindle against the flange's axis")
     ] = 0.0
     mass_kg: Annotated[
-        float | None, Field(gt=0, le=1000, description="of the whole tool; none: by its volume")
+        float | None, Field(ge=0.001, le=1000, description="of the whole tool; none: by its volume")
     ] = None
 
 
@@ -206,7 +206,7 @@ class PlainToolFile(Strict):
 
     kind: Literal["plain"]
     tcp: PoseFile
-    mass_kg: Annotated[float, Field(gt=0, le=1000)]
+    mass_kg: Annotated[float, Field(ge=0.001, le=1000)]
     cog_mm: Vector = (0.0, 0.0, 50.0)
     shapes: tuple[ShapeFile, ...] = ()
 

@@ -186,7 +186,8 @@ def _compared(pipeline: ModuleType, folder: Path, own: Problem, file: Path | Non
         stored = pipeline.load_result(folder)
     except TandemError as error:
         what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
-        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder)),)
+        hint = "the proof is against your file; plan it into a folder of its own to have its copy there"
+        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
     out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
     out.print(f"problem in {file}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
     if stored.digest == own.digest:
@@ -195,7 +196,7 @@ def _compared(pipeline: ModuleType, folder: Path, own: Problem, file: Path | Non
     found = differences(stored.source, own.source)
     _differences(found, folder, file)
     what = f"the problem in {folder} is not that of {file}: they differ in {len(found)} fields"
-    hint = "the proof is against your file; plan it yourself, or ask why the folder has another one"
+    hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another one"
     return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
 
 

@@ -78,7 +78,8 @@ def private_key(path: Path) -> PrivateKey:
             key = load_ssh_private_key(data, None)
         except TypeError:  # it has a passphrase
             if not sys.stdin.isatty():
-                raise ValueError("it has a passphrase, and there is no terminal to ask for it") from None
+                why = "it has a passphrase, and there is no terminal to ask for it: sign at one"
+                raise ValueError(why) from None
             key = load_ssh_private_key(data, getpass.getpass(f"Passphrase of {path}: ").encode())
     except (ValueError, UnsupportedAlgorithm) as error:
         raise _bad_key(path, f"cannot be used: {error}") from error
@@ -90,7 +91,7 @@ def private_key(path: Path) -> PrivateKey:
 def public_keys(path: Path) -> tuple[PublicKey, ...]:
     """The Ed25519 keys of a public key's file, or of a file of allowed signers. Raises ``TandemError`` with
     ``sign.key``: also for conditions on keys, other than a namespace, which are not looked at here."""
-    out = []
+    out, elsewhere = [], ""
     for number, line in enumerate(_read(path).decode("utf-8", "replace").splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#") or KIND not in words:
@@ -102,6 +103,7 @@ def public_keys(path: Path) -> tuple[PublicKey, ...]:
             what = f"line {number}: '{options[0]}' is not looked at here; check with ssh-keygen -Y verify"
             raise _bad_key(path, what)
         if spaces and NAMESPACE not in spaces[0].split("=", 1)[1].strip('"').split(","):
+            elsewhere = f"; line {number} is for {spaces[0]}: add {NAMESPACE} to these where it may sign here"
             continue
         try:
             kind, raw, *rest = _strings(base64.b64decode(words[at + 1], validate=True))
@@ -111,7 +113,7 @@ def public_keys(path: Path) -> tuple[PublicKey, ...]:
             raise _bad_key(path, f"line {number} holds no Ed25519 key")
         out.append(PublicKey(raw, who))
     if not out:
-        raise _bad_key(path, f"holds no {KIND} key for the namespace {NAMESPACE}")
+        raise _bad_key(path, f"holds no {KIND} key for the namespace {NAMESPACE}{elsewhere}")
     return tuple(out)
 
 

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import ezdxf
-import numpy as np
 import trimesh
 import yaml
 
-from planner import align_commands, pipeline, processes
-from planner.batch.batch_file import read_batch
-from planner.geometry.airfoil import naca
+from planner import pipeline, processes
 from planner.hotwire import kerf, kerf_csv, kerf_fit, wire
 from planner.issues import Issue, TandemError
 from planner.materials import foam
 from planner.post import write as post
-from planner.problem import Controller
 from tests import small_forming, small_problem, test_gripping
-from tests.geometry.part_specs import SQUARE, WING, circle, guides, outline
-from tests.geometry.test_surfaces import grid_mesh
-from tests.refusals import HYPAR, POSES, change
+from tests.geometry.part_specs import SQUARE, WING, outline
+from tests.refusals import POSES, change
 from tests.test_remedies import Said, Word
 from tests.test_setups import CELL as BOW_AND_GRIPPER
 
@@ -36,7 +29,8 @@ How = Callable[[Path, Any], list[Issue]]
 @dataclasses.dataclass(frozen=True)
 class Row:
     """One fault: ``how`` finds the issues of ``data`` in a folder with ``files``; ``says`` stands in the
-    issue of that ``code``, and ``remedy`` does so: fields of the data, or files by ``@name``."""
+    issue of that ``code``, and ``remedy`` does so: fields of the data, or files by ``@name``. ``long``: it
+    takes seconds."""
 
     code: str
     how: How
@@ -44,6 +38,7 @@ class Row:
     says: str
     remedy: Mapping[str, Any]
     files: Mapping[str, str | bytes] = dataclasses.field(default_factory=dict)
+    long: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,123 +157,6 @@ PROBLEMS: Final = [
 ]  # fmt: skip
 
 
-# ---- parts ----------------------------------------
-
-SHEET: Final = "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 100 100 0\nf 1 2 3\nf 2 4 3\n"
-AIRFOIL: Final = [f"{x:.6f} {y:.6f}" for x, y in naca("2412")]
-
-
-def block(part: Any, size: list[float] | None = None) -> Any:
-    """A problem with a part in a block of that size [mm]."""
-    return {**change(POSES, "stock.size_mm", size or [300, 600, 100]), "part": part}
-
-
-def mesh(code: str, text: str, says: str) -> Row:
-    """A front whose file is exported again."""
-    part = {"front": {"mesh": {"file": "m.obj", "unit": "mm"}}}
-    return Row(code, load, block(part), says, {"@m.obj": SHEET}, {"m.obj": text})
-
-
-def airfoil(code: str, rows: list[str], says: str) -> Row:
-    """A section whose file is put right."""
-    part = {"wing": {**WING, "root": {"file": "a.dat", "chord_mm": 200}}}
-    lines = "\n".join(rows) + "\n"
-    return Row(code, load, block(part), says, {"@a.dat": "\n".join(["x", *AIRFOIL]) + "\n"}, {"a.dat": lines})
-
-
-def wave(rows: list[str]) -> list[str]:
-    """A section that crosses itself: its middle is turned upside down."""
-    pairs = [[float(v) for v in row.split()] for row in rows]
-    return [f"{x:.6f} {-y if 0.4 < x < 0.7 else y:.6f}" for x, y in pairs]
-
-
-def drawing(*open_by: float, closed: bool = True) -> str:
-    """A DXF file of a square on layer cut, a gap of that many mm left open, and a text."""
-    document = ezdxf.new("R2010")
-    space = document.modelspace()
-    gap = open_by[0] if open_by else 0.0
-    for a, b in (((0, 0), (80, 0)), ((80, 0), (80, 80)), ((80, 80), (0, 80)), ((0, 80), (0, gap))):
-        space.add_line(a, b, dxfattribs={"layer": "cut"})
-    if not closed:
-        space.add_text("a note", dxfattribs={"layer": "cut"})
-    out = io.StringIO()
-    document.write(out)
-    return out.getvalue()
-
-
-def ply(height: Callable[[Any, Any], Any], cells: int, holes: tuple[int, ...] = ()) -> bytes:
-    """A mesh file of z = height(x, y) over 200 x 150 mm, some of its faces left out."""
-    made = grid_mesh(height, cells)
-    faces = np.delete(made.faces, list(holes), axis=0)
-    return bytes(trimesh.Trimesh(1e3 * made.vertices, faces, process=False).export(file_type="ply"))
-
-
-DOME: Final = ply(lambda x, y: 3.0 * x * (0.2 - x) + 3.0 * y * (0.15 - y), 12)
-FLAT: Final = ply(lambda x, y: 0.0 * x, 12)
-HOLED: Final = ply(lambda x, y: 0.0 * x, 12, (70, 70 + 144))
-PLATE_DXF: Final = {"plate": {"dxf": {"file": "plate.dxf", "unit": "mm", "layer": "cut"}}}
-LARGE: Final = [500, 500, 300]
-PATCH: Final = {"file": "m.ply", "unit": "mm"}
-ROOF: Final = {
-    "name": "roof",
-    "start": {"bezier_mm": [[0, 0, 0], [100, 0, 40], [200, 0, 0]]},
-    "end": {"bezier_mm": [[200, 80, 0], [100, 80, 30], [0, 80, 0]]},
-}
-TIP_EDGE: Final = "the tip's trailing edge is to be 20 mm thick, the section is # mm"
-SQUARES: Final = "v 0 0 {z}\nv 100 0 {z}\nv 0 100 {z}\nv 100 100 {z}\nf 1 2 3\nf 3 2 4\n"
-TWO_FACES: Final = {name: {"mesh": {"file": f"{name}.obj", "unit": "mm"}} for name in ("front", "back")}
-
-PARTS: Final = [
-    mesh("mesh.unreadable", SHEET.replace("f 2 4 3", "f 2 4 9"), "export it again"),
-    mesh("mesh.empty", "v 0 0 0\nv 1 0 0\n", "export the surface"),
-    mesh("mesh.non_manifold",
-        "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 -100 0\nv 0 0 100\nf 1 2 3\nf 2 1 4\nf 1 2 5\n",
-        "delete the extra ones"),
-    mesh("mesh.orientation", SHEET.replace("f 2 4 3", "f 2 3 4"), "unify the normals"),
-    mesh("mesh.closed", "v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 100\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n",
-        "export that face alone"),
-    mesh("mesh.pieces", "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 100 0 0\nv 110 0 0\nv 100 10 0\nf 1 2 3\nf 4 5 6\n",
-        "join them or export one"),
-    Row("mesh.unit", load, block({"front": {"mesh": {"file": str(HYPAR), "unit": "mm", "scale": 1e-4}}}), "",
-        {"part.front.mesh.scale": 1.0}),
-    Row("part.faces", load, block(TWO_FACES), "turn over the front (flip: true",
-        {"part.front.mesh.flip": True}, {"front.obj": SQUARES.format(z=0),
-        "back.obj": SQUARES.format(z=20)}),
-    Row("part.naca", load, block({"wing": {**WING, "tip": {"naca": "0099", "chord_mm": 100}}}), "1 to 40 %",
-        {"part.wing.tip.naca": "0040"}),
-    Row("part.wing", load, block({"wing": {**WING, "trailing_edge_mm": 20}}), "half of that is allowed",
-        {"part.wing.trailing_edge_mm": Said(TIP_EDGE,
-        0.1, down=True, times=0.5)}),
-    airfoil("part.airfoil_format", ["x", *AIRFOIL[:5], "hello", *AIRFOIL[5:]], "remove or correct it"),
-    airfoil("part.airfoil_open", ["x", *AIRFOIL[: len(AIRFOIL) // 2]], "give both"),
-    airfoil("part.airfoil_order", ["x", *AIRFOIL[:10], *AIRFOIL[5:]], "sort the points"),
-    airfoil("part.airfoil_points", ["x", *AIRFOIL[:: len(AIRFOIL) // 10]],
-        "take another file of the same section"),
-    airfoil("part.airfoil_crossing", ["x", *wave(AIRFOIL)], "correct the points there"),
-    airfoil("part.airfoil_note", ["x", *AIRFOIL[:4], *AIRFOIL[3:]], "points that repeat the one before"),
-    Row("part.guide", load, block(guides(start={"polyline_mm": [[0, 0, 0], [0, 0, 0], [5, 0, 0]]})),
-        "at least 3 points", {"part.ruled.0.start": {"polyline_mm": [[*p, 0] for p in SQUARE]}}),
-    Row("part.guide_turned", load, block({"ruled": [ROOF]}), "turn its points around",
-        {"part.ruled.0.end.bezier_mm": ROOF["end"]["bezier_mm"][::-1]}),
-    Row("part.outline_overlap", load, block(outline(circle(100, 50, 10))), "move or join them",
-        {"part.plate.outlines.1.circle.centre_mm": [120, 50]}),
-    Row("part.outline_duplicate", load, block(outline({"polyline_mm": SQUARE[2:] + SQUARE[:2]})),
-        "leave one out", {"part.plate.outlines.1": GONE}),
-    Row("part.outline_open", load, block(PLATE_DXF), "close them", {"@plate.dxf": drawing()},
-        {"plate.dxf": drawing(30.0)}),
-    Row("part.dxf", load, block(change(PLATE_DXF, "plate.dxf.layer", "nothing")), "its layers are cut",
-        {"part.plate.dxf.layer": Word("its layers are (\\w+)")}, {"plate.dxf": drawing()}),
-    Row("part.dxf_left_out", load, block(PLATE_DXF), "left out TEXT", {"@plate.dxf": drawing()},
-        {"plate.dxf": drawing(closed=False)}),
-    Row("part.not_ruled", load, block({"mesh": PATCH}, LARGE), "cut it in ruled strips (part.strips)",
-        {"part": {"strips": {"mesh": PATCH, "tolerance_mm": 5}}}, {"m.ply": DOME}),
-    Row("part.patch", load, block({"mesh": PATCH}, LARGE), "close its holes", {"@m.ply": FLAT},
-        {"m.ply": HOLED}),
-    Row("part.strips", load, block({"strips": {"mesh": PATCH, "tolerance_mm": 2, "take": 99}}, LARGE), "",
-        {"part.strips.take": 1}, {"m.ply": DOME}),
-]  # fmt: skip
-
-
 # ---- straight wires ----------------------------------------
 
 CUT: Final = {"name": "cut", "process": "straight_wire", "arms": ["left"]}
@@ -332,39 +210,6 @@ CUTS: Final = [
 
 
 BOTH: Final = {**CUT, "arms": ["left", "right"], "kerf_mm": 1.5}
-
-# ---- controllers ----------------------------------------
-
-ARM_COLUMNS: Final = [
-    f"{arm}.{one}" for arm in ("left", "right") for one in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-]
-PAIRS: Final = "\n".join(
-    [",".join([*ARM_COLUMNS, "feed_mm_s"]), *(f"450,{y},500,1,0,0,0,450,{y},500,1,0,0,0,20" for y in (0, 20))]
-)
-NUMBERS: Final = {
-    arm: {
-        getattr(own, name): 2 * k + side
-        for k, name in enumerate(("output", "input", "running", "partner_running", "move_enable"), 1)
-    }
-    for side, arm in enumerate(("left", "right"))
-    for own in [Controller().handshake.of(arm)]
-}
-TOGETHER: Final = change(change(HELD, "operations.0.arms", ["left", "right"]), "stock.held_by", None)
-KUKA: Final = change(change(TOGETHER, "cell.arms.0.robot", "kr60_ha"), "cell.arms.1.robot", "kr60_ha")
-STANDING: Final = change(STRAIGHT, "cell.arms.0.robot", "kr60_ha")
-
-POSTS: Final = [
-    Row("post.controller", lay, change(KUKA, "cell.controller", {"io": NUMBERS}),
-        "set controller: {sync: handshake}",
-        {"cell.controller.sync": Word("set controller: \\{sync: (\\w+)")}, {"targets.csv": PAIRS}),
-    Row("post.signal", lay, change(STANDING, "operations.0.signal", "doHeat"), "state the numbers",
-        {"cell.controller": Yaml("controller: (\\{.*\\}\\})")}),
-    Row("post.option", load, change({**HELD, "operations": [BOTH]}, "cell.controller", {"options": []}), "",
-        {"cell.controller.options": [Word("(604-1 MultiMove Coordinated)")]}),
-    Row("post.tasks", load, change(STRAIGHT, "cell.controller", {"tasks": ["T_ROB1"]}), "",
-        {"cell.controller.tasks": ["T_ROB1", "T_ROB2"]}),
-]  # fmt: skip
-
 
 # ---- sheets ----------------------------------------
 
@@ -517,67 +362,4 @@ WIRES: Final = [
 ]  # fmt: skip
 
 
-# ---- probed points, batches ----------------------------------------
-
-WORLD: Final = np.array(
-    [[0, -300, 400], [0, 300, 400], [50, 250, 800], [-50, -280, 750], [30, 10, 500], [-40, 0, 900]]
-)
-LINE: Final = np.array([[0, -300, 400], [0, 0, 500], [0, 300, 600]])
-
-
-def probed(world: Any, **more: Any) -> Any:
-    """Rows of points [mm] as two robots that stand 850 mm on both sides probe them."""
-    first = world + np.array([850.0, 0.0, 0.0])
-    second = (world - np.array([850.0, 0.0, 0.0])) * [-1, -1, 1]
-    return {"rows": np.concatenate([first, second], axis=1).tolist(), **more}
-
-
-def align(folder: Path, data: Any) -> list[Issue]:
-    """``tandem align`` with those rows."""
-    head = ",".join(["name", *(f"{arm}.{axis}_mm" for arm in ("left", "right") for axis in "xyz")])
-    rows = [f"p{k + 1}," + ",".join(str(v) for v in row) for k, row in enumerate(data["rows"])]
-    (folder / "points.csv").write_text("\n".join([head, *rows]) + "\n")
-    cell = {**BOW_AND_GRIPPER, "arms": BOW_AND_GRIPPER["arms"][: data.get("arms", 2)]}
-    (folder / "cell.yaml").write_text(yaml.safe_dump(cell))
-    given = {"tolerance_mm": data.get("tolerance_mm", 0.5), "leave_out": tuple(data.get("leave_out", ()))}
-    request = align_commands.Align(folder / "cell.yaml", folder / "points.csv", folder / "new.yaml", **given)
-    return found(lambda: align_commands.run(request))
-
-
-def batch(folder: Path, data: Any) -> list[Issue]:
-    """The variants of a batch file."""
-    (folder / "base.yaml").write_text(small_problem.PROBLEM)
-
-    def work() -> list[Issue]:
-        read_batch(write(folder, data))
-        return []
-
-    return found(work)
-
-
-GOOD: Final = probed(WORLD)
-BATCH: Final = {"batch": 1, "problem": "base.yaml", "vary": {"settings.seed": [1, 2]}}
-OTHERS: Final = [
-    Row("align.file", align, change(GOOD, "rows.0.2", "4OO"), "correct it", {"rows": GOOD["rows"]}),
-    Row("align.cell", align, {**GOOD, "arms": 1}, "take a cell of two robots", {"arms": 2}),
-    Row("align.few_points", align, probed(WORLD[:2]), "probe four or more", {"rows": GOOD["rows"]}),
-    Row("align.same_points", align, probed(WORLD[[0, 0, 0]]), "probe points far apart",
-        {"rows": GOOD["rows"]}),
-    Row("align.collinear", align, probed(LINE), "probe one more point off the line by",
-        {"rows": probed(np.vstack([LINE, [200, 0, 500]]))["rows"]}),
-    Row("align.mirrored", align, {"rows": [[a, b, c, x, -y, z] for a, b, c, x, y, z in GOOD["rows"]]},
-        "an axis with the wrong sign", {"rows": GOOD["rows"]}),
-    Row("align.units", align, {"rows": [[a, b, c, x / 10, y / 10, z / 10] for a, b, c, x, y,
-        z in GOOD["rows"]]}, "were in 'cm', not mm", {"rows": GOOD["rows"]}),
-    Row("align.bad_point", align, change(GOOD, "rows.2.4", GOOD["rows"][2][4] + 3.0), "--leave-out p3",
-        {"leave_out": [Word("--leave-out (\\w+)")]}),
-    Row("align.large_residual", align, {"rows": (np.array(GOOD["rows"]) + np.random.default_rng(3).normal(0,
-        5.0, (6, 6))).tolist()}, "allow more: --tolerance-mm",
-        {"tolerance_mm": Said("points are up to # mm from their fit")}),
-    Row("batch.field", batch, {**BATCH, "sped": 3}, "remove it", {"sped": GONE}),
-    Row("batch.csv", batch, {"batch": 1, "problem": "base.yaml", "csv": "t.csv"}, "give one for each",
-        {"@t.csv": "settings.seed,settings.clearance_mm\n1,10\n"},
-        {"t.csv": "settings.seed,settings.clearance_mm\n1\n"}),
-]  # fmt: skip
-
-ROWS: Final = [*PROBLEMS, *PARTS, *CUTS, *POSTS, *SHEETS, *WIRES, *OTHERS]
+ROWS: Final = [*PROBLEMS, *CUTS, *SHEETS, *WIRES]

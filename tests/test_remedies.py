@@ -58,6 +58,16 @@ class Word:
         return said(issues, self.pattern)
 
 
+@dataclasses.dataclass(frozen=True)
+class Words(Word):
+    """A text with such a word in the place of its ``#``."""
+
+    text: str
+
+    def of(self, issues: Sequence[Issue], now: Any) -> str:
+        return self.text.replace("#", super().of(issues, now))
+
+
 PLATE = [[-90, -70], [90, -70], [90, 70], [-90, 70]]
 ARC = [[-70, 0], [-25, 21], [25, 21], [70, 0]]
 ARCH = [{"at": y / 200 + 0.5, "bezier_mm": [[x, y, z] for x, z in ARC]} for y in (-100.0, 100.0)]

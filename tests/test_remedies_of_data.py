@@ -15,11 +15,27 @@ import pytest
 from planner.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
+from tests import (
+    remedy_rows_controllers,
+    remedy_rows_milling,
+    remedy_rows_parts,
+    remedy_rows_results,
+)
 from tests import remedy_tables as tables
+from tests.geometry.part_specs import WING, circle, guides, outline
 from tests.refusals import change
-from tests.remedy_rows import GONE, ROWS, Row
+from tests.remedy_rows import GONE, Row
+from tests.remedy_rows_parts import block
 from tests.test_infeasible import EXPECT
 from tests.test_remedies import REMEDIES, Said, Word
+
+SUBJECTS = (
+    remedy_rows_parts,
+    remedy_rows_milling,
+    remedy_rows_controllers,
+    remedy_rows_results,
+)
+ROWS = [*rows.ROWS, *(row for subject in SUBJECTS for row in subject.ROWS)]
 
 
 def taken_out(data: Any, field: str) -> Any:
@@ -62,7 +78,7 @@ def follow(row: Row, data: Any, issues: Sequence[Issue], folder: Path) -> Any:
         if not field:
             data = value
         elif field.startswith("@"):
-            put(folder, field[1:], value)
+            put(folder, field[1:], figures(value, issues, None))
         elif value is GONE:
             data = taken_out(data, field)
         else:
@@ -87,7 +103,10 @@ def tried(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
     return before, row.how(folder, follow(row, row.data, own, folder))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.code)
+EACH = [pytest.param(row, marks=[pytest.mark.long] * row.long, id=row.code) for row in ROWS]
+
+
+@pytest.mark.parametrize("row", EACH)
 def test_what_an_issue_advises_ends_it_and_leaves_no_other_fault(row: Row, tmp_path: Path) -> None:
     """What was an error may stay as a note: foam that is left, where more is allowed to be."""
     before, after = tried(row, tmp_path)
@@ -103,29 +122,34 @@ STRAIGHT = rows.STRAIGHT
 SECOND = {**STRAIGHT["operations"][0], "name": "second"}
 TWO = {
     "robot and section": ("problem.unknown_robot", "part.naca", rows.load,
-        change(rows.block({"wing": {**rows.WING, "tip": {"naca": "0099", "chord_mm": 100}}}),
+        change(block({"wing": {**WING, "tip": {"naca": "0099", "chord_mm": 100}}}),
         "cell.arms.0.robot", "irb9")),
     "operation's key and outline": ("problem.field", "part.outline_overlap", rows.load,
-        change(rows.block(rows.outline(rows.circle(100, 50, 10))), "operations.0.sped", 3)),
+        change(block(outline(circle(100, 50, 10))), "operations.0.sped", 3)),
     "process and guide": ("problem.unknown_process", "part.guide", rows.load,
-        change(rows.block(rows.guides(start={"polyline_mm": [[0, 0, 0], [5, 0, 0], [5, 0, 0]]})),
+        change(block(guides(start={"polyline_mm": [[0, 0, 0], [5, 0, 0], [5, 0, 0]]})),
         "operations.0.process", "knit")),
     "names and section": ("problem.duplicate_name", "part.wing", rows.load,
-        {**rows.block({"wing": {**rows.WING, "trailing_edge_mm": 20}}),
+        {**block({"wing": {**WING, "trailing_edge_mm": 20}}),
         "operations": [rows.POSES["operations"][0], dict(rows.POSES["operations"][0])]}),
     "arm and foam": ("problem.unknown_arm", "kerf.unknown_foam", rows.load, change(change(STRAIGHT,
         "stock.foam", "granite"), "operations.0.arms", ["middle"])),
     "options and block": ("post.option", "part.stock_too_small", rows.load, {**rows.HELD,
         "operations": [rows.BOTH], "cell": {**rows.HELD["cell"], "controller": {"options": []}},
-        "part": rows.outline(rows.circle(50, 50, 300))}),
+        "part": outline(circle(50, 50, 300))}),
     "gripper and foam": ("problem.field", "kerf.unknown_foam", rows.load, change(change(rows.HELD,
         "stock.foam", "granite"), "stock.gripper", "claw")),
     "foam and outline": ("kerf.unknown_foam", "part.outline_overlap", rows.load, {**change(STRAIGHT,
-        "stock.foam", "granite"), "part": rows.outline(rows.circle(100, 50, 10))}),
+        "stock.foam", "granite"), "part": outline(circle(100, 50, 10))}),
     "bow and trim": ("bow.missing", "straight.trim", rows.lay, {**STRAIGHT, "operations": [{**SECOND,
         "arms": ["right"]}, {**SECOND, "name": "third", "cuts": [{"trim": ["left"]}]}]}),
     "heat and surface": ("kerf.too_hot", "part.missing_surface", rows.lay, {**rows.heat(60, 2.5),
         "operations": [rows.heat(60, 2.5)["operations"][0], {**SECOND, "cuts": [{"surface": "wing"}]}]}),
+    "flute and holder": ("milling.flute", "milling.holder", rows.lay, remedy_rows_milling.with_cut(
+        remedy_rows_milling.WALL, {"flank": "wall"}, {"flute_mm": 21.1, "overhang_mm": 33.3})),
+    "surface and margin": ("milling.no_surface", "milling.pattern", rows.lay, change(
+        remedy_rows_milling.with_cut(remedy_rows_milling.PANEL, {}, remedy_rows_milling.BALL),
+        "operations.0.cuts", [{"flank": "door"}, {**remedy_rows_milling.LINES, "margin_mm": 300}])),
     "support and side": ("stock.support", "bow.missing", rows.lay, change(change(STRAIGHT, "stock.support",
         [{"kind": "box", "size_mm": [50, 50, 50], "pose": {"xyz_mm": [0, 0, -25]}}]), "operations.0.arms",
         ["right"])),

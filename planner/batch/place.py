@@ -102,7 +102,12 @@ class Place:
 
     def _refusal(self, error: OSError) -> Issue:
         what = f"output folder {self.folder}: cannot be written ({error.strerror or error})"
-        return Issue("output.folder", what, file=str(self.folder), hint="see to the disk and run again")
+        return Issue(
+            "output.folder",
+            what,
+            file=str(self.folder),
+            hint="see to the disk, or choose another folder, and run again",
+        )
 
     def leave(self) -> None:
         """Remove the hidden folder; the place can be prepared anew."""

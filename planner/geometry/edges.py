@@ -50,7 +50,8 @@ def edges(front: TriangleMesh, back: TriangleMesh, same: bool) -> Ruled | Issue:
     rings = boundaries(front), boundaries(back)
     for name, mine in zip(("front", "back"), rings, strict=True):
         if len(mine) != 1:
-            return _without(f"the {name} face has {len(mine)} boundaries, 1 is wanted")
+            why = f"the {name} face has {len(mine)} boundaries, 1 is wanted"
+            return _without(why, "close its holes and leave other pieces out")
     # seen from the front clockwise, so that this direction x the rulings, to the back, points outwards
     first = rings[0][0][::-1]
     if same:
@@ -61,15 +62,14 @@ def edges(front: TriangleMesh, back: TriangleMesh, same: bool) -> Ruled | Issue:
     other = polyline(back.vertices[rings[1][0]], closed=True)
     counts = int(guide.corner.sum()), int(other.corner.sum())
     if counts[0] != counts[1]:
-        return _without(f"the front's boundary has {counts[0]} corners and the back's {counts[1]}")
+        why = f"the front's boundary has {counts[0]} corners and the back's {counts[1]}"
+        return _without(why, "give both as many corners")
     guide, other, _ = aligned(guide, other, "arc_length")
     return resample(join(NAME, guide, other), _CHORD, 1.0)
 
 
-def _without(why: str) -> Issue:
-    what = (
-        f"{why}, so the part has no ruled edges that a straight wire could cut; repair the faces if it should"
-    )
+def _without(why: str, do: str) -> Issue:
+    what = f"{why}, so the part has no ruled edges that a straight wire could cut; {do} if it should"
     return Issue("part.edges", what, Severity.NOTE, field="part.back")
 
 

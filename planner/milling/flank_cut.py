@@ -154,10 +154,13 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
     ]
     ratio = max(lengths) / max(min(lengths), 1e-9)
     if ratio > UNEQUAL:
+        long = int(lengths[1] > lengths[0])
+        names = ("start", "end") if cut.tip == "start" else ("end", "start")
         what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and "
         what += f"{lengths[1] / MM:.0f} mm long, so that "
         what += f"one end of the flank moves {ratio:.1f} times as fast as the other; the feed "
-        what += "holds for the faster"
+        what += f"holds for the faster. Where the slower burns or rubs, shorten the guide {names[long]} to "
+        what += f"{np.floor(UNEQUAL * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the surface"
         out.append(
             Issue("milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=UNEQUAL)
         )

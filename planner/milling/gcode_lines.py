@@ -151,11 +151,14 @@ def _numbers(modal: Modal, step: Step) -> dict[str, Any]:
         step.fault("gcode.feed", "F", f"got F{feed:g}, a feed is above 0; correct it")
     elif feed is not None:
         if modal.feed_mode is None:
-            message = "F without G93, G94 or G95 before; write one, or state the field feed_mode"
+            message = (
+                "F without G93, G94 or G95 before; write one, or state the field feed_mode: per_minute, "
+                "inverse_time or per_rev"
+            )
             step.fault("gcode.feed", "feed_mode", message)
             change["feed_mode"] = "per_minute"
         if modal.feed_mode != "inverse_time" and modal.unit is None:
-            message = "F in no stated unit; write G20 or G21 before, or state the field unit"
+            message = "F in no stated unit; write G20 or G21 before, or state the field unit: mm or in"
             step.fault("gcode.unit", "unit", message)
             change["unit"] = 1e-3
         unit = modal.unit or 1e-3
@@ -209,7 +212,9 @@ def _dwell(modal: Modal, step: Step) -> None:
     if wait is None or wait < 0.0:
         step.fault("gcode.mode", "G4", "G4 waits for a P of 0 or above; add it")
     elif unit is None:
-        message = "P of a G4 is seconds to some controllers, milliseconds to others; state the field dwell"
+        message = (
+            "P of a G4 is seconds to some controllers, milliseconds to others; state the field dwell: s or ms"
+        )
         step.fault("gcode.mode", "dwell", message)
     elif wanted(modal, step.dialect):
         step.out.event("dwell", step.line, wait * unit)

@@ -9,6 +9,7 @@ from typing import Final
 
 from planner.milling import gcode_arcs
 from planner.milling.gcode_faults import Faults
+from planner.milling.gcode_rotary import CONVENTIONS
 from planner.milling.gcode_rows import ARC_ROW, CUT_ROW, RAPID_ROW, Gathered
 from planner.milling.gcode_state import CLOCKWISE, LINEAR, RAPID, Dialect, Modal, Triple, wanted
 from planner.units import DEG
@@ -38,17 +39,21 @@ def move(modal: Modal, step: Step) -> Modal:
     """The state after the line's move, whose rows are added; faults leave the state as if there were none."""
     motion = modal.motion
     if motion is None:
-        message = "a place without G0, G1, G2 or G3 before; write one, or state the field motion"
+        message = (
+            "a place without G0, G1, G2 or G3 before; write one, or state the field motion: rapid or linear"
+        )
         step.fault("gcode.mode", "motion", message)
         motion = LINEAR
         modal = dataclasses.replace(modal, motion=LINEAR)
     values = step.values
     if (any(axis in values for axis in AXES) or "I" in values or "R" in values) and modal.unit is None:
-        message = "lengths in no stated unit; write G20 or G21 before, or state the field unit"
+        message = "lengths in no stated unit; write G20 or G21 before, or state the field unit: mm or in"
         step.fault("gcode.unit", "unit", message)
         modal = dataclasses.replace(modal, unit=1e-3)
     if modal.absolute is None:
-        message = "neither G90 nor G91 before; write one, or state the field distance"
+        message = (
+            "neither G90 nor G91 before; write one, or state the field distance: absolute or incremental"
+        )
         step.fault("gcode.mode", "distance", message)
         modal = dataclasses.replace(modal, absolute=True)
     place = _place(modal, step)
@@ -118,15 +123,15 @@ def _turn(modal: Modal, step: Step, motion: int) -> Triple:
 
 
 def _no_convention(word: str, dialect: Dialect) -> str:
+    letters = "" if dialect.convention is None else dialect.convention.letters
+    fit = " or ".join(name for name, own in CONVENTIONS.items() if {word, *letters} <= {*own.letters})
     if dialect.convention is None:
         return (
-            f"{word} turns a machine that is stated nowhere; state tool_axis: rotary and its convention, "
-            "which says what carries what"
+            f"{word} turns a machine that is stated nowhere; state tool_axis: rotary and its "
+            f"convention: {fit}, which says what carries what"
         )
-    return (
-        f"{word} is no axis of a machine {dialect.convention.name}, which has {dialect.convention.letters}; "
-        "state another convention"
-    )
+    do = f"state another convention: {fit}" if fit else "let the CAM system write I J K (tool_axis: ijk)"
+    return f"{word} is no axis of a machine {dialect.convention.name}, which has {letters}; {do}"
 
 
 def _may_cut(modal: Modal, step: Step) -> bool:
@@ -169,7 +174,9 @@ def _feed(modal: Modal, step: Step, length: float) -> float:
 def _arc(modal: Modal, after: Modal, step: Step, clockwise: bool) -> None:
     normal = modal.plane
     if normal is None:
-        message = "an arc in no stated plane; write G17, G18 or G19 before, or state the field plane"
+        message = (
+            "an arc in no stated plane; write G17, G18 or G19 before, or state the field plane: xy, zx or yz"
+        )
         step.fault("gcode.plane", "plane", message)
         normal = 2
     if any(math.isnan(value) for value in modal.place):

@@ -3,6 +3,8 @@ go into the part."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -38,6 +40,10 @@ LEVEL: Final = 0.5 * MM
 """Places whose levels along an axis differ by less are at one level."""
 ROUNDED: Final = 2e-5
 """What facets of the part and of the path may hide [m]."""
+
+BEHIND: Final = ("holder", "spindle")
+LONGER: Final = (5.0 * MM, 10.0 * MM, 20.0 * MM, 40.0 * MM, 80.0 * MM)
+"""By so much more overhang is tried where a holder or a spindle goes into the part."""
 
 
 def check(work: Work) -> list[Issue]:
@@ -98,8 +104,41 @@ def _gouges(
             if apart[k] >= -allowed or section.name in told:
                 continue
             told.add(section.name)
-            out.append(_gouge(work, one, run, face, section, points, owner, apart, k, int(where[k]), allowed))
+            found = _gouge(work, one, run, face, section, points, owner, apart, k, int(where[k]), allowed)
+            if section.name in BEHIND:
+                found = dataclasses.replace(found, hint=_longer(work, one, points, allowed))
+            out.append(found)
     return out
+
+
+def _longer(work: Work, one: Done, points: FloatArray, allowed: float) -> str:
+    """What keeps holder and spindle out of a face at places (P, 3) [m]: the overhang that was tried, if one
+    does."""
+    cutter = work.cutter
+    ways = [_way(run) for run in one.runs]
+    behind = [section for section in body.sections(cutter) if section.name in BEHIND]
+    for more in LONGER:
+        tool = [dataclasses.replace(own, start=own.start + more, end=own.end + more) for own in behind]
+        tool.append(body.Section("shank", cutter.flute, cutter.overhang + more, cutter.shank))
+        if _clear(points, ways, tool, allowed):
+            return (
+                f"take an overhang of {np.ceil((cutter.overhang + more) / MM):.0f} mm or more, as was tried"
+            )
+    return "lean the tool's axis away, or take a slimmer holder"
+
+
+def _clear(
+    points: FloatArray,
+    ways: Sequence[tuple[FloatArray, FloatArray]],
+    tool: Sequence[body.Section],
+    allowed: float,
+) -> bool:
+    """Whether no point is deeper in these sections of a tool than is allowed along all of its ways."""
+    return all(
+        float(body.off(points, *way, section, -allowed)[0].min()) >= -allowed
+        for way in ways
+        for section in tool
+    )
 
 
 def _way(run: Run) -> tuple[FloatArray, FloatArray]:
@@ -142,8 +181,10 @@ def _gouge(
     what += f"{at} mm (target {target}); "
     what += f"allowed: {allowed / MM:.2f} mm; "
     leads = flank and not run.first < where - 1 <= run.last
-    if section.name != "cutter":
-        what += "take a longer or slimmer tool, or lean its axis away"
+    if section.name == "shank":
+        what += "take a longer flute or a slimmer shank, or lean the tool's axis away"
+    elif section.name in BEHIND:
+        what = what.removesuffix("; ")
     elif leads:
         what += "that is on its way in or out: give a lead_mm that ends before (0: down and up at the wall)"
     else:

@@ -167,16 +167,30 @@ def _front(part: Part | None) -> Mesh:
     corners = part.front.vertices[part.front.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = cross[:, 2] / np.maximum(np.linalg.norm(cross, axis=1), 1e-30)
-    if float(up.min()) < UP:
+    worst = int(np.argmin(up))
+    if float(up[worst]) < UP:
+        lean = float(np.rad2deg(np.arccos(np.clip(up, -1.0, 1.0)))[worst])
+        most = float(np.rad2deg(np.arccos(UP)))
+        if float(up.max()) < -UP:
+            what = "all of the part's front looks down in the block and cannot be milled from above"
+            hint = "where only its faces are turned round, change flip (part.front.loft or part.front.mesh: "
+            hint += "flip: true unless it stands there), else turn the part over in the block (in_stock)"
+        else:
+            at = ", ".join(f"{v / MM:.1f}" for v in corners[worst].mean(axis=0))
+            what = (
+                f"the part's front leans {lean:.1f} degrees off the block's top at {at} mm, where it cannot "
+            )
+            what += f"be milled from above; allowed: {most:.1f}"
+            hint = "turn the part in the block (in_stock: rpy_deg), or leave that place out of the front"
         raise TandemError(
             Issue(
                 "milling.front",
-                "the part's front turns away from the block's top, where it cannot be milled "
-                "from above; turn "
-                "the part in the block (in_stock), or part the front",
+                what,
                 field="part.front",
-                value=float(up.min()),
-                limit=UP,
+                value=lean,
+                limit=most,
+                unit="deg",
+                hint=hint,
             )
         )
     return part.front

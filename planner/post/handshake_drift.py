@@ -111,7 +111,8 @@ def issues(job: Job) -> tuple[Issue, ...]:
             target=f"{drift.segment}, move {drift.row + 1}",
             value=drift.worst * 1e3,
             unit="mm",
-            hint="meet at more moves (every), shorten the moves, or use one MultiMove controller",
+            hint="meet at more moves (controller: {handshake: {every: 1}}), shorten the moves, or use one "
+            "MultiMove controller (sync: multimove)",
         )
         for drift in job.drifts
     )

@@ -15,7 +15,7 @@ from planner.post import handshake_drift, krl_moves, krl_panel, krl_spline, krl_
 from planner.post.krl_data import Data
 from planner.post.krl_format import comment, name
 from planner.post.krl_main import Main
-from planner.post.layout import Part, parts
+from planner.post.layout import Part, kilobytes, parts
 from planner.post.partner import Partner
 from planner.post.program import Job, TaskProgram
 from planner.problem import KrlDialect, Problem
@@ -47,7 +47,7 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     for path, text in out.items():
         if len(text.encode()) > limits.max_bytes:
             message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
-            hint = "allow larger files (max_kilobytes)"
+            hint = f"allow larger files: controller: {{max_kilobytes: {kilobytes(text)}}}"
             raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
     return out
 

@@ -25,7 +25,7 @@ def load_data(tool: Tool, held: Load | None) -> str:
     """
     if not tool.mass >= LEAST_MASS:
         message = f"tool {tool.name!r} has a mass of {tool.mass} kg; a load needs {LEAST_MASS} kg at least"
-        raise TandemError(Issue("post.tool", message, hint="state the tool's mass"))
+        raise TandemError(Issue("post.tool", message, hint=f"state the tool's mass_kg, {LEAST_MASS} or more"))
     mass, centre, axes, moments = tool.mass, np.asarray(tool.cog), np.eye(3), np.zeros(3)
     if held is not None:
         mass, centre, axes, moments = _together(tool, held)

@@ -46,7 +46,10 @@ def _turn_bits(task: TaskProgram) -> list[Issue]:
                 f"operation {operation.name}: at its first target p_{number}_start {listed} of arm "
                 f"{task.arm.name} is within 2 degrees of zero, where a controller may pass over the turn bit"
             )
-            hint = "watch the way from the station before at low speed, or turn the stock or home a little"
+            hint = (
+                "watch the way from the station before at low speed, or turn or move the stock until these "
+            )
+            hint += "axes are farther off zero at that target"
             out.append(
                 Issue("post.turn_near_zero", message, Severity.WARNING, arm=task.arm.name, index=0, hint=hint)
             )
@@ -78,7 +81,9 @@ def _turns(task: TaskProgram, plan: Plan, dialect: KrlDialect) -> list[Issue]:
                     value=float(np.rad2deg(off)),
                     limit=float(np.rad2deg(TURN_OFF)),
                     unit="deg",
-                    hint="look at these moves at low speed, or let the tool turn in smaller steps",
+                    hint="look at these moves at low speed, or put targets closer, so that the tool turns by "
+                    f"{np.floor(np.rad2deg(4.0 * np.sqrt(TURN_OFF)) * 10.0) / 10.0:.1f} degrees or less in a "
+                    "move",
                 )
             )
     return out
@@ -102,7 +107,8 @@ def _size(task: TaskProgram, files: Mapping[str, str]) -> list[Issue]:
         f"the programs of arm {task.arm.name} have {size / 1e6:.1f} MB; some controllers hold "
         f"{MEMORY / 1e6:g} MB"
     )
-    hint = "load the files one after the other, or split the job into several problems"
+    hint = "load the files one after the other, or split the job into "
+    hint += f"{int(np.ceil(size / MEMORY))} problems of like length"
     return [
         Issue(
             "post.krl_size",

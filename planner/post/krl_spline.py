@@ -44,6 +44,8 @@ FASTER: Final = 1.14
 """How much faster than on the ways near it the TCP may be between two points; feeds are lowered by more."""
 _ROOM: Final = 1.02
 """$VEL.CP is above the speed of the block's fastest move by this factor, that its times can be kept."""
+_CLOSER: Final = 1.1
+"""So much closer than the square root says targets are advised to be put."""
 _PARTS: Final = 100.0
 _PART_DECIMALS: Final = 8
 _TIME_DECIMALS: Final = 5
@@ -106,13 +108,15 @@ def _changing(targets: Targets) -> Iterator[Segment]:
 
 class Run(NamedTuple):
     """Moves ``first`` to ``last`` - 1, from stop to stop; ``why`` they are no block, and at which move
-    ``worst``; "" where they are one. ``off`` [mm] curves may be from the straight ways."""
+    ``worst``; "" where they are one. ``off`` [mm] curves may be from the straight ways; ``do``: what to do
+    that they become one."""
 
     first: int
     last: int
     why: str
     worst: int
     off: float
+    do: str = ""
 
 
 def runs(
@@ -136,7 +140,8 @@ def runs(
             continue
         if last - first > MOST_POINTS:
             why = f"{last - first} points without a stop; a block has {MOST_POINTS} at most"
-            out.append(Run(first, last, why, first, 0.0))
+            do = f"let the motion stop every {MOST_POINTS} moves, or put targets farther apart"
+            out.append(Run(first, last, why, first, 0.0, do))
             continue
         some = slice(first, last)
         found = curve(position[first : last + 1], quaternion[first : last + 1], moves.duration[some])
@@ -166,13 +171,19 @@ def _judged(
         k = int(np.argmax(there))
         if there[k] > most:
             why = f"a curve may be {there[k]:.3f} mm off the straight way; allowed: {most:g} mm"
+            # what a smooth way is off its chords goes with the square of their length
+            closer = f"{_CLOSER * np.sqrt(there[k] / most):.1f}"
+            do = f"put targets {closer} times as close there, or stop where the way has a kink"
             if np.isinf(there[k]):
-                why = f"it turns by over {np.rad2deg(TURN):.1f} degrees, the most for a move of a block"
-            return Run(first, last, why, first + k, float(off[worst]))
+                most = np.floor(10.0 * np.rad2deg(TURN)) / 10.0
+                why = f"it turns by over {most:.1f} degrees, the most for a move of a block"
+                do = f"put targets closer there, so that the tool turns by {most:.1f} degrees or less a move"
+            return Run(first, last, why, first + k, float(off[worst]), do)
     fast = int(np.argmax(speed - FASTER * near))
     if fed and speed[fast] > FASTER * near[fast] + 1e-9:
         why = f"a curve may go at {speed[fast]:.2f} mm/s, with {near[fast]:.2f} mm/s on the moves near it"
-        return Run(first, last, why, first + fast, float(off[worst]))
+        do = "put targets evenly there, or stop"
+        return Run(first, last, why, first + fast, float(off[worst]), do)
     return Run(first, last, "", first + worst, float(off[worst]))
 
 
@@ -217,7 +228,8 @@ def notes(name: str, arm: str, found: list[Run], segments: tuple[Segment, ...]) 
             f"whose curves may be {worst.off:.4f} mm off the straight ways; how a controller plans them, and "
             "keeps their times, was not seen on a controller"
         )
-        hint = "run them without process first, and look at the times of the blocks"
+        hint = "run them without process first, and look at the times of the blocks; straight moves, which "
+        hint += "were seen, are controller: {path: slin}"
         yield Issue("post.spline", what, Severity.WARNING, arm=arm, value=worst.off, unit="mm", hint=hint)
     if kept:
         first = kept[0]
@@ -226,8 +238,7 @@ def notes(name: str, arm: str, found: list[Run], segments: tuple[Segment, ...]) 
             f"operation {name}: {count - points} of {count} moves of arm {arm} stay SLIN, in {len(kept)} "
             f"runs from stop to stop; the first because at {target} {first.why}"
         )
-        hint = "stop at kinks, put targets nearer to each other, or break long runs by stops"
         yield dataclasses.replace(
-            Issue("post.spline_left", what, Severity.WARNING, arm=arm, target=target, hint=hint),
+            Issue("post.spline_left", what, Severity.WARNING, arm=arm, target=target, hint=first.do),
             value=float(count - points),
         )

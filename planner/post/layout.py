@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,6 +66,11 @@ def parts(
     return tuple(out)
 
 
+def kilobytes(text: str) -> int:
+    """How many kilobytes a file of that text has, rounded up."""
+    return math.ceil(len(text.encode()) / 1000)
+
+
 class _Load:
     """Fills modules one after the other."""
 
@@ -82,7 +88,9 @@ class _Load:
                 f"{got} have no stop outside the work to split at; a module takes {self.max_moves} moves and "
             )
             message += f"{self.max_bytes} bytes"
-            hint = "let the motion stop between two cuts, or allow larger modules (max_moves, max_bytes)"
+            most = max(self.max_moves, last - first), max(self.max_bytes, need + self.frame)
+            hint = "let the motion stop between two cuts, or allow larger modules: controller: "
+            hint += f"{{max_moves: {most[0]}, max_kilobytes: {math.ceil(most[1] / 1000)}}}"
             raise TandemError(Issue("post.no_split", message, index=first, hint=hint))
         if self.moves and (self.moves + last - first > self.max_moves or self.bytes + need > self.max_bytes):
             self.module, self.moves, self.bytes = self.module + 1, 0, self.frame

@@ -45,9 +45,10 @@ def _load(plan: Plan, setup: Setup, holder: str) -> Load:
     if not claims or not claims[0].mass >= LEAST_MASS:
         got = f"{claims[0].mass:g} kg" if claims else "no claim of its weight"
         message = f"setup {setup.number}: arm {holder} holds the block, with {got}; it needs {LEAST_MASS} kg"
-        raise TandemError(
-            Issue("post.load", message, arm=holder, hint="name the block's foam and plan again")
+        hint = (
+            "give a larger block, or one of a denser foam" if claims else "name the block's foam (stock.foam)"
         )
+        raise TandemError(Issue("post.load", message, arm=holder, hint=f"{hint}, and plan again"))
     claim, size = claims[0], setup.stock.upper - setup.stock.lower
     inertia = claim.mass / 12.0 * (np.sum(size**2) - size**2)
     return Load(setup.number, claim.mass, claim.cog, claim.grip[:3, :3], inertia)

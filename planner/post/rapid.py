@@ -12,7 +12,7 @@ from planner import __version__, dialogue
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.post import handshake_drift, rapid_check, rapid_handshake
-from planner.post.layout import Part, parts
+from planner.post.layout import Part, kilobytes, parts
 from planner.post.partner import Partner
 from planner.post.program import (
     Carry,
@@ -81,9 +81,8 @@ def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) ->
     for name, text in out.items():
         if len(text.encode()) > limits.max_bytes:
             message = f"{name} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
-            raise TandemError(
-                Issue("post.no_split", message, file=name, hint="allow larger modules (max_bytes)")
-            )
+            hint = f"allow larger modules: controller: {{max_kilobytes: {kilobytes(text)}}}"
+            raise TandemError(Issue("post.no_split", message, file=name, hint=hint))
     return out
 
 

@@ -146,7 +146,9 @@ def data_lines(
 def _tool(tool: Tool) -> str:
     if not tool.mass >= _LEAST_MASS:
         message = f"tool {tool.name!r} has a mass of {tool.mass} kg; RAPID needs at least {_LEAST_MASS} kg"
-        raise TandemError(Issue("post.tool", message, hint="state the tool's mass"))
+        raise TandemError(
+            Issue("post.tool", message, hint=f"state the tool's mass_kg, {_LEAST_MASS} or more")
+        )
     load = f"[{number(tool.mass, 3)},{vector(tool.cog * 1e3, 3)},[1,0,0,0],0,0,0]"
     return f"[TRUE,{pose(tool.tcp)},{load}]"
 

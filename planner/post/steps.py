@@ -258,7 +258,9 @@ def _check(plan: OperationPlan) -> None:
                 f"operation {plan.name}: action {action.kind!r} is at target {action.at}, which is no stop"
             )
             issues.append(
-                Issue("post.action", message, index=action.at, hint="let the motion stop at that target")
+                Issue(
+                    "post.action", message, index=action.at, hint=f"let the motion stop at target {action.at}"
+                )
             )
     if issues:
         raise TandemError(issues)

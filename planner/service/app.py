@@ -129,7 +129,9 @@ async def _invalid(request: Request, error: Exception) -> JSONResponse:
 async def _http(request: Request, error: Exception) -> JSONResponse:
     if not isinstance(error, HTTPException):
         raise error
-    what = f"{request.method} {request.url.path[:200]}: {error.detail}; see /openapi.json"
+    allowed = (error.headers or {}).get("Allow")  # of an address that takes other methods
+    way = f"; use {allowed}" if allowed else ""
+    what = f"{request.method} {request.url.path[:200]}: {error.detail}{way}; see /openapi.json"
     code = "service.not_found" if error.status_code in (404, 405) else "service.request"
     return await _refused(request, RefusedError(error.status_code, Issue(code, what), error.headers))
 

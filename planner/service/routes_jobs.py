@@ -14,7 +14,7 @@ from planner.issues import Issue, has_errors
 from planner.service.context import REFUSALS, Caller, Here, OwnJob
 from planner.service.events import Stream
 from planner.service.files import Blob
-from planner.service.models import CheckOut, FileList, FileOut, JobList, JobOut, State
+from planner.service.models import OPEN, CheckOut, FileList, FileOut, JobList, JobOut, State
 from planner.service.refusals import RefusedError
 from planner.service.upload import documented, take
 
@@ -193,7 +193,9 @@ def programs(found: OwnJob, here: Here) -> Response:
     """All programs in one archive; they are there if the proof holds."""
     known = {n: blob for n, blob in here.jobs.files(found.id).items() if n.startswith("programs/")}
     if not known:
-        what = f"job {found.id} has no programs: it is {found.state}"
+        waiting = found.state in OPEN
+        what = f"job {found.id} has no programs: it is {found.state}; "
+        what += "ask again when it has ended" if waiting else f"its issues say why: GET /v1/jobs/{found.id}"
         raise RefusedError(404, Issue("service.unknown_file", what))
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -92,7 +92,8 @@ def _sorted(form: FormData, limits: Limits) -> tuple[UploadFile | str, dict[str,
             continue
         name = one.filename or ""
         if not last(name) or len(name) > LONGEST_NAME or not name.isprintable():
-            what = f"the name {name[:80]!r} is empty, too long or not printable; rename the file"
+            what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
+            what += "or one that is not printable, or ends as a folder does; rename the file"
             faults.append(Issue("service.file_name", f"{field}: {what}", field=field))
         elif name in named:
             what = f"two files have the name {name[:80]!r}; rename one"

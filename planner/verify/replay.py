@@ -204,9 +204,10 @@ class _Player:
         total = float(law.times[-1])
         if not self.clock + total <= LONGEST:
             hours, most = (self.clock + total) / 3600.0, LONGEST / 3600.0
-            what = (
-                f"the programs take {hours:.3g} h, at most {most:g} h are proven; go faster or split the job"
-            )
+            what = f"the programs take {hours:.3g} h or more, at most {most:.3g} h are proven; go faster, or "
+            what += "split the job"
+            if np.isfinite(hours):
+                what += f" into {np.ceil(hours / most):.0f} problems or more"
             raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
         samples = max(int(np.ceil(total / STEP)), 2)
         at = np.linspace(0.0, total, samples + 1)

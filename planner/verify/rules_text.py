@@ -137,7 +137,7 @@ def files(context: Context) -> Outcome:
     """Every task of the cell has modules, no file is left over, and the program lists name the modules that
     are there, as the controller's RobotWare loads them; a KRL file has the name of its program."""
     issues = [
-        Issue("verify.files", f.message, file=f.file, line=f.line)
+        Issue("verify.files", f.message, file=f.file, line=f.line, hint="rename the file as its program is")
         for f in context.job.faults
         if f.kind in _FILES
     ]
@@ -151,17 +151,20 @@ def files(context: Context) -> Outcome:
             message = f"arm {arm.name} has no module for task {name}"
             issues.append(Issue("verify.files", message, arm=arm.name, hint="copy all files of the programs"))
     issues += [
-        Issue("verify.files", f"{path} belongs to none of the tasks", file=path) for path in job.strays
+        Issue("verify.files", f"{path} belongs to none of the tasks", file=path, hint="take it away")
+        for path in job.strays
     ]
     for task in job.tasks:
         for module in task.modules:
             if PurePosixPath(module.file).stem.lower() != module.name.lower():
                 what = f"{module.file} holds the module {module.name}; the list of modules goes by file names"
-                issues.append(Issue("verify.files", what, file=module.file))
+                hint = f"rename the file {module.name}{PurePosixPath(module.file).suffix}"
+                issues.append(Issue("verify.files", what, file=module.file, hint=hint))
             issues += _ending(context, module.file)
         lists = [path for path in job.lists if _folder(path) in {_folder(file) for file in task.files}]
         if len(lists) > 1:
-            issues.append(Issue("verify.files", f"{task.name} has {len(lists)} program lists", file=lists[1]))
+            what = f"{task.name} has {len(lists)} program lists, {', '.join(lists)}"
+            issues.append(Issue("verify.files", what, file=lists[1], hint="take all but one away"))
     for path, text in job.lists.items():
         issues += _list(context, path, text)
     return Outcome(tuple(issues))
@@ -180,7 +183,7 @@ def _ending(context: Context, file: str) -> list[Issue]:
 
 def _list(context: Context, path: str, text: str) -> list[Issue]:
     if "<!" in text:
-        return [Issue("verify.files", "the program list holds more than modules", file=path)]
+        return [_more(path)]
     bare = re.search(r"(?<!\r)\n|\r(?!\n)", text)
     if bare is not None or not text.endswith("\r\n"):
         line = text.count("\n", 0, bare.start() if bare else len(text)) + 1
@@ -189,9 +192,10 @@ def _list(context: Context, path: str, text: str) -> list[Issue]:
     try:
         root = ET.fromstring(text.encode("latin-1", "replace"))
     except (ET.ParseError, LookupError, ValueError) as wrong:
-        return [Issue("verify.files", f"the program list cannot be read: {wrong}", file=path)]
+        what = f"the program list cannot be read: {wrong}"
+        return [Issue("verify.files", what, file=path, hint="copy the file byte by byte")]
     if root.tag != "Program" or any(item.tag != "Module" or len(item) for item in root):
-        return [Issue("verify.files", "the program list holds more than modules", file=path)]
+        return [_more(path)]
     listed = sorted((item.text or "").strip().lower() for item in root)
     for task in context.job.tasks:
         if any(_folder(file) == _folder(path) for file in task.files):
@@ -200,7 +204,13 @@ def _list(context: Context, path: str, text: str) -> list[Issue]:
                 message = f"the list names {', '.join(listed)}; the task's modules are {', '.join(there)}"
                 return [Issue("verify.files", message, file=path, hint="list every module once")]
             return []
-    return [Issue("verify.files", "the program list stands beside no task's modules", file=path)]
+    what = "the program list stands beside no task's modules"
+    return [Issue("verify.files", what, file=path, hint="take it away, or copy the modules beside it")]
+
+
+def _more(path: str) -> Issue:
+    what = "the program list holds more than modules"
+    return Issue("verify.files", what, file=path, hint="copy the file byte by byte")
 
 
 def _folder(path: str) -> str:
