@@ -15,11 +15,16 @@ import pytest
 from planner.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
+from tests import remedy_rows_forming, remedy_rows_motion, remedy_rows_wires
 from tests import remedy_tables as tables
 from tests.refusals import change
-from tests.remedy_rows import GONE, ROWS, Row
+from tests.remedy_rows import GONE, Row
 from tests.test_infeasible import EXPECT
 from tests.test_remedies import REMEDIES, Said, Word
+
+SUBJECTS = (remedy_rows_forming, remedy_rows_motion, remedy_rows_wires)
+ROWS = [*rows.ROWS, *(row for subject in SUBJECTS for row in subject.ROWS)]
+LONG = [row for subject in SUBJECTS for row in subject.LONG]
 
 
 def taken_out(data: Any, field: str) -> Any:
@@ -87,7 +92,10 @@ def tried(row: Row, folder: Path) -> tuple[list[Issue], list[Issue]]:
     return before, row.how(folder, follow(row, row.data, own, folder))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.code)
+EVERY = [*ROWS, *(pytest.param(row, marks=pytest.mark.long) for row in LONG)]
+
+
+@pytest.mark.parametrize("row", EVERY, ids=lambda row: row.code)
 def test_what_an_issue_advises_ends_it_and_leaves_no_other_fault(row: Row, tmp_path: Path) -> None:
     """What was an error may stay as a note: foam that is left, where more is allowed to be."""
     before, after = tried(row, tmp_path)
@@ -142,7 +150,7 @@ def test_two_faults_at_once_are_both_named(name: str, tmp_path: Path) -> None:
 # ---- every code ----------------------------------------
 
 BUNDLED = {code for name in REMEDIES for code in EXPECT[f"{name}.yaml"]}
-TRIED = {row.code for row in ROWS} | BUNDLED
+TRIED = {row.code for row in [*ROWS, *LONG]} | BUNDLED
 
 
 def test_every_code_has_a_row_or_a_reason() -> None:
