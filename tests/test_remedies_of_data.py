@@ -17,9 +17,12 @@ from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
 from tests import (
     remedy_rows_controllers,
+    remedy_rows_forming,
     remedy_rows_milling,
+    remedy_rows_motion,
     remedy_rows_parts,
     remedy_rows_results,
+    remedy_rows_wires,
 )
 from tests import remedy_tables as tables
 from tests.geometry.part_specs import WING, circle, guides, outline
@@ -32,6 +35,9 @@ from tests.test_remedies import REMEDIES, Said, Word
 SUBJECTS = (
     remedy_rows_parts,
     remedy_rows_milling,
+    remedy_rows_forming,
+    remedy_rows_wires,
+    remedy_rows_motion,
     remedy_rows_controllers,
     remedy_rows_results,
 )

@@ -189,7 +189,7 @@ FAULTS: Final = [
         _walls,
     ),
     _file(_GOOD[: len(_GOOD) // 2], "open"),
-    Fault("the tip is a fifth of the root: it burns", ("kerf.too_hot", "straight.uneven"), _steep_taper),
+    Fault("the tip is a fifth of the root: it burns", ("kerf.too_hot",), _steep_taper),
     foams.NO_DATA,
     _file(_GOOD[::6], "few"),
     Fault("the airfoil's file is not there", ("problem.missing_file",), _missing),

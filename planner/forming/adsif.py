@@ -109,8 +109,21 @@ def wall_angle(response: Response, position: ArrayLike, gap: ArrayLike) -> Float
             f"position angle {th.reshape(-1)[k] / DEG:.4g} deg with gap {g.reshape(-1)[k]:.4g} of the "
             f"thickness: the sheet buckles there, or nobody tried ({response.source})"
         )
-        raise TandemError(Issue("forming.adsif_unstable", text, index=k, hint="take a larger gap"))
+        raise TandemError(Issue("forming.adsif_unstable", text, index=k, hint=_steadier(response, th, k)))
     return total
+
+
+def _steadier(response: Response, position: FloatArray, k: int) -> str:
+    """What to do about a position that is not stable: the gaps of the table that are, beside it."""
+    at = int(_place(response.position, position)[0].reshape(-1)[k])
+    gaps = response.gap[np.isfinite(response.wall[:, at : at + 2]).all(axis=1)]
+    if not len(gaps):
+        return "take another position angle"
+    low, high = (bound / DEG for bound in response.position[at : at + 2])
+    return (
+        f"take a gap of {gaps.min():g} to {gaps.max():g} of the thickness, as is stable from {low:g} to "
+        f"{high:g} deg"
+    )
 
 
 def invert(response: Response, wall: ArrayLike, prefer: Prefer) -> tuple[FloatArray, FloatArray]:
@@ -161,12 +174,17 @@ def compensated(gap: ArrayLike, position: ArrayLike, yielded: ArrayLike) -> Floa
     wanted = np.asarray(gap, dtype=np.float64)
     out: FloatArray = wanted - np.asarray(yielded, dtype=np.float64) * np.sin(position)
     if not np.all(out > 0.0):
-        k = int(np.flatnonzero(~(out > 0.0).reshape(-1))[0])
+        k = int(np.argmin(np.where(np.isnan(out), -np.inf, out)))
         text = (
             f"gap: {out.reshape(-1)[k] / MM:.3g} mm is left to command after compensation, allowed above 0 "
             "mm; the unloaded tools would touch"
         )
-        hint = "state a smaller force, stiffen tools or arms, or prefer the large gap"
+        given = float(np.broadcast_to(yielded, wanted.shape).reshape(-1)[k]) / MM
+        most = 0.99 * given * float(wanted.reshape(-1)[k] / (wanted - out).reshape(-1)[k])
+        hint = (
+            f"let the tools give way by up to {most:.3g} mm, not {given:.3g} mm: state a smaller force, or "
+            "stiffen tools or arms"
+        )
         raise TandemError(Issue("forming.adsif_compliance", text, index=k, hint=hint))
     return out
 

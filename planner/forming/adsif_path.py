@@ -64,7 +64,11 @@ def adsif_tool_path(
     """
     ball = former.kind == support.kind == "ball"
     if not ball or abs(former.radius - support.radius) > 1e-5:
-        what = "mode adsif needs two balls of one radius, as the table was made with; mount such tools"
+        got = " and ".join(f"a {one.kind} of {one.radius / MM:g} mm" for one in (former, support))
+        what = (
+            f"mode adsif needs two balls of one radius, got {got}; mount a ball of {former.radius / MM:g} mm "
+            "on both arms"
+        )
         raise TandemError(Issue("forming.support_tool", what, field="mode"))
     response = _response(operation)
     held = operation.adsif

@@ -32,6 +32,8 @@ _CHUNK: Final = 4000
 _ABOVE: Final = 2e-5
 TURNED: Final = 2.0 * DEG
 SHARE: Final = 0.02
+NAMED: Final = 1e-5
+"""Radii [m] are told to this: one that is no smaller is none to take."""
 """A warning is given where the support is turned by more than the angle on more than the share of the way."""
 
 
@@ -113,30 +115,50 @@ def clear_tilt(
 
 
 def radius_issue(
-    one: Pass, thickness: float, contact: ContactPath, off: FloatArray, gap: FloatArray, radii: FloatArray
+    one: Pass,
+    thickness: float,
+    contact: ContactPath,
+    wanted: FloatArray,
+    off: FloatArray,
+    gap: FloatArray,
+    radii: FloatArray,
+    slack: float,
 ) -> Issue | None:
     """A warning (forming.support_radius) where the support is turned away from opposite by ``off`` (N,) [rad]
-    too often, beyond where the flat around the feature makes it. ``thickness`` [m] of the flat sheet; ``gap``
-    (N,) [m]; ``radii`` (2,) [m] of the forming ball and the support."""
+    too often, beyond where the flat around the feature makes it, as it would else cut into what is formed
+    by more than ``slack`` [m]. ``wanted`` (N,) [rad]: the angle from the vertical that would be opposite;
+    ``thickness`` [m] of the flat sheet; ``gap`` (N,) [m]; ``radii`` (2,) [m] of the forming ball and the
+    support."""
     deep = one.start - contact.point[:, 2] > radii[1] * (1.0 - np.cos(contact.angle)) + 2e-4
     wrong = deep & (off > TURNED) & contact.working
+    rows = np.flatnonzero(wrong)
+    if not len(rows):
+        return None
+    # the line is turned also where what the ball leans on changes at once; no smaller support changes that
+    face = FarFace(one, thickness, contact, float(radii[0]))
+    line = leaned(contact.normal[rows], wanted[rows])
+    place = contact.centre[rows] - (radii.sum() + gap[rows])[:, None] * line
+    squeezed = np.maximum(thickness * np.cos(contact.angle[rows]) - gap[rows], 0.0)
+    wrong[rows] = face.cuts(place, radii[1] - squeezed - slack, contact.point[rows, 2])
     way = np.linalg.norm(np.diff(contact.centre, axis=0, prepend=contact.centre[:1]), axis=1)
     share = float(way[wrong].sum()) / max(float(way[deep].sum()), 1e-9)
     if share <= SHARE:
         return None
     touch = contact.centre[wrong] - (radii[0] + gap[wrong])[:, None] * contact.normal[wrong]
-    face = FarFace(one, thickness, contact, float(radii[0]))
     fits = face.largest(touch, contact.normal[wrong], contact.point[wrong, 2], float(radii[1]))
     at = contact.point[np.flatnonzero(wrong)[int(np.argmax(off[wrong]))]] / MM
-    return Issue(
-        "forming.support_radius",
+    what = (
         f"pass {one.name}: on {100.0 * share:.0f} % of the way the supporting ball of {radii[1] / MM:.2f} mm "
         f"radius cannot be opposite the forming one, most at ({at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f}) mm; it "
-        f"is turned aside by up to {float(off[wrong].max()) / DEG:.0f} deg; the largest that fits is "
-        f"{fits / MM:.2f} mm",
+        f"is turned aside by up to {float(off[wrong].max()) / DEG:.0f} deg"
+    )
+    known = fits < radii[1] - NAMED
+    return Issue(
+        "forming.support_radius",
+        f"{what}; the largest that fits is {fits / MM:.2f} mm" if known else what,
         Severity.WARNING,
         value=float(radii[1]) / MM,
-        limit=fits / MM,
+        limit=fits / MM if known else None,
         unit="mm",
-        hint="take a smaller supporting tool, or round the part more",
+        hint="take a smaller supporting tool, or round the part more" if known else "round the part there",
     )

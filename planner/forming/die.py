@@ -67,8 +67,8 @@ def _gouge(one: Pass, far: TriangleMesh, points: FloatArray, tolerance: float) -
         Issue(
             "forming.die_gouge",
             f"feature {one.feature}: the die stands {depth[k] / MM:.2f} mm in the part at ({x:.1f}, {y:.1f}, "
-            f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its place and unit, and that it leaves "
-            "room for the sheet's thickness",
+            f"{z:.1f}) mm, allowed is {tolerance / MM:.2f} mm; check its unit, or lower it by so much: it "
+            "has to leave room for the sheet's thickness",
             field="die",
             value=float(depth[k]) / MM,
             limit=tolerance / MM,
@@ -93,8 +93,8 @@ def _away(one: Pass, far: TriangleMesh, mesh: TriangleMesh) -> list[Issue]:
         Issue(
             "forming.die_far",
             f"feature {one.feature}: the full die is more than {FAR / MM:g} mm away from {100 * share:.0f} % "
-            f"of the walls, most {distance[k] / MM:.2f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm; state "
-            "full: false for a partial die, or check its place",
+            f"of the walls, most {distance[k] / MM:.2f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm; check its "
+            "unit and place, or state full: false for a partial die",
             Severity.WARNING,
             field="die",
             value=float(distance[k]) / MM,

@@ -134,13 +134,15 @@ def build(mesh: Mesh, step: float, noise: float = NOISE) -> FeatureTree:
 def _check_step(mesh: Mesh, step: float) -> None:
     extent = float(np.ptp(mesh.vertices[:, 2])) if len(mesh.vertices) else 0.0
     if not (math.isfinite(step) and step > 0.0 and extent / step <= MOST_LEVELS):
+        least = extent / MM / MOST_LEVELS + 1e-6  # as told, in whole nanometres
         raise TandemError(
             Issue(
                 "forming.step",
-                f"step: got {step / MM:g} mm, allowed is a length above 0 that gives at most {MOST_LEVELS} "
-                f"levels over the part's {extent / MM:.3g} mm; state a larger one",
+                f"step: got {step / MM:g} mm, allowed is {least:.6f} mm at least, {MOST_LEVELS} levels over "
+                f"the part's {extent / MM:.3g} mm; state such a length",
                 field="step",
                 value=step / MM,
+                limit=least,
                 unit="mm",
             )
         )

@@ -102,7 +102,8 @@ def pass_issues(
         before = 0.0
         for one, angle in zip(mine, angles, strict=True):
             if angle > limit + ALIKE and angle - before > max(LEAP, operation.angle_step_deg * DEG) + DEG:
-                issues.append(_torn(one, angle, before, limit))
+                auto = pass_angles(angles[-1], operation.model_copy(update={"passes": "auto"}), metal)
+                issues.append(_torn(one, angle, before, limit, auto))
             before = max(before, angle)
         deep = abs(mine[-1].end - mine[-1].start)
         trial = warning(metal.family, thickness, angles[-1], deep, operation.mode)
@@ -184,7 +185,11 @@ def _upright(feature: int, angle: float) -> Issue:
     )
 
 
-def _torn(one: Pass, angle: float, before: float, limit: float) -> Issue:
+def _torn(one: Pass, angle: float, before: float, limit: float, auto: Sequence[float]) -> Issue:
+    shapes = " and ".join(f"{a / DEG:.1f}" for a in auto)
+    hint = f"take passes: auto, which forms walls of {shapes} deg one after the other, or give such angles"
+    if len(auto) == 1:
+        hint = "make the wall less steep: in this mode it is formed in one pass"
     how = "in one pass" if before == 0.0 else f"in one pass from a shape of {before / DEG:.1f} deg"
     return Issue(
         "forming.wall_angle",
@@ -194,6 +199,6 @@ def _torn(one: Pass, angle: float, before: float, limit: float) -> Issue:
         value=angle / DEG,
         limit=limit / DEG,
         unit="deg",
-        hint="leave passes to auto, or give wall angles between",
+        hint=hint,
         accepted=False,
     )

@@ -150,7 +150,8 @@ def _check(one: Pass, radius: float, options: PathOptions) -> None:
     elif options.stepdown is not None and depth / options.stepdown > MOST_LEVELS:
         wrong.append(
             f"stepdown {1e3 * options.stepdown:.4g} mm makes {depth / options.stepdown:.0f} levels, up to "
-            f"{MOST_LEVELS} are planned; take a larger step"
+            f"{MOST_LEVELS} are planned; take a stepdown of {1e3 * depth / MOST_LEVELS + 1e-5:.5f} mm at "
+            "least"
         )
     elif options.scallop is not None and not options.scallop < radius:
         wrong.append(f"scallop {1e3 * options.scallop:.4g} mm must be below the ball's radius")

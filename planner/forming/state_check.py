@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from planner.units import MM
 
 FINE: Final = 2e-5
 """Between two places that are looked at a point may be deeper in a tool by so much [m] than at either."""
+HALF: Final = 0.5 * MM
 _PAIRS: Final = 2_000_000
 _RUN: Final = 16
 """Places in a row that are first looked at as one."""
@@ -48,15 +49,22 @@ def clear_issues(
     radius = -float(profiles[0][0, 0])
     tip = one.side * (path.former[:, 2] - one.side * radius)
     sunk = one.side * np.minimum(np.minimum.accumulate(tip) - one.side * one.start, 0.0)
-    issues = []
-    for (place, axis), arm, profile, tolerance in zip(tools, arms, profiles, tolerances, strict=False):
-        found = [
-            deepest(place, axis, profile, state.fixed),
-            deepest(place - np.array([0.0, 0.0, 1.0]) * sunk[:, None], axis, profile, state.carried),
-        ]
-        cuts = [cut for cut in found if cut is not None and cut.depth > tolerance]
-        if cuts:
-            issues.append(_issue(one, arm, max(cuts, key=lambda cut: cut.depth), tolerance))
+    issues, up = [], np.array([0.0, 0.0, 1.0])
+    for (place, axis), arm, profile, allowed in zip(tools, arms, profiles, tolerances, strict=False):
+
+        def worst(
+            outline: FloatArray, place: FloatArray = place, axis: FloatArray = axis, allowed: float = allowed
+        ) -> Cut | None:
+            found = [
+                deepest(place, axis, outline, state.fixed),
+                deepest(place - up * sunk[:, None], axis, outline, state.carried),
+            ]
+            cuts = [cut for cut in found if cut is not None and cut.depth > allowed]
+            return max(cuts, key=lambda cut: cut.depth, default=None)
+
+        cut = worst(profile)
+        if cut is not None:
+            issues.append(_issue(one, arm, cut, allowed, _slimmest(profile, worst)))
     return tuple(issues)
 
 
@@ -156,16 +164,40 @@ def _depth(offset: FloatArray, axis: FloatArray, profile: FloatArray) -> FloatAr
     return np.asarray(depth)
 
 
-def _issue(one: Pass, arm: str, cut: Cut, tolerance: float) -> Issue:
+def _slimmest(profile: FloatArray, worst: Callable[[FloatArray], Cut | None]) -> float | None:
+    """The largest radius [m], in whole halves of a mm, that a tool of that ``profile`` may have behind its
+    ball to be clear; None where its ball is not, or where it has none."""
+
+    def clears(slim: float) -> bool:
+        return worst(np.column_stack([profile[:, 0], np.minimum(profile[:, 1], slim)])) is None
+
+    low, high = -float(profile[0, 0]), float(profile[:, 1].max())
+    if not 0.0 < low < high - 1e-6 or not clears(low):
+        return None
+    ball = low
+    while high - low > HALF:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if clears(middle) else (low, middle)
+    return max(ball, float(np.floor(low / HALF)) * HALF)
+
+
+def _issue(one: Pass, arm: str, cut: Cut, tolerance: float, slim: float | None) -> Issue:
+    # what a tool's ball itself cuts, no other shaft mends
+    hint = "take smaller steps, or another order or strategy of forming, or round the part there"
+    if slim is not None:
+        hint = (
+            f"take a slimmer tool (shaft_radius_mm: {slim / MM:g}), a longer neck_mm, or another order or "
+            "strategy of forming"
+        )
     x, y, z = (float(value) / MM for value in cut.point)
     return Issue(
         "forming.clear",
-        f"pass {one.name}: the tool of {arm} cuts {cut.depth / MM:.2f} mm into the sheet at ({x:.1f}, "
+        f"pass {one.name}: the tool of {arm} cuts {cut.depth / MM:.3f} mm into the sheet at ({x:.1f}, "
         f"{y:.1f}, {z:.1f}) mm, allowed is {tolerance / MM:.2f} mm",
         arm=arm,
         index=cut.index,
         value=cut.depth / MM,
         limit=tolerance / MM,
         unit="mm",
-        hint="take another order or strategy of forming, a slimmer or longer tool, or let it lean (lean_deg)",
+        hint=hint,
     )

@@ -91,25 +91,34 @@ def support_issues(
         one, contact, across = _mirrored(one), _turned_over(contact), across * _MIRROR
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     tilt = np.arccos(np.clip(across[:, 2] / np.linalg.norm(across, axis=1), -1.0, 1.0))
-    off = np.where(np.isnan(path.gap), 0.0, np.maximum(contact.angle - shift, 0.0) - tilt)
-    radii = np.array([former.radius, support.radius])
+    wanted = np.maximum(contact.angle - shift, 0.0)
+    off = np.where(np.isnan(path.gap), 0.0, wanted - tilt)
+    radii, slack = np.array([former.radius, support.radius]), operation.gouge_tol_mm * MM
     gap = np.nan_to_num(path.gap)
-    issue = radius_issue(one, thickness, contact, off, gap, radii)
+    issue = radius_issue(one, thickness, contact, wanted, off, gap, radii, slack)
     loose = _loose_issue(one, path, operation)
     return tuple(found for found in (issue, loose) if found is not None)
 
 
 def _loose_issue(one: Pass, path: ToolPath, operation: Forming) -> Issue | None:
-    if path.loose is None or not path.loose.any():
+    if path.loose is None or path.support is None or not path.loose.any():
         return None
     rows = np.flatnonzero(path.loose)
     first = ", ".join(f"{value:.1f}" for value in path.former[rows[0]] / MM)
-    what = (
-        f"pass {one.name}: on {len(rows)} moves between targets, first at ({first}) mm, the gap of the tools "
-        f"is off by more than {SHARE:.0%} of gap_tol_mm {operation.gap_tol_mm:g}, however near the targets "
-        "are; the proof decides whether it holds"
-    )
-    hint = "smooth the part's mesh there, or allow a larger gap_tol_mm"
+    across = path.former - path.support
+    length = np.linalg.norm(across, axis=1)
+    middle = np.linalg.norm(0.5 * (across[rows] + across[rows - 1]), axis=1)
+    off = float((0.5 * (length[rows] + length[rows - 1]) - middle).max()) / MM
+    what = f"pass {one.name}: on {len(rows)} moves between targets, first at ({first}) mm, "
+    if off > SHARE * operation.gap_tol_mm:
+        what += (
+            f"the gap of the tools is off by up to {off:.3f} mm, {SHARE:.0%} of gap_tol_mm are planned for"
+        )
+        hint = f"allow a gap_tol_mm of {off / SHARE + 5e-4:.3f}, or round the part there"
+    else:
+        what += "the wall turns at once, and the line of the tools does not follow within its tolerance"
+        hint = "round the part there"
+    what += ", however near the targets are; the proof decides whether it holds"
     return Issue("forming.gap", what, Severity.WARNING, value=float(len(rows)), limit=0.0, hint=hint)
 
 

@@ -59,7 +59,7 @@ def check(vertices: FloatArray, faces: IntArray, noise: float) -> SheetSurface:
     low, high = np.sort(directed, axis=1).T
     key, inverse, count = np.unique(low * len(vertices) + high, return_inverse=True, return_counts=True)
     edges, inverse = np.stack(np.divmod(key, len(vertices)), axis=1), np.reshape(inverse, -1)
-    outer = _outer_border(vertices, directed[count[inverse] == 1])
+    outer = _outer_border(vertices, faces, directed[count[inverse] == 1])
     level = float(np.median(vertices[outer, 2]))
     off = np.abs(vertices[outer, 2] - level)
     if off.max() >= noise:
@@ -111,12 +111,29 @@ def _plan_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return np.asarray(0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
 
 
-def _outer_border(vertices: FloatArray, rim: IntArray) -> IntArray:
+def _joined(faces: IntArray, vertex: int) -> bool:
+    """Whether all faces around a vertex belong to one piece that hangs together by edges."""
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    _, edge = np.unique(ends, axis=0, return_inverse=True)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    graph = coo_array((np.ones(len(owner)), (owner, np.reshape(edge, -1)))).tocsr()
+    _, piece = connected_components(graph @ graph.T, directed=False)
+    return len(np.unique(piece[(faces == vertex).any(axis=1)])) == 1
+
+
+def _outer_border(vertices: FloatArray, faces: IntArray, rim: IntArray) -> IntArray:
     """Vertices of the outer one of the closed lines of edges (R, 2) with one face. Any other is a hole."""
     count = len(vertices)
     starts = np.bincount(rim[:, 0], minlength=count)
     if (starts > 1).any():
-        at = vertices[int(np.argmax(starts > 1))]
+        vertex = int(np.argmax(starts > 1))
+        at = vertices[vertex]
+        if _joined(faces, vertex):
+            what = (
+                f"holes of the part, or one and its edge, meet in a point at {where(at)}; a sheet is formed "
+            )
+            what += "whole, so close them and cut them afterwards"
+            raise TandemError(Issue("forming.hole", what, field="part"))
         raise TandemError(
             Issue(
                 "forming.touching",

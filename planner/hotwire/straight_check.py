@@ -137,7 +137,7 @@ def check_model(op: Straight, setup: Setup, bow: Bow, cuts: list[Cut], thickness
             field="operations.power_w",
             value=spread,
             unit="mm",
-            hint="make test cuts, see tandem kerf fit",
+            hint="make test cuts, see tandem kerf fit, or state their kerf_mm instead of power_w",
         )
 
 

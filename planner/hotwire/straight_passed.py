@@ -123,12 +123,11 @@ def _off(op: Straight, cut: Cut, passed: Melted, why: str = "") -> Iterator[Issu
         row, column = np.unravel_index(int(np.argmax(inside)), inside.shape)
         worst, where = float(inside[row, column]), _place(passed, int(row), float(SHARES[column]))
     why = why or "the wire slows down and melts its slot wider faster than it can move aside"
-    remedy = "take less power, which evens the slot, or a larger shape_tol_mm"
+    # wires are laid as coarsely as the tolerance lets them, so that what is missing grows with it
+    remedy = "take less power, which evens the slot, or a shape_tol_mm of some times as much"
     if op.power_w is None:
-        why, remedy = (
-            "the wire does not follow the surface",
-            "take a larger shape_tol_mm or a smaller step_mm",
-        )
+        why = "the wire does not follow the surface"
+        remedy = "take a shape_tol_mm of some times as much, or a smaller step_mm"
     if worst > SPARE * allowed:
         yield Issue(
             "straight.uneven",

@@ -24,6 +24,8 @@ FloatArray = NDArray[np.float64]
 REACH: Final = 0.2
 """Distances [m] up to this are told."""
 
+LEAST_MARGIN: Final = 0.5
+"""Smaller margins [deg] to limits and singularities are not advised."""
 MOST_PAIRS: Final = 4
 """Pairs of bodies that a message names."""
 
@@ -99,7 +101,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
             value=float(limit[best]) / DEG,
             limit=scene.settings.joint_margin / DEG,
             unit="deg",
-            hint=_elsewhere(targets),
+            hint=_elsewhere(targets) + _less("joint_margin_deg", float(limit[best])),
             arm=arm,
             index=index,
             target=name,
@@ -117,7 +119,7 @@ def _unreached(scene: Scene, targets: Targets, grid: Grid, arm: str, r: Reach) -
         value=single / DEG,
         limit=scene.settings.singularity_margin / DEG,
         unit="deg",
-        hint=_elsewhere(targets),
+        hint=_elsewhere(targets) + _less("singularity_margin_deg", single),
         arm=arm,
         index=index,
         target=name,
@@ -331,6 +333,12 @@ def _nearer(targets: Targets) -> str:
 
 def _elsewhere(targets: Targets) -> str:
     return f"{_else(targets)}, or let the targets turn more freely"
+
+
+def _less(field: str, got: float) -> str:
+    """The margin [rad] that would let a target pass, where one is left that is worth it."""
+    told = float(np.floor(got / DEG * 10.0 - 1e-6)) / 10.0
+    return f", or take settings.{field}: {told:g}, which is enough here" if told >= LEAST_MARGIN else ""
 
 
 def _else(targets: Targets) -> str:

@@ -262,7 +262,7 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
 def _no_path(
     problem: Problem, stand: Stand, models: Sequence[CellModel], place: Place, at: list[int]
 ) -> list[Issue]:
-    """Why operations have no path; ``at`` is set to the first of them."""
+    """Why operations have no path or no free home; ``at`` is set to the first of them."""
     out: list[Issue] = []
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         placed = model.with_stock(place.stock).with_bases(place.bases)
@@ -277,6 +277,11 @@ def _no_path(
             grid, found = find(scene, job)
             if isinstance(found, Blocked):
                 out += diagnose.no_path(scene, job, grid, found)
+                continue
+            try:
+                entry.require_home(scene, job)
+            except TandemError as error:
+                out += error.issues
     return out
 
 

@@ -138,7 +138,11 @@ def told(targets: Targets, values: FloatArray, time: FloatArray) -> list[Issue]:
         f"{many} less than {LEAST_TIME:g} s, or no more way than {LEAST_WAY:g} mm, first that to "
         f"{name}; the least take {took.min():.3f} s and go {way.min():.3f} mm: a controller may stop there"
     )
-    hint = "lower the feed, or give a coarser tolerance or path there"
+    hint = "give a coarser tolerance or path there"
+    least = float(targets.travel[rows].min()) / MM
+    if min(least, way.min()) > LEAST_WAY:
+        feed = np.floor(least / LEAST_TIME * 100.0) / 100.0
+        hint = f"lower the feed there to {feed:g} mm/s, or {hint}"
     return [
         Issue(
             "motion.short_moves",

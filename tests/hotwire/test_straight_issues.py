@@ -243,7 +243,7 @@ def test_a_block_that_drops_by_a_slot_before_it_is_cut_on_is_told(
         assert "trim_left" in found["straight.drop"].message
 
 
-def _twisted() -> Part:
+def twisted() -> Part:
     """A strip whose rulings turn by 25 degrees within 6 mm, about their middles."""
     x = np.concatenate([np.linspace(-0.1, -0.003, 30), np.linspace(0.003, 0.1, 30)])
     turn = np.deg2rad(12.5) * np.clip(x / 0.003, -1.0, 1.0)
@@ -257,11 +257,11 @@ def test_a_wire_that_turns_faster_than_its_slot_can_follow_is_refused() -> None:
     """In its middle, about which it turns, it stands nearly still; with more tolerance it may."""
     setup = blocks.setup(blocks.stock(foam=XPS))
     heat = {"feed_mm_s": 6, "feed_min_mm_s": 2, "kerf_range_mm": [0.3, 20]}
-    issue = refusal("straight.uneven", _twisted(), setup, power_w=30.0, **heat)
+    issue = refusal("straight.uneven", twisted(), setup, power_w=30.0, **heat)
     assert issue.value > issue.limit == pytest.approx(0.3)
-    assert "straight.uneven" not in issues(_twisted(), setup, power_w=30.0, shape_tol_mm=30, **heat)
+    assert "straight.uneven" not in issues(twisted(), setup, power_w=30.0, shape_tol_mm=30, **heat)
     # a slot that is too wide anyway is uneven for that, and told with the advice for it alone
     heat["kerf_range_mm"] = [0.3, 0.6]
-    found = issues(_twisted(), setup, power_w=30.0, **heat)
+    found = issues(twisted(), setup, power_w=30.0, **heat)
     assert "kerf.too_hot" in found
     assert "straight.uneven" not in found
