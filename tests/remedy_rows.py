@@ -152,7 +152,8 @@ PROBLEMS: Final = [
         {"cell.obstacles.0.name": "pole"}),
     Row("targets.file", lay, POSES, "correct it", {"@targets.csv": TABLE},
         {"targets.csv": TABLE.replace("500,", "abc,", 1)}),
-    Row("targets.held", lay, HELD, "leave stock.held_by out", {"stock.held_by": GONE}),
+    Row("targets.held", lay, HELD, "leave stock.held_by out", {"stock.held_by": GONE,
+        "stock.support": Word("support: (pedestal)")}),
     Row("targets.freedom", lay, change(POSES, "operations.0.free", [{**FREE, "slide_mm": [0, 1]}]),
         "one of them", {"operations.0.free.0.slide_mm": GONE}),
     Row("kerf.unknown_foam", load, change(HELD, "stock.foam", "granite"), "a foam that is built in",
@@ -349,7 +350,11 @@ NUMBERS: Final = {
     for side, arm in enumerate(("left", "right"))
     for own in [Controller().handshake.of(arm)]
 }
-TOGETHER: Final = change(change(HELD, "operations.0.arms", ["left", "right"]), "stock.held_by", None)
+TOGETHER: Final = change(
+    {**HELD, "stock": {"size_mm": [300, 200, 100], "foam": "eps_a120", "support": "pedestal"}},
+    "operations.0.arms",
+    ["left", "right"],
+)
 KUKA: Final = change(change(TOGETHER, "cell.arms.0.robot", "kr60_ha"), "cell.arms.1.robot", "kr60_ha")
 STANDING: Final = change(STRAIGHT, "cell.arms.0.robot", "kr60_ha")
 
