@@ -8,6 +8,10 @@ from planner.issue_codes import CODES
 
 ELSEWHERE: Final = {
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
+    "milling.too_large": (
+        "verify/test_mill_places",
+        "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
+    ),
     "part.mesh_noise": (
         "test_sheet_file",
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",
