@@ -27,6 +27,7 @@ cell: {cell}
 stock:
   size_mm: [320, 240, 80]
   place: {{xyz_mm: [1500, 0, 900]}}
+  support: pedestal
 settings: {{clearance_mm: 8}}
 operations:
   - name: panel

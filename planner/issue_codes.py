@@ -178,7 +178,7 @@ CODES: Final[dict[str, str]] = {
     "verify.move_ids": "IDs of synchronised moves are missing, not equal or not ascending",
     "verify.zone_kind": "of two moves that run together one stops and the other does not",
     "verify.move_time": "moves that run together have no time or different times",
-    "verify.duration": "the programs take longer than what the proof replays",
+    "verify.duration": "the programs, or the facets of a face, are more than what the proof looks at",
     "verify.setup": "a setup is not told, not confirmed once and in order, or an arm moves before it is",
     "verify.dialogue": "the operator is told or asked something else than what follows from the problem",
     "verify.dialogue_figures": "a figure that the operator is told is not that of the motion",
@@ -266,6 +266,7 @@ CODES: Final[dict[str, str]] = {
     "milling.corner": "a surface has an inner corner, which a round cutter cannot mill",
     "milling.twist": "a cutter is off twisted rulings by more than the tolerance",
     "milling.tool_radius": "a cutter is too thick for a place of the part",
+    "milling.too_large": "a face is too large to be looked at as closely as its tolerance wants",
     "milling.gouge": "a cutter, its shank, holder or spindle would go into the part",
     "milling.safe_plane": "a tool stands so flat that it never rises to the safe plane",
     "milling.front": "the part's front turns away from the side from which it is milled",
@@ -400,6 +401,7 @@ ACCEPTABLE: Final[dict[str, str]] = {
     "forming.die_far": "a full die is away from the walls that it is to hold",
     "straight.drop": "what is cut off drops by a slot before it is cut itself",
     "stock.support": "the support of a block does not reach the floor, or the block does not rest on it",
+    "stock.hangs": "nothing is stated on which a block stands",
 }
 """Errors that a problem may accept by name (``accept:``), and what is accepted with each. They speak of what
 the user may know better than Tandem: forces, metal, how a block is really held up. What makes a motion wrong

@@ -122,8 +122,9 @@ class PosedJob(Job[Posed]):
         if setup.stock.held_by is not None:
             what = (
                 f"{operation.name}: arm {setup.stock.held_by} holds the block, and poses of one's own are "
-                "planned for a block that stands; let it stand: leave stock.held_by out, or where an earlier "
-                "setup has it held: setup: {held_by: nobody, place: auto}"
+                "planned for a block that stands; let it stand: leave stock.held_by out and state "
+                "what bears it (support: pedestal), or where an earlier setup has it held: setup: {held_by: "
+                "nobody, place: auto, support: pedestal}"
             )
             raise TandemError(
                 Issue("targets.held", what, field="operations.process", arm=setup.stock.held_by)

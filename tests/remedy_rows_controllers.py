@@ -39,7 +39,11 @@ NUMBERS: Final = {
     for side, arm in enumerate(("left", "right"))
     for own in [Controller().handshake.of(arm)]
 }
-TOGETHER: Final = change(change(HELD, "operations.0.arms", ["left", "right"]), "stock.held_by", None)
+TOGETHER: Final = change(
+    {**HELD, "stock": {"size_mm": [300, 200, 100], "foam": "eps_a120", "support": "pedestal"}},
+    "operations.0.arms",
+    ["left", "right"],
+)
 KUKA: Final = change(change(TOGETHER, "cell.arms.0.robot", "kr60_ha"), "cell.arms.1.robot", "kr60_ha")
 STANDING: Final = change(STRAIGHT, "cell.arms.0.robot", "kr60_ha")
 

@@ -13,6 +13,10 @@ ELSEWHERE: Final = {
         "test_an_end_that_stands_still_has_no_slot_of_its_own",
     ),
     "motion.collision": ("motion/test_blocked", "test_the_change_that_is_named_opens_the_way"),
+    "milling.too_large": (
+        "verify/test_mill_places",
+        "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
+    ),
     "part.mesh_noise": (
         "test_sheet_file",
         "test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works",

@@ -43,6 +43,7 @@ def test_a_home_in_the_way_names_what_it_is_in_and_what_to_do(tmp_path: Path) ->
     path = written(tmp_path, "kr60_ha", 2.4)
     data = yaml.safe_load(path.read_text())
     data["stock"]["place"]["xyz_mm"] = [1200, 0, 1760]
+    data["accept"] = ["stock.hangs"]
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(TandemError) as caught:
         planner.plan(planner.load(path))

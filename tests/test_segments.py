@@ -148,6 +148,7 @@ def _wall(*names: str, **more: Any) -> dict[str, Any]:
     return {
         "tandem": 1,
         "name": "wall",
+        "accept": ["stock.hangs"],
         "cell": cell,
         "stock": {"size_mm": [200, 80, 100], "foam": "eps_a120", "place": "auto"},
         "part": {"ruled": ruled, "in_stock": {}},

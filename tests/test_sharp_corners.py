@@ -18,6 +18,7 @@ name: waves
 cell: {CELL}
 stock: {{size_mm: [320, 240, 80], place: {{xyz_mm: [1500, 0, 900]}}}}
 settings: {{clearance_mm: 8}}
+accept: [stock.hangs]
 operations:
   - name: panel
     process: milling

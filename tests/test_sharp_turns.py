@@ -20,6 +20,7 @@ name: turns
 cell: CELL
 stock: {size_mm: [320, 240, 80], place: PLACE}
 settings: {clearance_mm: 8, joint_margin_deg: 5}
+accept: [stock.hangs]
 operations:
   - name: panel
     process: milling

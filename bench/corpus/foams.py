@@ -65,6 +65,8 @@ def _far(draft: Draft, draw: Draw) -> None:
     key = "sheet" if "sheet" in draft.problem else "stock"
     draft.problem[key].pop("roll_pitch_deg", None)
     draft.problem[key].pop("support", None)
+    if key == "stock" and "held_by" not in draft.problem[key]:
+        draft.problem[key]["support"] = "pedestal"  # it is far away, and hangs nowhere
     draft.problem[key]["place"] = {"xyz_mm": [0, draw.pick([4500, 6000, -5200]), 500]}
 
 

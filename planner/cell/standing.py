@@ -8,6 +8,7 @@ import itertools
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from planner.geometry.rigid import transform
@@ -47,16 +48,30 @@ class Ground:
         return Ground(min([0.0, *upright]), np.concatenate(boxes), tuple(names))
 
     def below(self, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-        """How far (K,) [m] boxes from ``low`` to ``high`` (K, 3) are above what is below them, 0 or less
-        where they stand in it, and which obstacle's shape that is, -1 for the floor."""
+        """How far (K,) [m] boxes from ``low`` to ``high`` (K, 3) are above what bears them, 0 or less
+        where they stand in it, and which obstacle's shape that is, -1 for the floor. What is below a box
+        bears it where, with all that is as high, it is on either side of the box's middle."""
         gap = low[:, 2] - self.floor
         what = np.full(len(low), -1, dtype=np.intp)
+        middle = 0.5 * (low + high)[:, :2]
         for k, (first, last) in enumerate(self.boxes):
-            over = (low[:, :2] <= last[:2]).all(axis=1) & (high[:, :2] >= first[:2]).all(axis=1)
+            around = np.stack([np.full_like(middle, np.inf), np.full_like(middle, -np.inf)])
+            for one, other in self.boxes[np.abs(self.boxes[:, 1, 2] - last[2]) <= FEET]:
+                a, b = np.maximum(low[:, :2], one[:2]), np.minimum(high[:, :2], other[:2])
+                over = (a <= b).all(axis=1)[:, None]
+                around[0] = np.where(over, np.minimum(around[0], a), around[0])
+                around[1] = np.where(over, np.maximum(around[1], b), around[1])
+            own = (low[:, :2] <= last[:2]).all(axis=1) & (high[:, :2] >= first[:2]).all(axis=1)
+            bears = own & ((around[0] <= middle) & (middle <= around[1])).all(axis=1)
             near = low[:, 2] - last[2]
-            taken = over & (low[:, 2] >= first[2] - FEET) & (near < gap)
+            taken = bears & (low[:, 2] >= first[2] - FEET) & (near < gap)
             gap, what = np.where(taken, near, gap), np.where(taken, k, what)
         return gap, what
+
+    @property
+    def bears(self) -> bool:
+        """Whether something in the cell but the floor might bear a block."""
+        return bool((self.boxes[:, 1, 2] > self.floor + FEET).any())
 
 
 def block_corners(stock: Stock) -> FloatArray:
@@ -158,52 +173,106 @@ def issues(problem: Problem) -> list[Issue]:
 
 def _setup(setup: Setup, field: str) -> list[Issue]:
     stock, cell = setup.stock, setup.cell
+    turn = stock.attitude if stock.place is None else stock.place[:3, :3]
     if stock.pedestal is not None:
-        up = stock.attitude[2] if stock.place is None else stock.place[2, :3]
-        if np.abs(up).max() >= LEVEL:
-            return []
-        what = (
-            f"{field}: a block that leans stands on no {stock.pedestal.kind}; state the shapes of its support"
-        )
-        return [Issue("problem.field", what, field=field)]
-    if stock.place is None:
-        if stock.support or (stock.pedestal is None and _bears(cell)):
-            return []
-        return [_hangs("its place is searched, and nothing is stated that it stands on", field, None)]
-    gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
+        if np.abs(turn[2]).max() < LEVEL:
+            what = f"{field}: a block that leans stands on no {stock.pedestal.kind}; state the shapes of its "
+            return [Issue("problem.field", what + "support", field=field)]
+        return [] if stock.place is None else _high(cell, stock, stock.place, field)
     if not stock.support:
-        return [] if gap <= FEET else [_hangs(f"it is {gap / MM:.0f} mm above what is below it", field, gap)]
-    out = []
-    head = max(
-        float(transform(stock.place @ shape.pose, corners(shape))[:, 2].max()) for shape in stock.support
+        if stock.place is None:
+            why = "its place is searched, and nothing is stated that it stands on"
+            return [] if Ground.of(cell).bears else [_hangs(why, field, None)]
+        gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
+        return (
+            [] if gap <= FEET else [_hangs(f"it is {gap / MM:.0f} mm above what would bear it", field, gap)]
+        )
+    lean = np.eye(4)
+    lean[:3, :3] = turn
+    out = _rest(stock, lean)
+    if stock.place is not None:
+        gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
+        out.append((gap, FEET, f"the support under the block ends {gap / MM:.0f} mm above what is below it"))
+    hint = "make it longer, put it under the middle of the block, put what it stands on among the cell's "
+    hint += "obstacles, or let Tandem make one: support: pedestal"
+    return [_unborne(what, field, off, limit, hint) for off, limit, what in out if off > limit + 1e-9][:1]
+
+
+def _rest(stock: Stock, place: FloatArray) -> list[tuple[float, float, str]]:
+    """How far [m] a block at ``place`` (4, 4), which may be turned and moved, is above its support and beside
+    it, each with what is allowed [m] and in words."""
+    block = _world(block_corners(stock), place[None])[0]
+    low, seen = float(block[:, 2].min()), shapely.MultiPoint(block[:, :2]).convex_hull
+    shapes = [transform(place @ shape.pose, corners(shape)) for shape in stock.support]
+    views = [shapely.MultiPoint(shape[:, :2]).convex_hull.intersection(seen) for shape in shapes]
+    tops = np.array([float(shape[:, 2].max()) for shape in shapes])
+    feet = np.array([float(shape[:, 2].min()) for shape in shapes])
+    below = (feet < low) & np.array([view.area > 0.0 for view in views])
+    if not below.any():
+        around = shapely.MultiPoint(np.concatenate(shapes)[:, :2]).convex_hull
+        aside = float(around.distance(seen.centroid)) or float(np.abs(tops - low).min())
+        return [(aside, 0.0, "nothing of the support is under the block")]
+    top = float(tops[below].max())
+    bearing = [view for view, use in zip(views, below & (tops >= top - FEET), strict=True) if use]
+    aside = float(shapely.unary_union(bearing).convex_hull.distance(seen.centroid))
+    hang, words = (
+        low - top,
+        f"the middle of the block is {aside / MM:.0f} mm beside its support, so that it tips",
     )
-    hang = float(underside(stock, stock.place[None])[0]) - head
-    for off, what in (
-        (gap, "the support under the block ends {} mm above what is below it"),
-        (hang, "the block hangs {} mm above its support"),
-    ):
-        if off > FEET:
-            out.append(
-                Issue(
-                    "stock.support",
-                    f"{what.format(f'{off / MM:.0f}')}; allowed are {FEET / MM:g} mm for feet",
-                    Severity.WARNING,
-                    field=field,
-                    value=off / MM,
-                    limit=FEET / MM,
-                    unit="mm",
-                    hint="make it longer, put what it stands on among the cell's obstacles, or let Tandem "
-                    "make one: support: pedestal",
-                    accepted=False,
-                )
-            )
-    return out
+    return [(hang, FEET, f"the block hangs {hang / MM:.0f} mm above its support"), (aside, 0.0, words)]
 
 
-def _bears(cell: Cell) -> bool:
-    """Whether something in the cell but the floor might bear a block."""
-    ground = Ground.of(cell)
-    return bool((ground.boxes[:, 1, 2] > ground.floor + FEET).any())
+def _high(cell: Cell, stock: Stock, place: FloatArray, field: str) -> list[Issue]:
+    """What is wrong with the height of what is made under a block whose place is stated."""
+    assert stock.pedestal is not None
+    high = float(underside(stock, place[None])[0]) - Ground.of(cell).floor
+    most, kind = stock.pedestal.heights[-1], stock.pedestal.kind
+    if high < -FEET:
+        what = f"the block is {-high / MM:.0f} mm below the floor, where no {kind} is"
+        hint = "correct its place, or the heights of the bases, the lowest of which tells the floor; or take "
+        hint += "support out"
+        return [_unborne(what, field, -high, FEET, hint)]
+    if high > most + 1e-9:
+        what = f"the {kind} under the block would be {high / MM:.0f} mm high; those in stock are "
+        what += f"{most / MM:.0f} at most"
+        hint = f"put the block lower, at most {most / MM:.0f} mm above the floor, or state the shapes of its "
+        hint += "support"
+        return [_unborne(what, field, high, most, hint)]
+    for shape in with_support(cell, stock, place).support:
+        name, deep = _stands_in(transform(place @ shape.pose, corners(shape)), cell)
+        if deep > FEET:
+            what = f"the {kind} under the block would stand {deep / MM:.0f} mm deep in {name}"
+            hint = f"state the shapes of a support that stands on it, or put the block or {name} elsewhere"
+            return [_unborne(what, field, deep, FEET, hint)]
+    return []
+
+
+def _stands_in(made: FloatArray, cell: Cell) -> tuple[str, float]:
+    """The obstacle in which a box that stands, by its corners (8, 3), is deepest, and how deep [m]."""
+    view = shapely.MultiPoint(made[:, :2]).convex_hull
+    found = [("", 0.0)]
+    for obstacle in cell.obstacles:
+        for body in (transform(one.pose, corners(one)) for one in obstacle.shapes):
+            deep = min(body[:, 2].max() - made[:, 2].min(), made[:, 2].max() - body[:, 2].min())
+            if view.intersection(shapely.MultiPoint(body[:, :2]).convex_hull).area > 1e-6:
+                found.append((obstacle.name, float(deep)))
+    return max(found, key=lambda one: one[1])
+
+
+def _unborne(what: str, field: str, value: float, limit: float, hint: str) -> Issue:
+    if limit == FEET:
+        what += f"; allowed are {FEET / MM:g} mm for feet"
+    return Issue(
+        "stock.support",
+        what,
+        Severity.WARNING,
+        field=field,
+        value=value / MM,
+        limit=limit / MM,
+        unit="mm",
+        hint=hint,
+        accepted=False,
+    )
 
 
 def _hangs(why: str, field: str, gap: float | None) -> Issue:
@@ -217,6 +286,7 @@ def _hangs(why: str, field: str, gap: float | None) -> Issue:
         unit=None if gap is None else "mm",
         hint="state its support by shapes, or let Tandem make one that arms keep clear of: "
         "support: pedestal, or support: table",
+        accepted=False,
     )
 
 

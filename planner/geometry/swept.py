@@ -11,7 +11,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from planner.geometry.closest import small_pieces
 from planner.geometry.round_body import FIRST, PARTS, Round, ladder
 from planner.geometry.vectors import columns
 
@@ -26,6 +28,12 @@ SPLIT: Final = 8
 """Cells are taken apart into their points at groups of so many places."""
 PAIRS: Final = 20_000
 """Points and groups that are looked at at once."""
+COARSE: Final = 4e-3
+"""Size of pieces of a face [m] of which those far from a body's way are left out."""
+PART: Final = 20_000
+"""Pieces that are divided at once."""
+TRIED: Final = 200
+ALL: Final = np.iinfo(np.int64).max
 SAME: Final = 1e-10
 """Places at which a point is nearer by less than this [m] are one as good as the other."""
 
@@ -62,6 +70,76 @@ def _in_box(points: FloatArray, tip: FloatArray, axis: FloatArray, body: Round, 
     room = body.widest + sight
     low, high = ends.min(axis=(0, 1)) - room, ends.max(axis=(0, 1)) + room
     return np.flatnonzero(((points >= low[:, None]) & (points <= high[:, None])).all(axis=0))
+
+
+def places_near(
+    corners: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    body: Round,
+    sight: float,
+    size: float,
+    most: int,
+) -> tuple[FloatArray, IntArray, int]:
+    """Places (P, 3) of triangles (T, 3, 3) that are within ``sight`` [m] of a body at some of the places
+    ``tip``, ``axis`` (N, 3), and the triangle (P,) of each: the middles of all pieces there, none of which
+    has an edge longer than ``size`` [m]. Also how many pieces that takes, about; above ``most`` there are no
+    places."""
+    centre, reach = _around(tip, axis, body, sight)
+    owner = np.arange(len(corners))
+    kept = _within(corners, centre, reach)
+    near, owner = corners[kept], owner[kept]
+    longest = float(np.linalg.norm(near - np.roll(near, 1, axis=1), axis=2).max(initial=0.0))
+    while len(near) and longest > max(size, COARSE):
+        longest = max(0.5 * longest, size, COARSE)
+        near, own = small_pieces(near, longest, ALL)
+        kept = _within(near, centre, reach)
+        near, owner = near[kept], owner[own][kept]
+        if len(near) > most:
+            break
+    count = _count(near, size)
+    if count > most or not len(near):
+        return corners[:0, 0], owner[:0], count
+    places, owners = [corners[:0, 0]], [owner[:0]]
+    for rows in np.array_split(np.arange(len(near)), len(near) // PART + 1):
+        pieces, own = small_pieces(near[rows], size, ALL)
+        places.append(pieces.mean(axis=1))
+        owners.append(owner[rows][own])
+    found = np.concatenate(places)
+    return found, np.concatenate(owners), len(found)
+
+
+def _count(corners: FloatArray, size: float) -> int:
+    """How many pieces of triangles (T, 3, 3) have no edge longer than ``size`` [m], by trying a few."""
+    if not len(corners):
+        return 0
+    some = corners[:: max(1, len(corners) // TRIED)]
+    longest = np.linalg.norm(some - np.roll(some, 1, axis=1), axis=2).max(axis=1)
+    # so large triangles would be too many alone: their pieces are like them, and four times as many
+    halves = np.maximum(np.ceil(np.log2(longest / size / 16.0)), 0.0)
+    few = [
+        len(small_pieces(one[None], size * 2.0**half, ALL)[0]) * 4.0**half
+        for one, half in zip(some, halves, strict=True)
+    ]
+    return int(np.ceil(np.sum(few) * len(corners) / len(some)))
+
+
+def _around(tip: FloatArray, axis: FloatArray, body: Round, sight: float) -> tuple[cKDTree, float]:
+    """Places and a reach [m]: whatever is within ``sight`` of a body somewhere is within that of one."""
+    count = max(int(np.ceil((body.end - body.start) / max(body.widest, COARSE))), 1)
+    back = body.start + (body.end - body.start) * (np.arange(count) + 0.5) / count
+    cells = [np.unique(np.floor((tip + b * axis) / COARSE).astype(np.int64), axis=0) for b in back]
+    every = np.unique(np.concatenate(cells), axis=0)
+    half = 0.5 * (body.end - body.start) / count
+    return cKDTree((every + 0.5) * COARSE), float(np.hypot(body.widest, half)) + sight + COARSE
+
+
+def _within(corners: FloatArray, centre: cKDTree, reach: float) -> NDArray[np.bool_]:
+    """Which triangles (T, 3, 3) may come within ``reach`` [m] of some centre."""
+    middle = corners.mean(axis=1)
+    size = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    away, _ = centre.query(middle, distance_upper_bound=reach + float(size.max(initial=0.0)))
+    return np.asarray(away - size <= reach)
 
 
 @dataclasses.dataclass

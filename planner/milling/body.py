@@ -48,6 +48,11 @@ class Section:
         both = np.hypot(np.maximum(body, 0.0), np.maximum(rear, 0.0))
         return np.asarray(np.where((body > 0.0) & (rear > 0.0), both, np.maximum(body, rear)))
 
+    @property
+    def round(self) -> Round:
+        """The section as a body of revolution."""
+        return Round(self.start, self.end, self.radius, self.off, self.corner == 0.0)
+
 
 def sections(cutter: Cutter) -> tuple[Section, ...]:
     """The tool's cylinders from the tip to the end of the spindle."""
@@ -88,14 +93,18 @@ def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, section:
     return bool(((low <= vertices.max(axis=0)) & (high >= vertices.min(axis=0))).all())
 
 
+def places(tip: FloatArray, axis: FloatArray, section: Section) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Tips and axes (M, 3) at which a section on a path (N,) is looked at, and the place (M,) that each move
+    leads to."""
+    return between(tip, axis, section.end, max(DENSE * section.radius, LEAST))
+
+
 def off(
     points: FloatArray, tip: FloatArray, axis: FloatArray, section: Section, below: float = np.inf
 ) -> tuple[FloatArray, IntArray]:
     """Least distance (P,) [m] of points (P, 3) from a section along a path (N,), negative inside, and the
     place (P,) that the move leads to at which it is least; no more than ``SIGHT`` is told. With ``below`` [m]
     what is not less may be told too large, but for the least of all."""
-    step = max(DENSE * section.radius, LEAST)
-    tips, axes, to = between(tip, axis, section.end, step)
-    solid = Round(section.start, section.end, section.radius, section.off, section.corner == 0.0)
-    best, place = least(points, tips, axes, solid, SIGHT, below)
+    tips, axes, to = places(tip, axis, section)
+    best, place = least(points, tips, axes, section.round, SIGHT, below)
     return best, np.where(best < SIGHT, to[place], 0)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
+from planner.geometry.closest import closest_on_triangles, corner_normals
 from planner.geometry.mesh import TriangleMesh
+from planner.geometry.swept import places_near
 from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.milling import body
@@ -24,8 +25,14 @@ from planner.units import MM
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-POINTS: Final = 120_000
-"""Most places of a face that a tool is held against."""
+POINTS: Final = 3_000_000
+"""Most places of a face beside one piece of a tool that this is held against; the proof takes some more."""
+EDGE: Final = 5.0 * MM
+"""How far behind it a sharp edge of a tool is looked at [m],"""
+NARROW: Final = 2.0
+"""at places of a face that are so much nearer to one another, over the tolerance; never nearer than"""
+FINEST: Final = 0.4 * MM
+"""[m] this."""
 SPARE: Final = 0.5
 """Share of the tolerance that may lie between places of a face."""
 RISE: Final = 0.2
@@ -50,11 +57,10 @@ def check(work: Work) -> list[Issue]:
     """Issues of all cuts."""
     out = list(work.notes)
     for face in work.faces:
-        known: dict[float, tuple[FloatArray, IntArray]] = {}
         for one in work.cuts:
             own = one.face is not None and one.face.name == face.name
             twist = _twist(work, one) if own else []
-            out += twist or _gouges(work, one, face, known)
+            out += twist or _gouges(work, one, face)
     return out
 
 
@@ -78,27 +84,31 @@ def _twist(work: Work, one: Done) -> list[Issue]:
     ]
 
 
-def _gouges(
-    work: Work, one: Done, face: Face, known: dict[float, tuple[FloatArray, IntArray]]
-) -> list[Issue]:
-    """Gouges of one cut into a face, one issue for each section; ``known``: places of the face by their
-    distance."""
+def _gouges(work: Work, one: Done, face: Face) -> list[Issue]:
+    """Gouges of one cut into a face, one issue for each section, and what of it is too large to be looked
+    at."""
     out: list[Issue] = []
     told: set[str] = set()
     deep = one.depth if face.name == "front" else 0.0
+    corners = face.mesh.vertices[face.mesh.faces]
     for section in body.sections(work.cutter):
         ways = [(run, *_way(run)) for run in one.runs]
         ways = [way for way in ways if body.comes_near(face.mesh.vertices, *way[1:], section)]
         if not ways:
             continue
-        size = float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance))
-        if size not in known:
-            corners = face.mesh.vertices[face.mesh.faces]
-            pieces, owner = small_pieces(corners, max(size, 0.3 * MM), POINTS)
-            known[size] = pieces.sum(axis=1) / 3.0, owner
-        points, owner = known[size]
+        places = [body.places(*way[1:], section) for way in ways]
+        tips, axes = (np.concatenate([place[k] for place in places]) for k in (0, 1))
+        size = max(float(np.sqrt(8.0 * section.radius * SPARE * one.tolerance)), 0.3 * MM)
+        points, owner, count = places_near(corners, tips, axes, section.round, body.SIGHT, size, POINTS)
+        narrow = max(NARROW * one.tolerance, FINEST)
+        for edge in _edges(section):
+            some = places_near(corners, tips, axes, edge.round, body.SIGHT, narrow, POINTS)[2]
+            count, size = max((count, size), (some, narrow))
+        if count > POINTS:
+            out.append(_too_large(one, face, section, count, size))
+            continue
         allowed = one.tolerance + ROUNDED + (deep if section.name == "cutter" else 0.0)
-        for run, tip, axis in ways:
+        for run, tip, axis in ways if len(points) else ():
             apart, where = body.off(points, tip, axis, section, -allowed)
             k = int(apart.argmin())
             if apart[k] >= -allowed or section.name in told:
@@ -139,6 +149,30 @@ def _clear(
         for way in ways
         for section in tool
     )
+
+
+def _edges(section: body.Section) -> tuple[body.Section, ...]:
+    """Slices of a section at its sharp edges."""
+    front = dataclasses.replace(section, end=min(section.end, section.start + EDGE))
+    back = dataclasses.replace(section, start=max(section.start, section.end - EDGE), corner=0.0)
+    return (back,) if section.corner > 0.0 else (front, back)
+
+
+def _too_large(one: Done, face: Face, section: body.Section, count: int, size: float) -> Issue:
+    """What to do where a face would take ``count`` places, whose pieces have edges of ``size`` [m]."""
+    fewer = 1.05 * size * float(np.sqrt(count / POINTS))
+    narrow = size <= max(NARROW * one.tolerance, FINEST)
+    wanted = fewer / NARROW if narrow else fewer**2 / (8.0 * section.radius * SPARE)
+    what = (
+        f"{one.runs[0].name}: beside the {section.name}, {face.name} would have to be looked at in {count} "
+    )
+    what += f"places, {size / MM:.2f} mm apart, so that no gouge is missed; allowed: {POINTS}: take a "
+    what += (
+        f"shape_tol_mm of {np.ceil(wanted / MM * 100.0) / 100.0:.2f} or more, or part the surface and mill "
+    )
+    what += "it in several operations"
+    measure = {"value": float(count), "limit": float(POINTS)}
+    return Issue("milling.too_large", what, field="operations.cuts", **measure)  # type: ignore[arg-type]
 
 
 def _way(run: Run) -> tuple[FloatArray, FloatArray]:

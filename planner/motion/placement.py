@@ -109,7 +109,8 @@ class Search:
         in_air: bool = False,
     ) -> None:
         """``start`` (4,) is a first guess x, y, z [m], yaw [rad] around which some lie; ``cells`` are
-        the cells of the jobs where their tools differ; ``in_air``: a support may end above the floor."""
+        the cells of the jobs where their tools differ; ``in_air``: a support, or a block
+        without one, may end above the floor."""
         self._cell, self._stock, self._jobs, self._settings = cell, stock, jobs, settings
         self._movable = tuple(arm for arm in cell.arms if arm.base_auto)
         self._rng = np.random.default_rng(settings.seed if seed is None else seed)
@@ -121,6 +122,9 @@ class Search:
         self._levels = standing.levels(cell, stock) if stands else np.zeros(0)
         self._borne = stands and bool(stock.support) and not in_air
         self._ground = standing.Ground.of(cell)
+        # nothing is stated: it stands on what is below it, where there is anything but the floor
+        bare = stands and not stock.support and stock.pedestal is None and not in_air
+        self._drops = bare and self._ground.bears
         self._each = list(zip(cells or [cell] * len(jobs), jobs, strict=True))
         self._look(shifted=False)
 
@@ -215,7 +219,9 @@ class Search:
             seen = axes.T @ (corner[:2] - base[:2, 3])
             row[:2] += axes @ (np.round(seen / ROUND) * ROUND - seen)
             under = float(standing.underside(self._stock, pose[None])[0]) - self._ground.floor
-            row[2] = pose[2, 3] + (0.0 if len(self._levels) else np.round(under / ROUND) * ROUND - under)
+            row[2] = pose[2, 3] + (
+                0.0 if len(self._levels) or self._drops else np.round(under / ROUND) * ROUND - under
+            )
         return out
 
     def _first(self) -> FloatArray:
@@ -261,6 +267,8 @@ class Search:
         place = from_parts(turn, point[:3])
         if len(self._levels):
             place[2, 3] = self._levels[int(np.argmin(np.abs(self._levels - point[2])))]
+        if self._drops:
+            place[2, 3] -= standing.air(self._ground, self._stock, place[None])[0]
         return place
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import clearance, plant
+from planner.cell import clearance, plant, standing
 from planner.cell.bodies import own_shapes
 from planner.geometry.rigid import transform
 from planner.geometry.shapes import Shape, corners
@@ -143,7 +143,7 @@ class _Trial:
         rows = np.concatenate([[index], around, spread])
         rows = rows[(rows >= 0) & (rows < job.count)]
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
-        self._overlaps = self._fixed(problem)
+        self._overlaps, self._unborne = self._fixed(problem), len(standing.issues(problem))
         self._looks, self._searches, self._whole = LOOKS, SEARCHES, PLANS
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
@@ -313,6 +313,8 @@ class _Trial:
     def _opens(self, changed: Problem, remedy: Remedy) -> bool:
         """Whether nothing that stands overlaps after a change, the homes are free and the job has a path."""
         self._looks -= 1
+        if len(standing.issues(changed)) > self._unborne:  # it would no longer stand on anything
+            return False
         scene = self._scene(changed)
         if not self._fixed(changed) <= self._overlaps or _into_others(changed, remedy):
             return False

@@ -145,7 +145,8 @@ class Stand:
         return [model for model, jobs in zip(models, self.jobs, strict=True) for _ in jobs]
 
     def search(self, settings: Settings, in_air: bool) -> Search:
-        """The search of a place for all operations; ``in_air``: a support may end above the floor."""
+        """The search of a place for all operations; ``in_air``: a support, or a block
+        without one, may end above the floor."""
         first = self.setups[0]
         jobs = [(setup.cell, job) for setup, some in zip(self.setups, self.jobs, strict=True) for job in some]
         cells = [cell for cell, _ in jobs]
@@ -190,7 +191,9 @@ def _settle(
 
 
 def _search(problem: Problem, stand: Stand) -> Search:
-    return stand.search(problem.settings, "stock.support" in problem.accept)
+    stated = any(setup.stock.support for setup in stand.setups)
+    taken = "stock.support" if stated else "stock.hangs"
+    return stand.search(problem.settings, taken in problem.accept)
 
 
 def _plan(

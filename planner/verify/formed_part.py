@@ -7,14 +7,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.claims_forming import FormsSheet
-from planner.geometry.closest import small_pieces
 from planner.geometry.mesh import TriangleMesh, face_normals
 from planner.geometry.vectors import dots
 from planner.units import MM
 from planner.verify.forming_fit import short
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.result import CutFace
-from planner.verify.surface import vertex_normals
+from planner.verify.surface import divided, vertex_normals
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -34,7 +33,7 @@ def envelope(one: Formed) -> CutFace:
     rows = np.flatnonzero(_walls(claim))
     walls = claim.vertices[claim.faces[rows]]
     size = min(_STEP, float(np.sqrt(_areas(walls).sum() / _SAMPLES)) * 2.0)
-    parts, owner = small_pieces(walls, max(size, 1e-4), 4 * _SAMPLES)
+    parts, owner = divided(walls, max(size, 1e-4))
     area = _areas(parts)
     points = parts.mean(axis=1)
     off = swept(one, points) - claim.radius

@@ -31,6 +31,8 @@ GRAIN = 0.15
 _ROUNDS = 24
 _PLANES = 3
 _MOST = 25_000
+"""Pieces at most: where there would be more, what a ball does not reach is looked for less closely, and
+what is not looked at closely counts as reached."""
 
 
 def short(face: Face, points: FloatArray, normals: FloatArray, radius: float, side: int) -> FloatArray:
@@ -117,7 +119,11 @@ def left_by(face: Face, radius: float, side: int, start: float) -> Face:
     back = centres(face, places, up, radius, side) - places
     far = np.linalg.norm(back, axis=1, keepdims=True)
     moved = places + np.maximum(far - radius, 0.0) * back / np.maximum(far, 1e-12)
-    made = np.concatenate([corners[~wrong], moved.reshape(-1, 3, 3)]).reshape(-1, 3)
+    # between corners far apart nothing is known: a piece that is too large stays as it is wanted
+    longest = np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(axis=1)
+    small = (longest <= GRAIN * radius * (1.0 + 1e-9))[:, None, None]
+    moved = np.where(small, moved.reshape(-1, 3, 3), parts)
+    made = np.concatenate([corners[~wrong], moved]).reshape(-1, 3)
     found = Face(made, np.arange(len(made)).reshape(-1, 3), radius)
     # pieces meet without sharing corners, and end nowhere
     edge = np.concatenate([face.border[~wrong], np.zeros((len(parts), 3), dtype=np.bool_)])

@@ -1,19 +1,17 @@
-"""Sharp edges of a tool against a face: where they go in they are narrow, and are looked for more closely
-than what is round."""
+"""Places of faces at which tools are looked for: those near to a tool's way, as near to one another as what
+is looked for is wide. Sharp edges are narrow where they go in, and are looked for more closely."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from planner.claims_milling import SparesPart
-from planner.geometry.closest import small_pieces
-from planner.geometry.vectors import lengths
-from planner.verify.mill_body import SIGHT, Solid
-from planner.verify.mill_track import FINEST, MOST
+from planner.geometry.round_body import Round
+from planner.geometry.swept import places_near
+from planner.verify.mill_body import SIGHT, Solid, signed
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +22,10 @@ RIM_STEP = 2.0
 leaves stairs half as deep as the step between two places."""
 LEAST_STEP = 0.1e-3
 """The same at least [m]."""
-COARSE = 4e-3
-"""Size of pieces [m] of which those far from the edge are left out."""
+FINEST = 0.4e-3
+"""Places of a face are no nearer to one another than this [m],"""
+MOST = 4_000_000
+"""and there are at most so many by one piece of a tool."""
 
 
 def rim_step(tolerance: float) -> float:
@@ -47,25 +47,24 @@ def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
     return tuple(out)
 
 
-def rim_places(claim: SparesPart, edge: Solid, tip: FloatArray, axis: FloatArray) -> FloatArray:
-    """Places (P, 3) of a face near an edge on its way ``tip``, ``axis`` (M, 3), as near to one another as the
-    edge is wide where it goes in by the tolerance; one vertex where none is near."""
-    stride = max(int(COARSE / rim_step(claim.tolerance)), 1)
-    some = np.append(np.arange(0, len(tip), stride), len(tip) - 1)
-    centre = cKDTree(tip[some] + 0.5 * (edge.start + edge.end) * axis[some])
-    reach = float(np.hypot(edge.radius, 0.5 * (edge.end - edge.start))) + SIGHT + COARSE
-    near = _near(claim.vertices[claim.faces], centre, reach)
-    if len(near):
-        near = _near(small_pieces(near, COARSE, MOST)[0], centre, reach)
-    if not len(near):
-        return claim.vertices[:1]
-    pieces, _ = small_pieces(near, max(RIM_STEP * claim.tolerance, FINEST), MOST)
-    return np.asarray(pieces.mean(axis=1))
+def rim_size(tolerance: float) -> float:
+    """How near [m] to one another places of a face are by an edge: as it is wide where it goes in by the
+    tolerance."""
+    return max(RIM_STEP * tolerance, FINEST)
 
 
-def _near(corners: FloatArray, centre: cKDTree, reach: float) -> FloatArray:
-    """The triangles (T, 3, 3) that may come within ``reach`` [m] of some centre."""
-    middle = corners.mean(axis=1)
-    size = lengths(corners - middle[:, None]).max(axis=1)
-    away, _ = centre.query(middle, distance_upper_bound=reach + float(size.max()))
-    return np.asarray(corners[away - size <= reach])
+def round_size(radius: float, tolerance: float) -> float:
+    """The same for what is round, of ``radius`` [m]: between them it is in the face by half of the tolerance
+    at most, s^2 / 6 r."""
+    return max(float(np.sqrt(3.0 * radius * tolerance)), FINEST)
+
+
+def near_places(
+    corners: FloatArray, solid: Solid, tip: FloatArray, axis: FloatArray, size: float
+) -> tuple[FloatArray, int]:
+    """Places (P, 3) of triangles (T, 3, 3) within sight of a solid somewhere on its way ``tip``, ``axis``
+    (M, 3), as near to one another as pieces of edges of ``size`` [m] are, and how many these are: above
+    ``MOST`` that is too many, and there are none."""
+    body = Round(solid.start, solid.end, solid.radius, functools.partial(signed, solid))
+    places, _, count = places_near(corners, tip, axis, body, SIGHT, size, MOST)
+    return places, count

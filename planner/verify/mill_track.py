@@ -4,14 +4,12 @@ the motion between them allows."""
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims_milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
-from planner.geometry.closest import small_pieces
 from planner.geometry.rigid import inverse
 from planner.problem import Stock
 from planner.segments import Segment
@@ -27,9 +25,6 @@ BoolArray = NDArray[np.bool_]
 Spaced = tuple[FloatArray, FloatArray, IntArray]
 """Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
 
-FINEST = 0.4e-3
-"""Places of a face are no nearer to one another than this [m]; their number is bounded by ``MOST``."""
-MOST = 240_000
 LEVER = 0.15
 """A point so far behind the tip [m] counts, with the tip, for the way between places."""
 
@@ -97,7 +92,6 @@ class Milling:
         )
         self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
         self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
-        self._places: dict[tuple[bytes, float], FloatArray] = {}
         self._followed: dict[tuple[int, int], tuple[IntArray, Followed]] = {}
 
     @property
@@ -159,16 +153,6 @@ class Milling:
         """The cutter of the tool on ``arm`` in setup ``index``."""
         tool = self.context.setups[index].cell.arm(arm).tool
         return tool.cutter if isinstance(tool, Mill) else None
-
-    def places(self, claim: SparesPart, radius: float) -> FloatArray:
-        """Places (P, 3) of a face so near to one another that a solid of ``radius`` [m] between them is in it
-        by half of the tolerance at most."""
-        size = max(float(np.sqrt(3.0 * radius * claim.tolerance)), FINEST)
-        key = hashlib.sha256(claim.vertices.tobytes() + claim.faces.tobytes()).digest(), size
-        if key not in self._places:
-            pieces, _ = small_pieces(claim.vertices[claim.faces], size, MOST)
-            self._places[key] = np.concatenate([pieces.mean(axis=1), claim.vertices])
-        return self._places[key]
 
     def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
         """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.claims_forming import SheetState
-from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.findings import at_sample
@@ -18,6 +17,7 @@ from planner.verify.forming_reached import least, levels
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.forming_track import Track, track
 from planner.verify.rules_forming import NONE, spread
+from planner.verify.surface import divided
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -147,5 +147,5 @@ def _places(face: Face) -> FloatArray:
     """Places (P, 3) all over a face."""
     corners = face.corners
     area = float(face.area.sum())
-    parts, _ = small_pieces(corners, max(GRAIN, 2.0 * float(np.sqrt(area / _PLACES))), 4 * _PLACES)
+    parts, _ = divided(corners, max(GRAIN, 2.0 * float(np.sqrt(area / _PLACES))))
     return np.concatenate([face.vertices[np.unique(face.faces)], parts.mean(axis=1)])

@@ -3,12 +3,13 @@ follows, the spindle, the feed."""
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from planner.claims_milling import MillsAlong, MillsSurface, SparesPart
-from planner.geometry.closest import small_pieces
 from planner.issues import Issue
 from planner.verify import rules_mill_flank, rules_mill_over
 from planner.verify.context import Context, Outcome, mm
@@ -16,10 +17,11 @@ from planner.verify.findings import at_node, at_sample
 from planner.verify.mill_body import SIGHT, Solid, comes_near, solids, sweep
 from planner.verify.mill_follow import Followed
 from planner.verify.mill_over import within
-from planner.verify.mill_rims import edges, rim_places, rim_step
+from planner.verify.mill_rims import MOST, edges, near_places, rim_size, rim_step, round_size
 from planner.verify.mill_track import Milling
 from planner.verify.result import CutFace
 from planner.verify.setups import MILL
+from planner.verify.surface import divided
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -67,7 +69,7 @@ def cut_face(milling: Milling, index: int, claim: MillsSurface) -> CutFace:
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
     size = max(float(np.sqrt(area.sum() / _PLACES)) * 2.0, _FINEST)
-    pieces, _ = small_pieces(corners, size, 2 * _PLACES)
+    pieces, _ = divided(corners, size)
     area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
     points = pieces.mean(axis=1)
     if claim.margin:
@@ -106,7 +108,7 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
         track = milling.track(index, claim.arm, labels)
         if not len(track.rows):
             continue
-        pieces = solids(claim.cutter)
+        pieces, corners = solids(claim.cutter), claim.vertices[claim.faces]
         for solid, sharp in [*((one, False) for one in pieces), *((one, True) for one in edges(pieces))]:
             allowed = claim.tolerance + FACETS + (claim.depth if solid.name == "cutter" else 0.0)
             near = comes_near(claim.vertices, track.tip, track.axis, solid)
@@ -116,7 +118,13 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
             tip, axis, rows = milling.spaced(index, claim.arm, labels, step)
             points = claim.vertices[:1]
             if near:
-                points = rim_places(claim, solid, tip, axis) if sharp else milling.places(claim, solid.radius)
+                size = rim_size if sharp else functools.partial(round_size, solid.radius)
+                found, count = near_places(corners, solid, tip, axis, size(claim.tolerance))
+                if count > MOST:
+                    issues.append(_too_many(claim, solid, count, size(claim.tolerance)))
+                    worst, limit, where = max(worst, 0.0), mm(allowed), str(claim.segments[0])
+                    continue
+                points = np.concatenate([found, points if sharp else claim.vertices])
             off, place = sweep(points, tip, axis, solid, -allowed)
             k = int(off.argmin())
             if -off[k] - allowed > worst:
@@ -134,6 +142,16 @@ def mill_gouge(context: Context, milling: Milling) -> Outcome:
     if limit is None:
         return Outcome(tuple(issues), where=NONE)
     return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def _too_many(claim: SparesPart, solid: Solid, count: int, size: float) -> Issue:
+    """Nothing is proven of a face that is too large to be looked at as closely as it has to be."""
+    what = (
+        f"beside the {solid.name} the face would have to be looked at in {count} places, {mm(size):.2f} mm "
+    )
+    what += f"apart; allowed: {MOST}: split the cut, or take a larger tolerance"
+    name = str(claim.segments[0])
+    return Issue("verify.mill_gouge", what, field=name, value=float(count), limit=float(MOST))
 
 
 def mill_path(context: Context, milling: Milling) -> Outcome:

@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from planner.catalogue import robot
+from planner.cell import standing
 from planner.geometry.rigid import inverse, transform
 from planner.geometry.shapes import corners
 from planner.issues import Issue
@@ -35,23 +38,25 @@ FEET: Final = 0.025
 
 def rests(context: Context) -> Outcome:
     """A block that an arm holds lies flat on a gripper whose face is within its own, which holds it firmly
-    enough and is with it within the payload; a support bears its block and stands on the floor or on a body
-    of the cell, unless the problem accepts that it does not."""
+    enough and is with it within the payload; any other one stands on the floor, on a body of the cell or on
+    a support that is under its middle and stands there itself, unless the problem accepts that it does
+    not."""
     issues: list[Issue] = []
     told = 0
     for index, setup in enumerate(context.setups):
         stock = setup.stock
         if stock.held_by is not None:
             faults = list(_held(setup))
-        elif stock.sheet is None and (stock.support or stock.pedestal):
+        elif stock.sheet is None:
             place = stock.place if context.places[index] is None else context.places[index]
-            skip = place is None or "stock.support" in context.problem.accept
-            faults = [] if place is None or skip else list(_stands(setup.cell, stock, place))
+            stated = bool(stock.support) or stock.pedestal is not None
+            taken = ("stock.support" if stated else "stock.hangs") in context.problem.accept
+            faults = [] if place is None or taken else list(_stands(setup.cell, stock, place))
         else:
             continue
         told += 1
         issues += [Issue("verify.rests", f"setup {setup.number}: {fault}") for fault in faults]
-    return Outcome(tuple(issues), where="" if told else "nothing is held, and no support is stated")
+    return Outcome(tuple(issues), where="" if told else "only sheets")
 
 
 def _held(setup: Setup) -> Iterator[str]:
@@ -84,32 +89,98 @@ def _held(setup: Setup) -> Iterator[str]:
 
 
 def _stands(cell: Cell, stock: Stock, place: FloatArray) -> Iterator[str]:
-    """What is wrong with a stated support of a block that stands at ``place`` (4, 4)."""
-    under = float(transform(place, _box_corners(stock))[:, 2].min())
-    upright = [arm.base[2, 3] for arm in cell.arms if arm.base[2, 2] > 0.5]
-    ground = float(min([0.0, *upright]))
-    if stock.pedestal is not None:
-        off = min(abs(under - ground - height) for height in stock.pedestal.heights)
-        if stock.place is None and off > LEVEL:
-            kind = stock.pedestal.kind
-            yield f"the block is {mm(under - ground):.2f} mm above the floor; no {kind} is that high"
+    """What is wrong with how a block stands at ``place`` (4, 4)."""
+    block = transform(place, _box_corners(stock))
+    under = float(block[:, 2].min())
+    floor = float(min([0.0, *(arm.base[2, 3] for arm in cell.arms if arm.base[2, 2] > 0.5)]))
+    bodies = [transform(s.pose, corners(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
+    if stock.pedestal is None and not stock.support:
+        air = under - _ground(block, floor, bodies)
+        if air > FEET + EDGE:
+            yield f"the block hangs {mm(air):.0f} mm above what would bear it; no support is stated"
         return
-    shapes = [transform(place @ shape.pose, corners(shape)) for shape in stock.support]
-    foot = min(float(shape[:, 2].min()) for shape in shapes)
-    head = max(float(shape[:, 2].max()) for shape in shapes)
-    if under - head > FEET:
-        yield f"the block hangs {mm(under - head):.0f} mm above its support"
-    lowest = next(shape for shape in shapes if float(shape[:, 2].min()) == foot)
+    if stock.pedestal is not None:
+        yield from _made(stock, place, under - floor)
+        if under - floor <= FEET:
+            return
+    shapes = standing.with_support(cell, stock, place).support
+    feet = [transform(place @ shape.pose, corners(shape)) for shape in shapes]
+    yield from _on(block, feet)
+    if not feet:
+        return
+    if stock.pedestal is not None and stock.place is not None:
+        yield from _stands_in(feet[0], cell)
+    lowest = min(feet, key=lambda one: float(one[:, 2].min()))
+    air = float(lowest[:, 2].min()) - _ground(lowest, floor, bodies)
+    if air > FEET + EDGE:
+        yield f"the support ends {mm(air):.0f} mm above what is below it"
+
+
+def _made(stock: Stock, place: FloatArray, high: float) -> Iterator[str]:
+    """What is wrong with a block for which something ``high`` [m] is made to stand on."""
+    assert stock.pedestal is not None
+    kind, heights = stock.pedestal.kind, stock.pedestal.heights
+    if float(np.abs(place[2, :3]).max()) < np.cos(FLAT):
+        yield f"the block leans, and stands on no {kind}"
+    if stock.place is None and min(abs(high - one) for one in heights) > LEVEL:
+        yield f"the block is {mm(high):.2f} mm above the floor; no {kind} is that high"
+    elif high > max(heights) + LEVEL or high < -FEET - EDGE:
+        most = mm(max(heights))
+        yield f"the block is {mm(high):.0f} mm above the floor; a {kind} is up to {most:.0f} mm high"
+
+
+def _stands_in(made: FloatArray, cell: Cell) -> Iterator[str]:
+    """Bodies of the cell that would be inside of what is made for a block, by its corners (8, 3)."""
+    low, high = made[:, 2].min(), made[:, 2].max()
+    view = shapely.MultiPoint(made[:, :2]).convex_hull
     for obstacle in cell.obstacles:
         for shape in obstacle.shapes:
             body = transform(shape.pose, corners(shape))
-            if _beside(lowest[:, :2], body[:, :2]):
-                continue
-            top = float(body[:, 2].max())
-            ground = max(ground, top) if top <= foot + FEET else ground
-            ground = foot if body[:, 2].min() <= foot <= top else ground  # it stands in the body
-    if foot - ground > FEET:
-        yield f"the support ends {mm(foot - ground):.0f} mm above what is below it"
+            deep = min(float(body[:, 2].max() - low), float(high - body[:, 2].min()))
+            shared = shapely.MultiPoint(body[:, :2]).convex_hull & view
+            if deep > FEET and shared.area > EDGE:
+                yield f"{obstacle.name} of the cell is inside of what is made for the block to stand on"
+                return
+
+
+def _on(block: FloatArray, shapes: list[FloatArray]) -> Iterator[str]:
+    """What is wrong with how a block, by its corners (8, 3), stands on shapes, by theirs."""
+    under, seen = float(block[:, 2].min()), ConvexHull(block[:, :2])
+    outline = shapely.Polygon(block[seen.vertices, :2])
+    parts = [
+        shapely.MultiPoint(one[:, :2]).convex_hull & outline for one in shapes if one[:, 2].min() < under
+    ]
+    heads = [float(one[:, 2].max()) for one in shapes if one[:, 2].min() < under]
+    found = [(head, part) for head, part in zip(heads, parts, strict=True) if part.area > 0.0]
+    if not found:
+        yield "nothing of its support is under the block"
+        return
+    head = max(one for one, _ in found)
+    if under - head > FEET + EDGE:
+        yield f"the block hangs {mm(under - head):.0f} mm above its support"
+    bearing = shapely.GeometryCollection([part for one, part in found if one >= head - FEET - EDGE])
+    aside = float(bearing.convex_hull.distance(shapely.Point(outline.centroid)))
+    if aside > EDGE:
+        yield f"the middle of the block is {mm(aside):.0f} mm beside its support"
+
+
+def _ground(body: FloatArray, floor: float, bodies: list[FloatArray]) -> float:
+    """Height [m] of what bears a body, by corners of both: a box at a corner alone bears nothing, several of
+    one height do where the middle of the body is between them."""
+    low, high = body.min(axis=0), body.max(axis=0)
+    middle = 0.5 * (low + high)[:2]
+    beneath = [
+        one for one in bodies if one[:, 2].min() <= low[2] + FEET and not _beside(body[:, :2], one[:, :2])
+    ]
+    best = floor
+    for one in beneath:
+        top = float(one[:, 2].max())
+        level = [other for other in beneath if abs(float(other[:, 2].max()) - top) <= FEET + EDGE]
+        first = np.min([np.maximum(low, other.min(axis=0))[:2] for other in level], axis=0)
+        last = np.max([np.minimum(high, other.max(axis=0))[:2] for other in level], axis=0)
+        if ((first <= middle + EDGE) & (middle <= last + EDGE)).all():
+            best = max(best, min(top, float(low[2])))  # it may stand in the body
+    return best
 
 
 def _beside(one: FloatArray, other: FloatArray) -> bool:

@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.claims import CutsSurface, FollowsRulings
+from planner.geometry.closest import small_pieces
 from planner.geometry.vectors import dots
+from planner.issues import Issue, TandemError
+from planner.units import MM
 from planner.verify.result import CutFace
 
 FloatArray = NDArray[np.float64]
@@ -23,6 +26,10 @@ IntArray = NDArray[np.int64]
 
 SAMPLE = 0.005
 """Largest edge of the triangles that the wanted face is sampled with [m]."""
+SHARE = 1.0 / 3000.0
+"""No sample stands for a larger share of its face."""
+MOST = 4_000_000
+"""Pieces of a face at most, where it has to be looked at all over."""
 MOST_SAMPLES = 60_000
 SHOWN = 0.010
 """Way along a ruling between points of the simulated part [m],"""
@@ -101,10 +108,19 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
             break
         corners = np.concatenate([corners[~large], _quartered(corners[large])])
         smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
+    most = SHARE * float(_areas(corners).sum())
+    # where a mesh is dense in one place, what is large in another is divided all the same
+    while (large := _areas(corners) > most).any():
+        corners = np.concatenate([corners[~large], _quartered(corners[large])])
+        smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
     normals = smooth.mean(axis=1)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    return corners.mean(axis=1), normals, _areas(corners)
+
+
+def _areas(corners: FloatArray) -> FloatArray:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return corners.mean(axis=1), normals, 0.5 * np.linalg.norm(cross, axis=1)
+    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
 def distance_to_sweep(points: FloatArray, normals: FloatArray, sweep: Sweep) -> tuple[FloatArray, FloatArray]:
@@ -319,3 +335,16 @@ def _quartered(corners: FloatArray) -> FloatArray:
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+def divided(corners: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
+    """Triangles (T, 3, 3) in pieces (P, 3, 3) none of which has an edge longer than ``size`` [m], and the
+    triangle (P,) of each. Raises ``TandemError`` where that is more than can be looked at: nothing is proven
+    of a face that is looked at here and there."""
+    parts, owner = small_pieces(corners, size, MOST)
+    longest = float(np.linalg.norm(parts - np.roll(parts, 1, axis=1), axis=2).max(initial=0.0))
+    if longest > size * (1.0 + 1e-9):
+        what = f"a face has so many long, thin facets that pieces of {size / MM:.2f} mm are over {MOST}; "
+        what += "export it with facets of even shape"
+        raise TandemError(Issue("verify.duration", what, value=float(len(parts)), limit=float(MOST)))
+    return parts, owner

@@ -38,7 +38,7 @@ def base() -> dict[str, Any]:
         "tandem": 1,
         "name": "feasible",
         "cell": "../cells/two_irb140_facing.yaml",
-        "stock": {"size_mm": [160, 230, 100], "place": "auto"},
+        "stock": {"size_mm": [160, 230, 100], "place": "auto", "support": "pedestal"},
         "part": {"front": loft(ARC), "back": {"offset_mm": 15}, "in_stock": "auto"},
         "operations": [
             {
@@ -67,7 +67,7 @@ def straight(kind: str, held: bool = False) -> dict[str, Any]:
     if held:
         stock["held_by"] = "right"
     else:
-        stock |= {"roll_pitch_deg": [90, 0]}
+        stock |= {"roll_pitch_deg": [90, 0], "support": "pedestal"}
     return {
         "tandem": 1,
         "name": kind,
@@ -155,7 +155,7 @@ def faults() -> dict[str, tuple[dict[str, Any], list[str]]]:
     problem["operations"][0]["faces"] = ["front"]
     add("flat_wall", ["wire.end_error"])["part"] |= {"front": loft(FLAT)}
     problem = add("thin_wire_on_edge", ["wire.weight"])
-    problem["stock"]["roll_pitch_deg"] = [80, 0]
+    problem["stock"]["roll_pitch_deg"] = [90, 0]
     problem["part"]["front"] = saddle()
     problem["operations"][0]["wire"]["diameter_mm"] = 0.5
     add("block_too_small", ["part.stock_too_small"])["stock"]["size_mm"] = [160, 190, 100]
@@ -258,7 +258,7 @@ def sheet_faults() -> dict[str, tuple[dict[str, Any], str, list[str]]]:
 MILLED: dict[str, Any] = {
     "tandem": 1,
     "cell": "../cells/irb4600_mill.yaml",
-    "stock": {"size_mm": [120, 80, 50], "place": {"xyz_mm": [1300, 0, 800]}},
+    "stock": {"size_mm": [120, 80, 50], "place": {"xyz_mm": [1300, 0, 800]}, "support": "table"},
     "settings": {"clearance_mm": 5},
     "operations": [
         {"name": "mill", "process": "milling", "arms": ["robot"], "cuts": [{"flank": "wall"}]},
@@ -377,7 +377,7 @@ def gcode_problem(name: str) -> dict[str, Any]:
         "tandem": 1,
         "name": name,
         "cell": "../cells/irb6640_mill.yaml",
-        "stock": {"size_mm": [320, 240, 80], "place": {"xyz_mm": [1500, 0, 900]}},
+        "stock": {"size_mm": [320, 240, 80], "place": {"xyz_mm": [1500, 0, 900]}, "support": "table"},
         "operations": [
             {
                 "name": "panel",

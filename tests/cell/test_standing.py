@@ -15,7 +15,7 @@ from planner.cell import plant, standing
 from planner.geometry.rigid import from_rpy
 from planner.geometry.shapes import Shape
 from planner.issues import Issue, Severity
-from planner.problem import Cell, Obstacle, Stock
+from planner.problem import Cell, Obstacle, Setup, Stock
 from planner.stock_file import PEDESTAL, TABLE
 from planner.tooling import bow
 from tests import small_problem
@@ -41,8 +41,10 @@ def test_how_far_something_is_above_what_is_below_it() -> None:
     block = Stock(SIZE, None, np.eye(3))
     assert gap(cell(), block, at(1.0, 0.7)) == pytest.approx(0.7)
     assert gap(cell(TABLE_TOP), block, at(1.0, 0.7)) == pytest.approx(0.3)
-    assert gap(cell(TABLE_TOP), block, at(1.46, 0.7)) == pytest.approx(0.3)  # a corner is over it
-    assert gap(cell(TABLE_TOP), block, at(1.47, 0.7)) == pytest.approx(0.7)
+    assert gap(cell(TABLE_TOP), block, at(1.29, 0.7)) == pytest.approx(0.3)  # its middle is over it
+    assert gap(cell(TABLE_TOP), block, at(1.31, 0.7)) == pytest.approx(0.7)  # here it would tip
+    beside = Obstacle("next", (Shape("box", (0.2, 0.6, 0.04), from_rpy((1.5, 0.0, 0.37), (0, 0, 0))),))
+    assert gap(cell(TABLE_TOP, beside), block, at(1.35, 0.7)) == pytest.approx(0.3)  # over both
     assert gap(cell(TABLE_TOP), block, at(1.0, 0.2)) == pytest.approx(0.2)  # below the bench
     assert gap(cell(TABLE_TOP), block, at(1.0, 0.7, (np.pi / 2, 0, 0))) == pytest.approx(0.05)  # 0.7 - 0.25
     post = Shape("box", (0.1, 0.1, 0.6), from_rpy((0.0, 0.0, -0.3), (0, 0, 0)))
@@ -94,10 +96,14 @@ def told(folder: Path, stock: dict[str, Any], accept: list[str] | None = None) -
     return [i for i in found if i.code.startswith("stock.") or i.code == "problem.field"]
 
 
-def test_a_block_in_the_air_is_told_and_a_support_in_the_air_refused(tmp_path: Path) -> None:
+def test_a_block_and_a_support_in_the_air_are_refused_unless_accepted(tmp_path: Path) -> None:
     place = {"xyz_mm": [450, 0, 100]}
     (hangs,) = told(tmp_path, {"place": place})
-    assert (hangs.code, hangs.severity, hangs.value) == ("stock.hangs", Severity.WARNING, pytest.approx(100))
+    assert (hangs.code, hangs.severity, hangs.value) == ("stock.hangs", Severity.ERROR, pytest.approx(100))
+    (taken,) = told(tmp_path, {"place": place}, ["stock.hangs"])
+    assert taken.accepted and taken.severity is Severity.WARNING
+    (searched,) = told(tmp_path, {"place": "auto"})
+    assert (searched.code, searched.severity) == ("stock.hangs", Severity.ERROR)
     post = {"kind": "box", "size_mm": [60, 60, 40], "pose": {"xyz_mm": [0, 0, -20]}}
     (air,) = told(tmp_path, {"place": place, "support": [post]})
     assert (air.code, air.severity, air.value) == ("stock.support", Severity.ERROR, pytest.approx(60))
@@ -121,3 +127,37 @@ def test_what_it_stands_on_in_words() -> None:
     assert "hangs 300 mm" in standing.told(cell(), stock, at(1.0, 0.3))
     made = dataclasses.replace(stock, pedestal=PEDESTAL)
     assert standing.told(cell(), made, at(1.0, 0.7)).startswith("a pedestal of 160 x 280 mm, 700 mm high")
+
+
+def test_a_support_is_under_the_middle_of_its_block(tmp_path: Path) -> None:
+    place = {"xyz_mm": [450, 0, 100]}
+
+    def post(x: float, *, size: float = 60, top: float = 0.0) -> dict[str, Any]:
+        box = {"xyz_mm": [x, 0, top - 50]}
+        return {"kind": "box", "size_mm": [size, size, 100], "pose": box}
+
+    # a post of 60 mm bears the block as long as its edge is beyond the middle
+    for x, off in ((29.0, None), (-29.0, None), (40.0, 10.0), (-75.0, 45.0)):
+        found = told(tmp_path, {"place": place, "support": [post(x)]})
+        assert [(i.code, i.value) for i in found] == ([("stock.support", pytest.approx(off))] if off else [])
+    assert told(tmp_path, {"place": place, "support": [post(40.0), post(-40.0, size=20)]}) == []
+    (aside,) = told(tmp_path, {"place": place, "support": [post(200.0, top=60.0)]})
+    assert "nothing of the support is under the block" in aside.message
+    assert [i.code for i in told(tmp_path, {"place": "auto", "support": [post(40.0)]})] == ["stock.support"]
+
+
+def test_what_is_made_is_no_higher_than_what_is_in_stock(tmp_path: Path) -> None:
+    for z, fits in ((1500, True), (1501, False), (-20, True), (-40, False)):
+        found = told(tmp_path, {"place": {"xyz_mm": [450, 0, z]}, "support": "pedestal"})
+        assert [i.code for i in found] == ([] if fits else ["stock.support"]), z
+    assert (
+        "1100 at most" in told(tmp_path, {"place": {"xyz_mm": [0, 0, 1200]}, "support": "table"})[0].message
+    )
+
+
+def test_what_is_made_does_not_stand_in_a_body_of_the_cell() -> None:
+    for x, code in ((1.0, ["stock.support"]), (1.5, [])):
+        stock = Stock(SIZE, at(x, 0.7), np.eye(3), pedestal=PEDESTAL)
+        found = standing._setup(Setup(1, cell(TABLE_TOP), stock, (0,)), "stock.support")
+        assert [issue.code for issue in found] == code
+        assert all("deep in bench" in issue.message for issue in found)

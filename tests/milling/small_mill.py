@@ -30,6 +30,7 @@ CELL: dict[str, Any] = {
 WALL: dict[str, Any] = {
     "tandem": 1,
     "name": "wall",
+    "accept": ["stock.hangs"],
     "cell": CELL,
     "stock": {"size_mm": [120, 80, 50], "place": {"xyz_mm": [1300, 0, 800]}},
     "part": {

@@ -260,6 +260,17 @@ def test_a_support_of_a_searched_place_reaches_the_floor(targets: Targets) -> No
     assert max(place.stock[2, 3] for place in free) > 0.53
 
 
+def test_a_block_without_a_support_is_put_on_a_body_of_the_cell_or_on_the_floor(targets: Targets) -> None:
+    bench = box("bench", (0.8, 0.8, 0.4), (0.0, 0.0, 0.2))
+    cell = dataclasses.replace(two_arms(1.8), obstacles=(bench,))
+    places, _ = Search(cell, block(SIZE, None), [targets], Settings()).run()
+    assert places
+    for place in places:
+        on = float(place.stock[2, 3])
+        assert min(abs(on), abs(on - 0.4)) < 1e-9
+        assert on == 0.0 or np.abs(place.stock[:2, 3]).max() <= 0.4
+
+
 def test_a_block_on_a_pedestal_is_as_high_as_one_in_stock(targets: Targets) -> None:
     stock = dataclasses.replace(block(SIZE, None), pedestal=PEDESTAL)
     places, _ = Search(two_arms(1.8), stock, [targets], Settings()).run()

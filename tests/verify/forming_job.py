@@ -95,7 +95,15 @@ def problem(controller=None, **settings):
     stock = Stock(np.array([0.2, 0.2, SHEET]), PLACE, PLACE[:3, :3])
     operation = Operation("dish", "forming", ARMS)
     return Problem(
-        "forming", cell, stock, None, (operation,), Settings(**settings), Path("forming.yaml"), DIGEST
+        "forming",
+        cell,
+        stock,
+        None,
+        (operation,),
+        Settings(**settings),
+        Path("forming.yaml"),
+        DIGEST,
+        accept=("stock.hangs",),
     )
 
 

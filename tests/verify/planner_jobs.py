@@ -131,7 +131,7 @@ def posed(
         "tandem": 1,
         "name": "poses",
         "cell": cell,
-        "stock": {"size_mm": [100, 100, 100], "place": {"xyz_mm": [0, 500, 50]}},
+        "stock": {"size_mm": [100, 100, 100], "place": {"xyz_mm": [0, 500, 0]}},
         "operations": [operation],
     }
     return _write(folder, data)
@@ -147,6 +147,7 @@ def elastic(folder: Path, diameter: float = 1.5, length: float = 520.0, **fields
     data = {
         "tandem": 1,
         "name": "vault",
+        "accept": ["stock.hangs"],
         "cell": _cell("two_irb140_facing"),
         "settings": {"clearance_mm": 10},
         "stock": {"size_mm": [160, 130, 100], "foam": "eps_a120", "place": {"xyz_mm": [0, 0, 560]}},

@@ -117,7 +117,15 @@ def problem(**settings):
     cell = Cell("small", arms, (), Controller(wire_signal=SIGNAL))
     stock = Stock(SIZE, STOCK, np.eye(3))
     return Problem(
-        "small", cell, stock, None, (Operation(),), Settings(**settings), Path("small.yaml"), DIGEST
+        "small",
+        cell,
+        stock,
+        None,
+        (Operation(),),
+        Settings(**settings),
+        Path("small.yaml"),
+        DIGEST,
+        accept=("stock.hangs",),
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planner.cell import standing as made_for
 from planner.claims import HoldsStock
 from planner.geometry.rigid import from_rpy
 from planner.geometry.shapes import Shape
@@ -76,7 +77,7 @@ def standing(height: float, obstacles: tuple[Obstacle, ...] = (), **change: Any)
     place[2, 3] = height - float((place[:3, :3] @ np.array([0.0, 0.0, 0.0]))[2])
     own = dataclasses.replace(problem.stock, place=place, **change)
     cell = dataclasses.replace(problem.cell, obstacles=obstacles)
-    changed = dataclasses.replace(problem, stock=own, cell=cell, changes={})
+    changed = dataclasses.replace(problem, stock=own, cell=cell, changes={}, accept=())
     context = Context(changed, straight_job.claims(), straight_job.programs(6))
     context.__dict__["places"] = (place,) * len(context.setups)
     return [issue.message for issue in rests(context).issues]
@@ -84,13 +85,62 @@ def standing(height: float, obstacles: tuple[Obstacle, ...] = (), **change: Any)
 
 def test_a_support_bears_its_block_and_stands_on_something() -> None:
     assert standing(0.7, support=post(2.0)) == []
-    assert standing(0.7) == []  # nothing is stated: the check before the plan tells it
+    assert "hangs 700 mm" in standing(0.7)[0]
+    assert standing(0.02) == []
     assert "ends 100 mm" in standing(0.7, support=post(0.6))[0]
     assert "hangs 60 mm" in standing(0.7, support=post(2.0, -0.06))[0]
     bench = Obstacle("bench", (Shape("box", (3.0, 3.0, 0.05), from_rpy((0.0, 0.0, 0.075), (0, 0, 0))),))
     assert standing(0.7, (bench,), support=post(0.6)) == []
     beside = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.05), from_rpy((5.0, 0.0, 0.075), (0, 0, 0))),))
     assert "ends 100 mm" in standing(0.7, (beside,), support=post(0.6))[0]
+
+
+def test_a_support_beside_its_block_and_a_block_that_tips_off_a_body() -> None:
+    def posts(*at: float, top: float = 0.0) -> tuple[Shape, ...]:
+        return tuple(Shape("box", (0.05, 0.05, 2.0), from_rpy((x, 0.0, top - 1.0), (0, 0, 0))) for x in at)
+
+    assert standing(0.7, support=posts(0.02)) == []
+    assert "middle of the block is 5 mm beside" in standing(0.7, support=posts(0.03))[0]
+    assert standing(0.7, support=posts(0.05, -0.05)) == []
+    assert "nothing of its support is under" in standing(0.7, support=posts(1.0))[0]
+    assert "nothing of its support is under" in standing(0.7, support=posts(1.0, top=0.5))[0]
+
+    def bench(x: float) -> Obstacle:
+        return Obstacle("bench", (Shape("box", (0.2, 3.0, 0.1), from_rpy((x, 0.0, 0.65), (0, 0, 0))),))
+
+    place = straight_job.problem().stock.place
+    assert place is not None
+    x = float(place[0, 3])
+    assert standing(0.7, (bench(x + 0.09),)) == []
+    assert "hangs 700 mm" in standing(0.7, (bench(x + 0.11),))[0]
+    assert standing(0.7, (bench(x + 0.11), bench(x - 0.13))) == []
+
+
+def test_what_is_made_stands_on_the_floor_and_is_no_higher_than_what_is_in_stock() -> None:
+    assert standing(0.737, pedestal=PEDESTAL) == []  # a stated place: one is made as high
+    assert "up to 1500 mm high" in standing(1.6, pedestal=PEDESTAL)[0]
+    assert "up to 1500 mm high" in standing(-0.1, pedestal=PEDESTAL)[0]
+    place = straight_job.problem().stock.place
+    assert place is not None
+    for x, inside in ((0.0, True), (0.5, False)):
+        at = from_rpy((float(place[0, 3]) + x, float(place[1, 3]), 0.2), (0, 0, 0))
+        bench = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.4), at),))
+        found = standing(0.7, (bench,), pedestal=PEDESTAL)
+        assert [word for word in found if "bench of the cell is inside" in word] == found[: int(inside)]
+        assert bool(found) == inside
+
+
+def test_a_pedestal_that_is_made_elsewhere_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_support = made_for.with_support
+    for shift, word in (((0.3, 0.0, 0.0), "under the block"), ((0.0, 0.0, -0.1), "hangs 100 mm")):
+
+        def wrong(*given: Any, shift: tuple[float, float, float] = shift) -> Any:
+            made = with_support(*given)
+            shapes = [dataclasses.replace(s, pose=from_rpy(shift, (0, 0, 0)) @ s.pose) for s in made.support]
+            return dataclasses.replace(made, support=tuple(shapes))
+
+        monkeypatch.setattr(made_for, "with_support", wrong)
+        assert any(word in fault for fault in standing(0.7, pedestal=PEDESTAL))
 
 
 def test_what_is_searched_for_a_pedestal_is_as_high_as_one() -> None:
