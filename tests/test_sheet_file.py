@@ -149,6 +149,13 @@ def _some_turned(part: Mesh) -> Mesh:
     return Mesh(part.vertices, faces)
 
 
+def _leaning(part: Mesh) -> Mesh:
+    """All below 3 mm is half as wide again as it was: a tenth of the faces and more look down."""
+    low = part.vertices[:, 2] < -0.003
+    wide = np.where(low[:, None], [1.5, 1.5, 1.0], [1.0, 1.0, 1.0])
+    return Mesh(part.vertices * wide, part.faces)
+
+
 MESHES: dict[str, tuple[Edit, str, str]] = {
     "0.07 mm": (_scaled(1e-3), "mesh.unit", "unit"),
     "70 m": (_scaled(1e3), "mesh.unit", "unit"),
@@ -300,3 +307,13 @@ def test_faces_given_twice_and_a_soup_of_triangles_are_one_part(tmp_path: Path) 
     for flawed in (twice, soup):
         problem = pipeline.load(small_forming.write(tmp_path, small_forming.problem(), flawed))
         assert len(formed(problem).faces) == len(whole.faces)
+
+
+def test_walls_that_lean_over_are_told_as_that_and_not_as_faces_that_look_to_different_sides(
+    tmp_path: Path,
+) -> None:
+    found = pipeline.load(
+        small_forming.write(tmp_path, small_forming.problem(), _leaning(small_forming.dish()))
+    )
+    errors = [issue for issue in pipeline.check(found) if issue.severity is Severity.ERROR]
+    assert [issue.code for issue in errors] == ["forming.undercut"]

@@ -111,9 +111,12 @@ def pieces(way: Track, within: float) -> Pieces:
     first, last = np.concatenate(done_first), np.concatenate(done_last)
     order = np.argsort(first)
     first, last = first[order], last[order]
+    bends = (
+        _bend(way.centre, way.joined, sideways=True),
+        _bend(way.centre[:, :1] - way.centre[:, 1:2], way.joined, sideways=False),
+    )
     most, between = (
-        np.maximum.reduceat(np.append(_bend(places, way.joined), 0.0), first) if len(first) else np.zeros(0)
-        for places in (way.centre, way.centre[:, :1] - way.centre[:, 1:2])
+        np.maximum.reduceat(np.append(bend, 0.0), first) if len(first) else np.zeros(0) for bend in bends
     )
     return Pieces(first, last, within + most, 2.0 * within + between)
 
@@ -135,18 +138,19 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     return out
 
 
-def _bend(places: FloatArray, joined: BoolArray) -> FloatArray:
+def _bend(places: FloatArray, joined: BoolArray, sideways: bool) -> FloatArray:
     """How far (T - 1,) [m] ``places`` (T, A, 3) may be off the straight way between two samples: with second
     differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
-    bend makes a quarter of that."""
+    bend makes a quarter of that. ``sideways``: ways that go on, whose change of speed makes no bend."""
     count = len(places)
     turn = np.zeros((count, places.shape[1]))
     for begin in range(1, count - 1, _CHUNK):
         end = min(begin + _CHUNK, count - 1)
         step = np.diff(places[begin - 1 : end + 1], axis=0)
-        along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
-        second -= dots(second, along[:-1])[..., None] * along[:-1]
+        if sideways:
+            along = step / np.maximum(lengths(step), 1e-12)[..., None]
+            second -= dots(second, along[:-1])[..., None] * along[:-1]
         turn[begin:end] = lengths(second)
     turn[1:-1][~(joined[1:] & joined[:-1])] = 0.0
     a, b = turn[:-1], turn[1:]

@@ -291,8 +291,8 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     (issue,) = caught.value.issues
     border = np.linalg.norm(made_of(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
-    # the bars are chords of the opening's circle, and the support keeps 0.4 mm outside of its border
-    assert issue.value == pytest.approx(border / MM + 40.4 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
+    # the bars are chords of the opening's circle, and the support keeps 0.3 mm outside of its border
+    assert issue.value == pytest.approx(border / MM + 40.3 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
     data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170}
     processes.job(pipeline.load(small_forming.write(tmp_path, data)), 0).targets()
 

@@ -15,8 +15,9 @@ from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.units import MM
 from planner.verify.forming_face import Face
 from planner.verify.forming_state import TIED
-from planner.verify.forming_track import Track
+from planner.verify.forming_track import Track, pieces
 from planner.verify.rules_forming_two import _off_directions
+from tests.forming.path_faces import cone
 from tests.forming.shapes import BALL, T0, Array, operation
 
 TILT = np.radians(50.0)
@@ -272,3 +273,39 @@ def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
     assert np.degrees(off.max()) < 1.0
     assert off.max() < FACING
     assert np.abs(lean.gap - T0 * np.cos(tilt)).max() < 0.03 * T0
+
+
+@pytest.mark.parametrize("kind", ["stepped", "contour", "alternating"])
+def test_where_the_ball_steps_off_the_wall_the_support_turns_below_it_at_once(kind: str) -> None:
+    """Off the wall the support stands below: the line turns there on the way, not more and more finely."""
+    part = cone(0.06, 0.02, 50.0, 0.012)
+    options = PathOptions(kind=kind, stepdown=2e-3, longest=3e-3)  # type: ignore[arg-type]
+    contact = make_path(part, BALL.radius, options)
+    found = opposite_path(part, contact, operation(path=kind), BALL, BALL, T0)
+    line = lines(found)
+    turn = np.degrees(np.arccos(np.clip((line[1:] * line[:-1]).sum(axis=1), -1.0, 1.0)))
+    assert turn.max() < 5.0
+    step = np.linalg.norm(np.diff(found.former, axis=0), axis=1)
+    assert np.count_nonzero((step < 1e-6) & (turn < 0.1)) < 5
+    assert len(found.former) < 4 * len(contact.centre)
+
+
+def test_a_bend_that_two_tools_have_in_common_takes_nothing_from_their_gap() -> None:
+    """Both turn by 90 degrees half-way between two samples, 1 mm apart along the way: by hand the corner is
+    0.35 mm off what joins the samples. The way from one tool to the other does not bend at all, but where the
+    second one is 0.1 mm aside at one sample."""
+    one = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.5, 0.5, 0.0], [1.5, 1.5, 0.0], [1.5, 2.5, 0.0]])
+    other = one - [0.0, 0.0, 11.0]
+    found = pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6)
+    assert found.off.max() > 2.5e-4
+    assert found.apart == pytest.approx(np.full(len(found.apart), 2e-6))
+    other[2, 2] += 0.1
+    assert pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6).apart.max() > 5e-5
+
+
+def sampled(one: Array, two: Array) -> Track:
+    """Samples of two arms in one segment, all of it forming."""
+    centre = np.stack([one, two], axis=1)
+    count = len(one)
+    joined, own = np.ones(count - 1, dtype=np.bool_), np.ones(count, dtype=np.bool_)
+    return Track(("left", "right"), np.arange(count), centre, own, joined, (), np.eye(4)[None])

@@ -171,8 +171,8 @@ def test_loops_turn_and_join_as_their_kind_says() -> None:
     assert all(swept(plain, k) == pytest.approx(2.0 * np.pi, abs=0.2) for k in range(4))
     starts = plain.point[np.flatnonzero(np.diff(plain.loop)) + 1]
     assert np.arctan2(starts[:, 1], starts[:, 0]) == pytest.approx(0.7, abs=0.2)
-    for k in range(4):  # closed: the loop ends where it began
-        rows = np.flatnonzero((plain.loop == k) & (np.abs(plain.point[:, 2] + 4e-3 * (k + 1)) < 1e-6))
+    for k in range(1, 5):  # the first is at the flat; closed: the loop ends where it began
+        rows = np.flatnonzero((plain.loop == k) & (np.abs(plain.point[:, 2] + 4e-3 * k) < 1e-6))
         assert np.allclose(plain.centre[rows[0]], plain.centre[rows[-1]], atol=1e-6)
     turned = make_path(one, 0.006, dataclasses.replace(base, direction="cw"))
     assert all(swept(turned, k) == pytest.approx(-2.0 * np.pi, abs=0.2) for k in range(4))
