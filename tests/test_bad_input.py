@@ -297,7 +297,8 @@ def test_the_command_refuses_by_exit_code_and_clears_what_is_stale(tmp_path: Pat
     assert (done.returncode, "targets.file" in done.stderr) == (2, True)
     assert sorted(p.name for p in out.iterdir()) == ["mine.txt", "report.html"]
 
-    small_problem.write(tmp_path, small_problem.PROBLEM.replace("450, 0, 0]", "450, 0, 450]"))
+    high = small_problem.PROBLEM.replace("450, 0, 0]", "450, 0, 450]")
+    small_problem.write(tmp_path, f"{high}accept: [stock.hangs]\n")
     done = command("plan", "problem.yaml", "-o", "new/out", folder=tmp_path)
     assert done.returncode == 3
     assert "motion." in done.stderr

@@ -42,7 +42,7 @@ def _sharp(draft: Draft, draw: Draw) -> None:
             arm["tool"]["radius_mm"] = 9.5
     line = sheets.profile(sheets.wall(15.0, 55.0, 0.0, 0.0))
     _part(draft, sheets.turned(max(draft.facts["half"], 40.0), line))
-    draft.operation |= {"share": 0.95, "unreached_mm": 0.5}
+    draft.operation.update(share=0.95, unreached_mm=0.5)
 
 
 def _steep(draft: Draft, draw: Draw) -> None:

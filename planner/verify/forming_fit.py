@@ -30,7 +30,7 @@ GRAIN = 0.15
 """Triangles that a ball does not reach are parted into pieces of this share of its radius."""
 _ROUNDS = 24
 _PLANES = 3
-_MOST = 25_000
+_MOST = 100_000
 """Pieces at most: where there would be more, what a ball does not reach is looked for less closely, and
 what is not looked at closely counts as reached."""
 

@@ -15,7 +15,7 @@ from planner.problem import Mesh
 from planner.segments import Segment
 from planner.tooling import Cutter
 from planner.verify import mill_body
-from planner.verify.mill_rims import edges, rim_places, rim_step
+from planner.verify.mill_rims import edges, near_places, rim_size, rim_step
 from tests.milling.small_mill import BALL, PANEL, WALL
 from tests.milling.swept_solids import heights, shell, signed, swept
 from tests.verify.test_rules_milling import Job
@@ -191,7 +191,8 @@ def test_a_sharp_rim_that_goes_a_little_into_a_slope_is_found(slope: float, radi
         tip = start + way * (np.cos(turn) * up + np.sin(turn) * level)
         axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1))
         (rim, _) = edges(mill_body.solids(cutter)[:1])
-        off, _ = mill_body.sweep(rim_places(face, rim, tip, axis), tip, axis, rim)
+        places, _ = near_places(vertices[face.faces], rim, tip, axis, rim_size(face.tolerance))
+        off, _ = mill_body.sweep(places, tip, axis, rim)
         assert 0.8 * wanted < -off.min() < 1.001 * wanted
 
 

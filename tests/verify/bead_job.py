@@ -101,6 +101,7 @@ def write(folder: Path, job: str, **changes: object) -> Path:
         "tandem": 1,
         "name": "beads",
         "cell": cell,
+        "accept": ["stock.hangs"],
         "stock": {"size_mm": [300, 120, 80], "place": {"xyz_mm": _BLOCK[job]}},
         "operations": [operation | changes],
     }
