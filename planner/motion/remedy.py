@@ -44,6 +44,8 @@ LOOKS: Final = 150
 SEARCHES: Final = 8
 PLANS: Final = 3
 """So many changes are looked at, searched for a path and planned whole at most."""
+TURNING_SEARCHES: Final = 4
+"""The same for jobs with several freedoms that turn, whose searches take some times as long."""
 
 MOST_REMOVED: Final = 4
 LARGE: Final = 1.5
@@ -144,7 +146,8 @@ class _Trial:
         rows = rows[(rows >= 0) & (rows < job.count)]
         self._rows = rows[np.sort(np.unique(rows, return_index=True)[1])]
         self._overlaps, self._unborne = self._fixed(problem), len(standing.issues(problem))
-        self._looks, self._searches, self._whole = LOOKS, SEARCHES, PLANS
+        searches = SEARCHES if turning(job) <= 1 else TURNING_SEARCHES
+        self._looks, self._searches, self._whole = LOOKS, searches, PLANS
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
 

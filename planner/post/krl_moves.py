@@ -103,8 +103,10 @@ def _settle(position: FloatArray, angles: FloatArray) -> None:
     that one."""
     near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, LEAST_TURN * LEAST_TIME
     step = np.abs(np.diff(position, axis=0)).max(axis=1), np.abs(np.diff(angles, axis=0)).max(axis=1)
-    for row in np.flatnonzero((step[0] < near) & (step[1] < alike)).tolist():
-        if np.abs(position[row + 1] - position[row]).max() < near:
+    # the one before may have been put back by as much
+    for row in np.flatnonzero((step[0] < 2.0 * near) & (step[1] < 2.0 * alike)).tolist():
+        far, turned = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
+        if far < near and turned < alike:
             position[row + 1], angles[row + 1] = position[row], angles[row]
 
 

@@ -320,10 +320,10 @@ def test_a_signal_without_a_number(fields):
 
 def test_a_pose_that_is_nearer_than_least_speeds_go_in_the_least_time_is_the_one_before() -> None:
     """At 0.1 mm/s, 6 ms take the arm 0.6 um: nearer poses are none of their own, and do not add up."""
-    x = np.array([0.0, 1.0, 1.0003, 1.0007, 1.0009, 2.0, 2.0])
-    position, angles = np.zeros((7, 3)), np.zeros((7, 3))
+    x = np.array([0.0, 1.0, 1.0003, 1.0007, 1.0009, 2.0, 2.0005, 1.9998, 1.9998])
+    position, angles = np.zeros((9, 3)), np.zeros((9, 3))
     position[:, 0] = x
-    angles[6, 2] = 0.01
+    angles[8, 2] = 0.01
     krl_moves._settle(position, angles)
-    assert position[:, 0].tolist() == [0.0, 1.0, 1.0, 1.0007, 1.0007, 2.0, 2.0]
-    assert angles[6, 2] == 0.01
+    assert position[:, 0].tolist() == [0.0, 1.0, 1.0, 1.0007, 1.0007, 2.0, 2.0, 2.0, 1.9998]
+    assert angles[8, 2] == 0.01
