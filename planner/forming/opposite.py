@@ -105,7 +105,9 @@ def opposite_path(
         tilt = steady_below(clear_tilt(far, facing, tilt, apart, inner), about)
         across = apart[:, None] * leaned(normal, tilt)
         air = np.linalg.norm(contact.centre - contact.point, axis=1) > former.radius + AIR
-        count = _pieces(way, across, radii, allowed)
+        count = np.maximum(
+            _pieces(way, across, radii, allowed), _uneven(way, across, radii, allowed, touching)
+        )
         if every:
             ahead = DRIFT * operation.handshake_gap_mm * MM
             count = np.maximum(count, _drifting(contact.centre, across, gap + radii, every, ahead))
@@ -188,6 +190,22 @@ def _pieces(way: Way, across: FloatArray, radii: float, allowed: float) -> IntAr
     arc = np.ceil(_angle(across[1:] / length[1:, None], across[:-1] / length[:-1, None]) / finest)
     count = np.where(way.still[1:], np.maximum(arc, 1.0), np.where(two, np.maximum(arc, 2.0), 1.0))
     return np.concatenate([[1], count]).astype(np.int64)
+
+
+def _uneven(way: Way, across: FloatArray, radii: float, allowed: float, touching: Touching) -> IntArray:
+    """Into how many (N,) pieces the move to each target is to be parted: two where the gap that is wanted
+    changes on it by more than ``allowed`` [m], and is off by as much at a quarter of it from either end."""
+    gap, centre = way.lean.gap, way.contact.centre
+    rows = np.flatnonzero(np.abs(np.diff(gap)) > allowed) + 1
+    step = np.linalg.norm(centre[rows] - centre[rows - 1], axis=1)
+    rows = rows[(step > _SHORT) & ~way.still[rows]]
+    count = np.ones(len(gap), dtype=np.int64)
+    for share in (0.25, 0.75) if len(rows) else ():
+        look = np.full(len(rows), share)
+        wanted = touching.lean(mixed(centre[rows - 1], centre[rows], look)).gap
+        made = np.linalg.norm(mixed(across[rows - 1], across[rows], look), axis=1) - radii
+        count[rows[np.abs(made - wanted) > allowed]] = 2
+    return count
 
 
 def _drifting(

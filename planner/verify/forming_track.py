@@ -78,7 +78,7 @@ def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
 class Pieces:
     """K straight pieces of a track: from row ``first`` to row ``last`` (K,) of it, with ``off`` (K,) [m], how
     far the way between them is off the straight one at most, both arms at one share of their pieces, and
-    ``apart`` (K,) [m], how far the way from one arm to the other is."""
+    ``apart`` (K,) [m], by how much the distance of the first two arms is another than on straight ways."""
 
     first: IntArray
     last: IntArray
@@ -111,10 +111,7 @@ def pieces(way: Track, within: float) -> Pieces:
     first, last = np.concatenate(done_first), np.concatenate(done_last)
     order = np.argsort(first)
     first, last = first[order], last[order]
-    bends = (
-        _bend(way.centre, way.joined, sideways=True),
-        _bend(way.centre[:, :1] - way.centre[:, 1:2], way.joined, sideways=False),
-    )
+    bends = _bend(way.centre, way.joined), _stretch(way.centre, way.joined)
     most, between = (
         np.maximum.reduceat(np.append(bend, 0.0), first) if len(first) else np.zeros(0) for bend in bends
     )
@@ -138,20 +135,47 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     return out
 
 
-def _bend(places: FloatArray, joined: BoolArray, sideways: bool) -> FloatArray:
-    """How far (T - 1,) [m] ``places`` (T, A, 3) may be off the straight way between two samples: with second
-    differences a and b at both, a b / (a + b), which is what one sharp corner anywhere between makes; an even
-    bend makes a quarter of that. ``sideways``: ways that go on, whose change of speed makes no bend."""
-    count = len(places)
-    turn = np.zeros((count, places.shape[1]))
-    for begin in range(1, count - 1, _CHUNK):
-        end = min(begin + _CHUNK, count - 1)
-        step = np.diff(places[begin - 1 : end + 1], axis=0)
+def _bend(centre: FloatArray, joined: BoolArray) -> FloatArray:
+    """How far (T - 1,) [m] ``centre`` (T, A, 3) may be off the straight way between two samples (`_corner`):
+    what its second differences are across the way; changes of speed make no bend."""
+    turn = np.zeros(centre.shape[:2])
+    for begin, end in _parts(len(centre)):
+        step = np.diff(centre[begin - 1 : end + 1], axis=0)
+        along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
-        if sideways:
-            along = step / np.maximum(lengths(step), 1e-12)[..., None]
-            second -= dots(second, along[:-1])[..., None] * along[:-1]
+        second -= dots(second, along[:-1])[..., None] * along[:-1]
         turn[begin:end] = lengths(second)
-    turn[1:-1][~(joined[1:] & joined[:-1])] = 0.0
-    a, b = turn[:-1], turn[1:]
-    return np.asarray((a * b / np.maximum(a + b, 1e-30)).max(axis=1, initial=0.0))
+    return np.asarray(_corner(turn, joined).max(axis=1))
+
+
+def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
+    """By how much (T - 1,) [m] the distance d of the first two of ``centre`` (T, A, 3) may be off that on
+    straight ways between two samples: by a deviation along their line whole, by one of e across it by
+    e^2 / 2 d. Zero for one alone."""
+    if centre.shape[1] < 2:
+        return np.zeros(len(centre) - 1)
+    line = np.zeros((len(centre), 1))
+    across, apart = np.zeros_like(line), np.full_like(line, np.inf)
+    for begin, end in _parts(len(centre)):
+        way = centre[begin - 1 : end + 1, 0] - centre[begin - 1 : end + 1, 1]
+        second, length = np.diff(way, n=2, axis=0), lengths(way[1:-1])
+        own = dots(second, way[1:-1]) / np.maximum(length, 1e-12)
+        line[begin:end, 0] = np.abs(own)
+        across[begin:end, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
+        apart[begin:end, 0] = length
+    aside = _corner(across, joined)[:, 0]
+    least = np.minimum(apart[1:, 0], apart[:-1, 0])
+    return np.asarray(_corner(line, joined)[:, 0] + aside**2 / np.maximum(2.0 * (least - aside), 1e-6))
+
+
+def _parts(count: int) -> list[tuple[int, int]]:
+    """Rows from 1 to ``count`` - 1, so many at once."""
+    return [(begin, min(begin + _CHUNK, count - 1)) for begin in range(1, count - 1, _CHUNK)]
+
+
+def _corner(second: FloatArray, joined: BoolArray) -> FloatArray:
+    """What one sharp corner anywhere between two samples makes (T - 1, A) [m], whose second differences are a
+    and b there, of ``second`` (T, A): a b / (a + b). An even bend makes a quarter of that."""
+    second[1:-1][~(joined[1:] & joined[:-1])] = 0.0
+    a, b = second[:-1], second[1:]
+    return np.asarray(a * b / np.maximum(a + b, 1e-30))

@@ -300,7 +300,11 @@ def test_a_bend_that_two_tools_have_in_common_takes_nothing_from_their_gap() -> 
     assert found.off.max() > 2.5e-4
     assert found.apart == pytest.approx(np.full(len(found.apart), 2e-6))
     other[2, 2] += 0.1
-    assert pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6).apart.max() > 5e-5
+    # by hand: second differences of 0.1 and 0.2 mm along their line are 0.067 mm between the samples
+    assert pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6).apart.max() == pytest.approx(6.87e-5, abs=2e-7)
+    other[2] += [1.0, 0.0, -0.1]
+    # across it a corner of 0.67 mm is 0.02 mm of 11
+    assert pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6).apart.max() == pytest.approx(2.3e-5, abs=2e-6)
 
 
 def sampled(one: Array, two: Array) -> Track:
