@@ -123,11 +123,13 @@ def shape(draw: Draw, kind: str, ball: float, steep: float, facts: Data, large: 
         return sheets.pyramid(half, 0.0, line, 24)
     # a dish with dimples further down on its floor
     size = 2.5 * ball + 6
-    half = float(line[-1, 0] - sheets.FLAT + 2 * size + 14)
+    # between two dimples a support along the border of the second finds room beside the first
+    aside = 4.0 + max(0.5 * facts.get("beside", 0.0) - 4.0, 0.0)
+    half = float(line[-1, 0] - sheets.FLAT + 2 * size + 10 + aside)
     facts["half"] = half
     # curvature of the half wave, h pi^2 / 2 r^2, is below that of the ball
     rise = min(0.6 * 2.0 * size**2 / (math.pi**2 * (ball + 1.5)), 5.0)
-    bumps = [(size + 4, 0.0, size, -rise), (-size - 4, 0.0, size, -rise)]
+    bumps = [(size + aside, 0.0, size, -rise), (-size - aside, 0.0, size, -rise)]
     return sheets.nest(half, line, bumps)
 
 
@@ -164,6 +166,8 @@ def draft(draw: Draw, mode: str, kind: str, large: bool = False) -> Draft:
             "thickness_mm": 8,
             "shaft_radius_mm": 10,
         }
+    if mode == "dpif_p":
+        facts["beside"] = 2.0 * (20.0 if other else ball) + 2.0
     cell, payload = ball_cell(draw, ball) if alone else pair_cell(draw, ball, other)
     name, thick = metal(draw, payload, ball)
     mesh = shape(draw, kind, ball, 55.0 if alone else 60.0, facts, large)
