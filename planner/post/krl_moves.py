@@ -99,15 +99,15 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
 
 
 def _settle(position: FloatArray, angles: FloatArray) -> None:
-    """Poses that are no farther from the one before than the least speeds go in the least time of a move are
-    that one."""
+    """Places that are no farther from the one before than the least speed goes in the least time of a move
+    are that one, and so are poses that are no farther turned, either."""
     near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, LEAST_TURN * LEAST_TIME
-    step = np.abs(np.diff(position, axis=0)).max(axis=1), np.abs(np.diff(angles, axis=0)).max(axis=1)
     # the one before may have been put back by as much
-    for row in np.flatnonzero((step[0] < 2.0 * near) & (step[1] < 2.0 * alike)).tolist():
+    for row in np.flatnonzero(np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * near).tolist():
         far, turned = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
-        if far < near and turned < alike:
-            position[row + 1], angles[row + 1] = position[row], angles[row]
+        if far < near:
+            position[row + 1] = position[row]
+            angles[row + 1] = angles[row] if turned < alike else angles[row + 1]
 
 
 @dataclasses.dataclass(frozen=True)

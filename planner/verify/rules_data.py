@@ -29,7 +29,8 @@ from planner.verify.steps import (
 from planner.verify.values import JointTarget, RobTarget, StatusTarget
 
 _ZERO_WAY, _ZERO_TURN = 1e-8, 1e-9
-_ZONE_SLACK = 1e-9
+_ZONE_SLACK = 1e-6
+"""[m] moves are as long as their rounded coordinates say; controllers shorten a corner that is larger."""
 _REFUSED = {
     "conc": "\\Conc lets logic run ahead of the motion",
     "z": "\\Z gives the corner another zone than the one that the move names",
