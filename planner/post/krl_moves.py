@@ -101,7 +101,8 @@ def rows(track: Track, stop: BoolArray, start: tuple[FloatArray, FloatArray]) ->
 def _settle(position: FloatArray, angles: FloatArray) -> None:
     """Places that are no farther from the one before than the least speed goes in the least time of a move
     are that one, and so are poses that are no farther turned, either."""
-    near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, LEAST_TURN * LEAST_TIME
+    # both turning speeds of a path run together, so that a turn may take but 0.7 of what one alone takes
+    near, alike = 1e3 * LEAST_SPEED * LEAST_TIME, 2.0 * LEAST_TURN * LEAST_TIME
     # the one before may have been put back by as much
     for row in np.flatnonzero(np.abs(np.diff(position, axis=0)).max(axis=1) < 2.0 * near).tolist():
         far, turned = (np.abs(values[row + 1] - values[row]).max() for values in (position, angles))
