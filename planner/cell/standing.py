@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.geometry.rigid import transform
 from planner.geometry.shapes import Shape, corners
 from planner.issues import Issue, Severity
-from planner.problem import Cell, Problem, Setup, Stock
+from planner.problem import Cell, Pedestal, Problem, Setup, Stock
 from planner.units import MM
 
 FloatArray = NDArray[np.float64]
@@ -178,7 +178,7 @@ def _setup(setup: Setup, field: str) -> list[Issue]:
         if np.abs(turn[2]).max() < LEVEL:
             what = f"{field}: a block that leans stands on no {stock.pedestal.kind}; state the shapes of its "
             return [Issue("problem.field", what + "support", field=field)]
-        return [] if stock.place is None else _high(cell, stock, stock.place, field)
+        return [] if stock.place is None else _high(cell, stock, stock.pedestal, stock.place, field)
     if not stock.support:
         if stock.place is None:
             why = "its place is searched, and nothing is stated that it stands on"
@@ -222,11 +222,10 @@ def _rest(stock: Stock, place: FloatArray) -> list[tuple[float, float, str]]:
     return [(hang, FEET, f"the block hangs {hang / MM:.0f} mm above its support"), (aside, 0.0, words)]
 
 
-def _high(cell: Cell, stock: Stock, place: FloatArray, field: str) -> list[Issue]:
+def _high(cell: Cell, stock: Stock, pedestal: Pedestal, place: FloatArray, field: str) -> list[Issue]:
     """What is wrong with the height of what is made under a block whose place is stated."""
-    assert stock.pedestal is not None
     high = float(underside(stock, place[None])[0]) - Ground.of(cell).floor
-    most, kind = stock.pedestal.heights[-1], stock.pedestal.kind
+    most, kind = pedestal.heights[-1], pedestal.kind
     if high < -FEET:
         what = f"the block is {-high / MM:.0f} mm below the floor, where no {kind} is"
         hint = "correct its place, or the heights of the bases, the lowest of which tells the floor; or take "

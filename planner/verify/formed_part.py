@@ -13,7 +13,7 @@ from planner.units import MM
 from planner.verify.forming_fit import short
 from planner.verify.forming_state import Formed, Forming
 from planner.verify.result import CutFace
-from planner.verify.surface import divided, vertex_normals
+from planner.verify.surface import areas, divided, vertex_normals
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -32,9 +32,9 @@ def envelope(one: Formed) -> CutFace:
     claim = one.claim
     rows = np.flatnonzero(_walls(claim))
     walls = claim.vertices[claim.faces[rows]]
-    size = min(_STEP, float(np.sqrt(_areas(walls).sum() / _SAMPLES)) * 2.0)
+    size = min(_STEP, float(np.sqrt(areas(walls).sum() / _SAMPLES)) * 2.0)
     parts, owner = divided(walls, max(size, 1e-4))
-    area = _areas(parts)
+    area = areas(parts)
     points = parts.mean(axis=1)
     off = swept(one, points) - claim.radius
     allowed = claim.scallop[rows[owner]]
@@ -88,11 +88,6 @@ def _walls(claim: FormsSheet) -> BoolArray:
     level = claim.vertices[claim.faces][:, :, 2]
     flat = [(np.abs(level - z) < LEVEL).all(axis=1) for z in (claim.start, claim.end)]
     return np.asarray(~(flat[0] | flat[1]))
-
-
-def _areas(corners: FloatArray) -> FloatArray:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
 def swept(one: Formed, points: FloatArray) -> FloatArray:

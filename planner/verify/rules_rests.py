@@ -16,7 +16,7 @@ from planner.cell import standing
 from planner.geometry.rigid import inverse, transform
 from planner.geometry.shapes import corners
 from planner.issues import Issue
-from planner.problem import Cell, Setup, Stock
+from planner.problem import Cell, Pedestal, Setup, Stock
 from planner.tooling import Gripper
 from planner.units import GRAVITY
 from planner.verify.context import Context, Outcome, mm
@@ -100,7 +100,7 @@ def _stands(cell: Cell, stock: Stock, place: FloatArray) -> Iterator[str]:
             yield f"the block hangs {mm(air):.0f} mm above what would bear it; no support is stated"
         return
     if stock.pedestal is not None:
-        yield from _made(stock, place, under - floor)
+        yield from _made(stock, stock.pedestal, place, under - floor)
         if under - floor <= FEET:
             return
     shapes = standing.with_support(cell, stock, place).support
@@ -116,10 +116,9 @@ def _stands(cell: Cell, stock: Stock, place: FloatArray) -> Iterator[str]:
         yield f"the support ends {mm(air):.0f} mm above what is below it"
 
 
-def _made(stock: Stock, place: FloatArray, high: float) -> Iterator[str]:
+def _made(stock: Stock, pedestal: Pedestal, place: FloatArray, high: float) -> Iterator[str]:
     """What is wrong with a block for which something ``high`` [m] is made to stand on."""
-    assert stock.pedestal is not None
-    kind, heights = stock.pedestal.kind, stock.pedestal.heights
+    kind, heights = pedestal.kind, pedestal.heights
     if float(np.abs(place[2, :3]).max()) < np.cos(FLAT):
         yield f"the block leans, and stands on no {kind}"
     if stock.place is None and min(abs(high - one) for one in heights) > LEVEL:

@@ -108,17 +108,18 @@ def sample_face(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, Floa
             break
         corners = np.concatenate([corners[~large], _quartered(corners[large])])
         smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
-    most = SHARE * float(_areas(corners).sum())
+    most = SHARE * float(areas(corners).sum())
     # where a mesh is dense in one place, what is large in another is divided all the same
-    while (large := _areas(corners) > most).any():
+    while (large := areas(corners) > most).any():
         corners = np.concatenate([corners[~large], _quartered(corners[large])])
         smooth = np.concatenate([smooth[~large], _quartered(smooth[large])])
     normals = smooth.mean(axis=1)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return corners.mean(axis=1), normals, _areas(corners)
+    return corners.mean(axis=1), normals, areas(corners)
 
 
-def _areas(corners: FloatArray) -> FloatArray:
+def areas(corners: FloatArray) -> FloatArray:
+    """Areas (T,) [m^2] of triangles (T, 3, 3) [m]."""
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 

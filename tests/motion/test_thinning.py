@@ -111,17 +111,22 @@ def test_poses_that_a_user_stated_and_arms_that_have_to_meet_stay():
     assert len(thinning.joined(wire, wire.neutral(), rows * 0.005, rows)) == 200
 
 
-def test_two_arms_are_joined_as_far_as_they_stay_together():
-    _, targets = s_targets(300)
-    other = targets.pose["arm"].copy()
-    other[:, 0, 3] += 0.1
-    pair = dataclasses.replace(
+def with_other(targets, other, apart):
+    """The targets with a second arm at the poses ``other`` (N, 4, 4)."""
+    return dataclasses.replace(
         targets,
         arms=("arm", "other"),
         pose={"arm": targets.pose["arm"], "other": other},
         frame={"arm": "stock", "other": "stock"},
-        apart=2e-6,
+        apart=apart,
     )
+
+
+def test_two_arms_are_joined_as_far_as_they_stay_together():
+    _, targets = s_targets(300)
+    other = targets.pose["arm"].copy()
+    other[:, 0, 3] += 0.1
+    pair = with_other(targets, other, 2e-6)
     rows, time = np.arange(300), np.arange(300) * 0.01
     together = thinning.joined(pair, pair.neutral(), time, rows)
     assert len(together) < 200
@@ -140,13 +145,7 @@ def test_arms_of_two_controllers_are_not_joined_beyond_what_a_move_ahead_may_cha
     other = targets.pose["arm"].copy()
     other[:, :3, 3] -= 0.013 * away / np.linalg.norm(away, axis=1, keepdims=True)
     step = np.linalg.norm(np.diff(place, axis=0), axis=1).max()
-    pair = dataclasses.replace(
-        targets,
-        arms=("arm", "other"),
-        pose={"arm": targets.pose["arm"], "other": other},
-        frame={"arm": "stock", "other": "stock"},
-        apart=1e-3,
-    )
+    pair = with_other(targets, other, 1e-3)
     rows, time = np.arange(300), np.arange(300) * 0.01
     changed = []
     for most in (2.5 * step, np.inf):
