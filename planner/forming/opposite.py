@@ -48,7 +48,7 @@ CORNER: Final = 8.0 * DEG
 """Where what the ball leans on turns by more at once, it waits for the support."""
 _HALVINGS: Final = 14
 """Moves are at most some millimetres long, and a corner's place is to be known to a micrometre."""
-_AT: Final = 5e-6
+AT: Final = 5e-6
 """A corner that is so near [m] to a target is at it."""
 _SHORT: Final = 5e-5
 """Moves of both tools that are not longer [m] are not parted."""
@@ -88,7 +88,7 @@ def opposite_path(
     touching = Touching(one, former.radius, operation.squeeze, thickness)
     shift = operation.shift_deg * DEG if operation.mode == "dpif_l" else 0.0
     radii, allowed = former.radius + support.radius, SHARE * operation.gap_tol_mm * MM
-    way = _waited(contact, touching, operation.gouge_tol_mm * MM)
+    way = waited(contact, touching, operation.gouge_tol_mm * MM)
     for left in range(_ROUNDS, -1, -1):
         contact, gap = way.contact, way.lean.gap
         apart = gap + radii
@@ -114,7 +114,7 @@ def opposite_path(
         count[1:][air[1:] | air[:-1]] = 1
         if left == 0 or count.max() == 1:
             break
-        way = _parted(way, count, touching)
+        way = parted(way, count, touching)
     place = contact.centre - across
     _draw_back(place, air, one, thickness, support.radius)
     lean = operation.lean_deg * DEG
@@ -129,9 +129,10 @@ def opposite_path(
     )
 
 
-def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
+def waited(contact: ContactPath, touching: Touching, slack: float, spread: float = 0.0) -> Way:
     """The way with two targets at one place wherever what the ball leans on jumps: as it comes and as it
-    goes. Where it does not touch within ``slack`` [m] it is off the face."""
+    goes, ``spread`` [m] before and behind. Where it does not touch within ``slack`` [m] it is off the
+    face."""
     away = np.linalg.norm(contact.centre - contact.point, axis=1) - touching.radius
     aloft = ~contact.working & (away > slack) & (away <= AIR)
     at = touching.lean(contact.centre)
@@ -145,11 +146,17 @@ def _waited(contact: ContactPath, touching: Touching, slack: float) -> Way:
         first = _angle(one.normal, found.normal) > _angle(found.normal, two.normal)
         low, high = np.where(first, low, middle), np.where(first, middle, high)
         one, two = _either(first, one, found), _either(first, found, two)
+    middle = 0.5 * (low + high)
+    if spread:  # beside a crease it leans a little on either wall
+        aside = spread / step[rows - 1]
+        low, high = np.maximum(low - aside, 0.0), np.minimum(high + aside, 1.0)
+        way = contact.centre[rows - 1], contact.centre[rows]
+        one, two = touching.lean(mixed(*way, low)), touching.lean(mixed(*way, high))
     jump = np.flatnonzero(_angle(one.normal, two.normal) > CORNER)
-    place, row, pair = 0.5 * (low + high)[jump], rows[jump], (one[jump], two[jump])
+    place, row, pair = middle[jump], rows[jump], (one[jump], two[jump])
     # where that is at a target already, this is one of the two
     apart = step[row - 1] * place, step[row - 1] * (1.0 - place)
-    own = [(apart[k] < _AT) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY) for k in range(2)]
+    own = [(apart[k] < AT) & (_angle(pair[k].normal, at.normal[row - 1 + k]) < STEADY) for k in range(2)]
     row, place = np.repeat(row, 2), np.repeat(place, 2)
     kept = ~np.column_stack(own).ravel()
     normal = np.stack([part.normal for part in pair], axis=1).reshape(-1, 3)
@@ -228,7 +235,7 @@ def _drifting(
     return np.where(np.append(0.0, moved) > _SHORT, count, 1)
 
 
-def _parted(way: Way, count: IntArray, touching: Touching) -> Way:
+def parted(way: Way, count: IntArray, touching: Touching) -> Way:
     """The way with its moves parted into ``count`` (N,) pieces each."""
     row, share = shares(count)
     still = way.still[row]

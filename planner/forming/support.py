@@ -67,7 +67,9 @@ def tool_path(
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, up, none, path)
     if mode == "heat":
-        path, place, behind = heated(one, contact, former, support, thickness, clamp)
+        path, place, behind = heated(
+            one, contact, former, support, thickness, clamp, operation.gouge_tol_mm * MM
+        )
         none = np.full(len(place), np.nan)
         return ToolPath(path.centre, axes(path.normal, _lean(operation)), place, behind, none, path)
     return opposite_path(one, contact, operation, former, support, thickness, every)

@@ -112,8 +112,8 @@ def _off_directions(
     facets stand for, whose own normals flicker.
 
     Where the ball touches two places at once the sheet lies around it from one to the other, so that its
-    normal there is any between theirs: the line may stand upright off those too. So it is in a sharp crease,
-    and where facets stand for a hollow that is hardly wider than the ball."""
+    normal there is any between theirs: the line may be along those, or stand upright off them. So it is in a
+    sharp crease, and where facets stand for a hollow that is hardly wider than the ball."""
     off = np.full(len(knots), np.inf)
     centre = way.centre[knots, 0]
     smooth = side * np.einsum("nk,nkd->nd", found.share, face.smooth[found.triangle])
@@ -121,22 +121,27 @@ def _off_directions(
         unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         end = np.broadcast_to(np.array([0.0, 0.0, float(side)]), unit.shape) if upright else unit
         np.minimum.at(off, found.row, _off_arc(line[found.row], unit, end))
-        if upright:
-            off = np.minimum(off, _off_between(unit, line, found.row, float(side)))
+        one, other = _farthest(unit, found.row, len(knots))
+        between = _off_between(line, one, other, float(side)) if upright else _off_arc(line, one, other)
+        off = np.minimum(off, between)
     return off
 
 
-def _off_between(unit: FloatArray, line: FloatArray, row: IntArray, up: float) -> FloatArray:
-    """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to the triangle on the sphere between the vertical
-    and those two of the normals ``unit`` (M, 3) of the places that the ball touches, of its ``row`` (M,),
-    that differ the most."""
-    first = np.searchsorted(row, np.arange(len(line)))
+def _farthest(unit: FloatArray, row: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Those two (K, 3) of the normals ``unit`` (M, 3) of the places that the ball touches, of its ``row``
+    (M,) of ``count`` K, that differ the most."""
+    first = np.searchsorted(row, np.arange(count))
     one = first
     for _ in range(2):  # the farthest from any one, and the farthest from that
         cosine = dots(unit, unit[one[row]])
         order = np.lexsort((cosine, row))
         one, other = order[first], one
-    a, b = unit[one], unit[other]
+    return unit[one], unit[other]
+
+
+def _off_between(line: FloatArray, a: FloatArray, b: FloatArray, up: float) -> FloatArray:
+    """Angles (K,) [rad] of unit vectors ``line`` (K, 3) to the triangle on the sphere between the vertical
+    and two others ``a`` and ``b`` (K, 3)."""
     c = np.broadcast_to(np.array([0.0, 0.0, up]), a.shape)
     turn = np.sign(dots(np.cross(a, b), c))
     arcs = (a, b), (b, c), (c, a)

@@ -10,8 +10,10 @@ import pytest
 from planner.forming.opposite import FACING, opposite_path
 from planner.forming.path_options import PathOptions
 from planner.forming.paths import make_path
+from planner.forming.support import tool_path
 from planner.forming.touching import Touching
 from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.tooling import FormingHead
 from planner.units import MM
 from planner.verify.forming_face import Face
 from planner.verify.forming_state import TIED
@@ -103,6 +105,24 @@ def test_between_targets_gap_and_line_hold(path: ToolPath) -> None:
         assert np.abs(gap - T0 * np.cos(TILT)).max() < 8e-6
     lean = touching.lean(path.former)
     assert lean.gap == pytest.approx(T0 * np.cos(TILT), abs=1e-9)
+
+
+def test_heat_waits_at_the_corner_too() -> None:
+    """The nozzle goes from one wall's normal to the other's while the ball stands where both walls' offset
+    planes meet, in turns of a degree."""
+    nozzle = FormingHead("heat", 0.01, 0.01, 0.0, 0.1, 0.0, 0.02)
+    path = tool_path(pit(), round_the_corner(LEVEL - 0.006), operation("heat"), BALL, nozzle, T0)
+    side, line = path.former[:, 0].max(), lines(path)
+    off = np.rad2deg(np.arccos(np.clip(line @ np.stack([EAST, NORTH], axis=1), -1.0, 1.0)))
+    away = np.abs(path.former[:, :2] - side).max(axis=1)
+    assert off[away > 1e-5].min(axis=1).max() < 3.0  # steadied by up to 2.5 degrees
+    between = off.min(axis=1) > 10.0
+    assert between.sum() > 10 and away[between].max() < 5e-6
+    pole = np.cross(EAST, NORTH) / np.linalg.norm(np.cross(EAST, NORTH))
+    assert np.rad2deg(np.arcsin(np.abs(line @ pole))).max() < 3.0
+    assert path.support_axis is not None
+    turn = np.einsum("nd,nd->n", path.support_axis[1:], path.support_axis[:-1])
+    assert np.rad2deg(np.arccos(np.clip(turn, -1.0, 1.0))).max() < 1.01
 
 
 def test_off_the_wall_the_support_is_straight_below() -> None:

@@ -20,8 +20,9 @@ CORNER = np.linalg.solve(np.vstack([WALLS, [0.0, 0.0, 1.0]]), [RADIUS, RADIUS, 0
 """A ball's centre there touches both walls, which meet in a crease through the origin."""
 
 
-def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS) -> float:
-    """How far [deg] the proof finds a line of two tools off, for a ball about ``centre``."""
+def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS, upright: bool = True) -> float:
+    """How far [deg] the proof finds a line of two tools off, for a ball about ``centre``; of a ball and a
+    source of heat where it may not stand ``upright`` off the walls."""
     along = np.cross(*walls)
     along /= np.linalg.norm(along)
     away = [np.cross(walls[0], along), -np.cross(walls[1], along)]
@@ -39,7 +40,7 @@ def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS) -> f
     joined = np.zeros(0, dtype=np.bool_)
     way = Track(("left", "right"), rows, both, np.ones(1, dtype=np.bool_), joined, (), np.eye(4)[None])
     found = face.nearest(both[:, 0], TIED)
-    return float(np.rad2deg(_turned(way, rows, face, found, 1, upright=True)[0]))
+    return float(np.rad2deg(_turned(way, rows, face, found, 1, upright=upright)[0]))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
@@ -47,6 +48,25 @@ def turned(centre: np.ndarray, line: np.ndarray, walls: np.ndarray = WALLS) -> f
 def test_between_two_walls_that_the_ball_touches_the_line_may_be_any_mean(share: float, up: float) -> None:
     line = (1.0 - share) * WALLS[0] + share * WALLS[1] + np.array([0.0, 0.0, up])
     assert turned(CORNER, line) == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
+def test_heat_may_come_from_between_both_walls_but_from_nowhere_above_them(share: float) -> None:
+    """Off the great circle through both normals as far as it is turned out of its plane."""
+    mean = (1.0 - share) * WALLS[0] + share * WALLS[1]
+    assert turned(CORNER, mean, upright=False) == pytest.approx(0.0, abs=1e-4)
+    pole = np.cross(*WALLS)
+    pole *= np.sign(pole[2]) / np.linalg.norm(pole)
+    up = np.cos(np.deg2rad(12.0)) * mean / np.linalg.norm(mean) + np.sin(np.deg2rad(12.0)) * pole
+    assert turned(CORNER, up, upright=False) == pytest.approx(12.0, abs=1e-6)
+
+
+def test_heat_comes_from_one_wall_beside_the_crease() -> None:
+    line = WALLS[0] + WALLS[1]
+    beside = CORNER + np.array([0.0, -5e-5, 0.0])
+    wanted = np.arccos(line @ WALLS[0] / np.linalg.norm(line))
+    assert turned(beside, line, upright=False) == pytest.approx(np.rad2deg(wanted), abs=1e-6)
+    assert turned(CORNER, 2.0 * WALLS[0] - WALLS[1], upright=False) > 10.0  # beyond both
 
 
 def test_beside_the_crease_one_wall_alone_is_touched() -> None:
