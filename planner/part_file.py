@@ -29,7 +29,7 @@ from planner.geometry.laying import check_ruled, lay_along, standing_out
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.placing import fit_into_block, overhang
 from planner.geometry.rigid import from_rpy, transform
-from planner.issues import Issue, TandemError, has_errors
+from planner.issues import Issue, Remedy, TandemError, has_errors
 from planner.part_faces_file import BackFile, Faces, FrontFile
 from planner.part_plate_file import PlateFile
 from planner.part_ruled_file import RuledFile
@@ -208,6 +208,7 @@ def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> No
     size = " x ".join(f"{v * 1e3:g}" for v in stock_size)
     turned = "also when turned to fit best" if auto else "at in_stock; try in_stock: auto or move it"
     worst = int(np.argmax(missing))
+    enough = tuple(float(v) for v in np.ceil((stock_size + missing) / (0.1 * MM) - 1e-6) / 10.0)
     raise TandemError(
         Issue(
             "part.stock_too_small",
@@ -216,5 +217,7 @@ def _refuse_small(missing: FloatArray, stock_size: FloatArray, auto: bool) -> No
             value=float((stock_size + missing)[worst] * 1e3),
             limit=float(stock_size[worst] * 1e3),
             unit="mm",
+            hint=f"the part alone needs size_mm: [{', '.join(f'{v:g}' for v in enough)}]",
+            remedy=Remedy("size", "stock", size_mm=enough),
         )
     )

@@ -284,7 +284,11 @@ def _require_fits(mesh: TriangleMesh, sheet: Sheet, path: Path) -> None:
             f"{path}: the part stands {out.max() / MM:.1f} mm out of the opening of the clamp, at "
             f"x {where[0]:.1f}, y {where[1]:.1f} mm"
         )
-        hint = "use a larger sheet and opening, move the part (in_stock), or check its unit"
+        more = np.ceil(2.0 * out.max() / MM)
+        hint = (
+            f"use a larger sheet and opening (the part needs {more:.0f} mm more, its tools some besides), "
+            "or move the part (in_stock), or check its unit"
+        )
         raise TandemError(
             Issue(
                 "part.stock_too_small",

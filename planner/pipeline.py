@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner import plan_io, problem_bundle, problem_file, processes
+from planner import enlarged, plan_io, problem_bundle, problem_file, processes, yaml_lines
 from planner.catalogue import bundled
 from planner.cell import standing
 from planner.files import RESULT, claim_folder, is_file, write_folder
@@ -24,6 +24,7 @@ from planner.targets import Job, Targets
 from planner.verify import kinds, margins, partial, program_text, prove
 from planner.verify.partial import Partial
 from planner.verify.result import Proof
+from planner.yaml_lines import Document
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
@@ -71,7 +72,19 @@ def load(path: str | Path) -> Problem:
 
     Raises ``TandemError`` with every fault found.
     """
-    return problem_file.read(_find(Path(path)), processes.schemas())
+    document = yaml_lines.read(_find(Path(path)))
+    try:
+        return problem_file.build(document, processes.schemas())
+    except TandemError as error:
+        raise TandemError(enlarged.advised(document, error.issues, _changed)) from None
+
+
+def _changed(document: Document, far: bool) -> list[Issue]:
+    """Issues of a changed problem before motion, and with ``far`` of a first look at that too."""
+    problem = problem_file.build(document, processes.schemas())
+    targets = _targets(problem, processes.jobs(problem))
+    found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
+    return [*found, *(solve.check(problem, targets, advise=False) if far else [])]
 
 
 @contextlib.contextmanager

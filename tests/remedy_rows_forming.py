@@ -20,7 +20,7 @@ from tests import small_forming
 from tests.forming import shapes
 from tests.forming.path_faces import bowl
 from tests.refusals import change
-from tests.remedy_rows import DISH, SPIF, Row, exported, found, lay
+from tests.remedy_rows import DISH, SPIF, Row, Yaml, exported, found, lay
 from tests.test_remedies import Said, Word
 
 
@@ -91,6 +91,8 @@ OWN: Final = change(wide("adsif"), "operations.0.adsif", {"file": "own.csv"})
 SOFT: Final = {"force_n": 12000, "stiffness_n_mm": 5000}
 FILLETS: Final = small_forming.dish(30.0, 8.0, 45.0, 6.05)
 STEPS: Final = change(die("male", step_mm=0.3), "operations.0.path", "contour")
+SHEET: Final = {"sheet.opening_mm": Yaml(r"opening_mm: (\[[^]]*\]|[0-9.]+)"),
+    "sheet.size_mm": Yaml(r"size_mm: (\[[^]]*\])")}  # fmt: skip
 ADSIF: Final = {"part.ply": exported(CONE)}
 
 JOBS: Final = [
@@ -100,6 +102,10 @@ JOBS: Final = [
         down=True)}, small_forming.problem("dpif_l", shift_deg=41)),
     row("forming.clamp", "make the opening", {"sheet.opening_mm": Sum("make the opening # mm wider",
         more=True, besides=10.0), "sheet.size_mm": [240, 240]}, DISK),
+    row("part.stock_too_small", "with room for the tools (tried)", SHEET, change(DISK,
+        "sheet.opening_mm", 56)),
+    row("part.stock_too_small", "with room for the tools (tried)", SHEET, change(SPIF, "sheet.opening_mm",
+        [70, 50])),
     row("forming.hole", "close it", {"@part.ply": exported(DISH)}, SPIF, torn(700)),
     row("forming.hole", "meet in a point", {"@part.ply": exported(DISH)}, SPIF, torn(700, 701)),
 ]  # fmt: skip

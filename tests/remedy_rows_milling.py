@@ -22,6 +22,9 @@ CURVE: Final = [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]
 AXIS: Final = [[-30, -15, 60], [0, 15, 60], [30, -15, 60]]
 ENGRAVE: Final[Mapping[str, Any]] = {"engrave": [{"bspline_mm": CURVE}], "depth_mm": 0.5}
 
+ALONG: Final = {**ENGRAVE, "engrave": [{"polyline_mm": [[-40, 0, 0], [0, 10, 0], [40, 0, 0]]}]}
+"""Along the panel where that lies in its own directions."""
+
 
 def with_cut(base: dict[str, Any], cut: Mapping[str, Any], tool: Mapping[str, Any] | None = None) -> Any:
     out = copy.deepcopy(base)
@@ -135,6 +138,8 @@ MILLED: Final = [
         {f"{CUT}scallop_mm": Said("a scallop_mm of # or less", 0.001, down=True)}),
     mill("milling.off_surface", with_cut(PANEL, BEYOND, BALL), "move or shorten it",
         {f"{CUT}engrave.0.polyline_mm.1.0": Said("-30.0 to #", 0.1, down=True)}),
+    mill("part.stock_too_small", change(with_cut(PANEL, ALONG, BALL), "stock.size_mm", [50, 70, 30]),
+        "70, 30] (tried)", {"stock.size_mm": Yaml(r"size_mm: (\[[^]]*\])")}),
     mill("milling.guides", with_cut(PANEL, BACKWARD, BALL), "in the same direction",
         {f"{CUT}axis_curves.0.bspline_mm": AXIS}),
     mill("milling.guide_lengths", FAN, "shorten the guide end to", {

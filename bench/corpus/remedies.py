@@ -42,14 +42,30 @@ def _down(value: float, step: float = 0.01) -> float:
 
 
 def _block(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
+    size = re.search(r"size_mm: \[([^]]*)\]", told)
     if "sheet" in problem:
-        return _opening(problem, 2.0 * float(issue["value"]))
+        return _sheet(problem, size, told) or _opening(problem, 2.0 * float(issue["value"]))
+    if size is not None:
+        problem["stock"]["size_mm"] = [float(value) for value in size[1].split(",")]
+        then = _wire(issue, problem, cell, told) if "wire" in problem["operations"][0] else None
+        return ", ".join(filter(None, (f"block of {problem['stock']['size_mm']} mm", then)))
     short = re.findall(rf"{NUMBER} mm in ([xyz])", told)
     for value, axis in short:
         k = "xyz".index(axis)
         size = problem["stock"]["size_mm"]
         size[k] = round(size[k] + float(value) + 0.1, 1)
     return f"block of {problem['stock']['size_mm']} mm" if short else None
+
+
+def _sheet(problem: Data, size: re.Match[str] | None, told: str) -> str | None:
+    """A sheet and opening as they are named."""
+    opening = re.search(rf"opening_mm: (?:{NUMBER}|\[([^]]*)\])", told)
+    if size is None or opening is None:
+        return None
+    problem["sheet"]["size_mm"] = [float(value) for value in size[1].split(",")]
+    wide = float(opening[1]) if opening[1] else [float(value) for value in opening[2].split(",")]
+    problem["sheet"]["opening_mm"] = wide
+    return f"opening of {wide} mm"
 
 
 def _opening(problem: Data, more: float) -> str:
@@ -123,6 +139,8 @@ def _heat(issue: Data, problem: Data, cell: Data, told: str) -> str | None:
     """Another power or feed, where one is named beside what the wire has."""
     own = problem["operations"][0]
     advice = str(issue.get("hint") or told.rpartition(";")[2])
+    if "no power and no feed" in advice:
+        return None
     power = _number("# W", advice)
     if power is not None:
         own["power_w"] = power
@@ -181,7 +199,7 @@ REMEDIES: Final[dict[str, Follow]] = {
     "part.stock_too_small": _block,
     "forming.clamp": _clamp,
     "bow.span": _tool("bow", "span_mm", "need a wire of # mm"),
-    "bow.throat": _tool("bow", "throat_mm", "reaches # mm behind the wire"),
+    "bow.throat": _tool("bow", "throat_mm", "throat_mm: #"),
     "forming.tool_radius": _tool("ball_tool", "radius_mm", FITS, down=True),
     "forming.support_radius": _tool("ball_tool", "radius_mm", FITS, down=True),
     "milling.tool_radius": _tool("mill", "diameter_mm", FITS, factor=2.0, down=True),

@@ -14,12 +14,15 @@ from planner.forming.values import FloatArray, IntArray, Pass, ToolPath
 from planner.geometry.vectors import dots
 from planner.issues import Issue
 from planner.problem import Stock
+from planner.sheet_file import BARS
 from planner.units import MM
 
 SPACING: Final = 2e-3
 """Tools are looked at each time that they have gone so far [m]."""
 ROOM: Final = 12e-3
 """What a head that may lean as it likes keeps from the clamp [m], a little more than arms keep by default."""
+SLACK: Final = 1.0
+"""Openings that are advised are wider by this [mm]: tools are looked at in places."""
 AROUND: Final = 32
 _ROUNDS: Final = 9
 _CHUNK: Final = 500
@@ -80,8 +83,15 @@ def clamp_issues(
         deep, where = _deepest(clamp, place[rows], axis[rows], profile)
         if len(rows) and deep.max() > 0.0:
             k = int(np.argmax(deep))
-            issues.append(_issue(one, arm, float(deep[k]), where[k], int(rows[k])))
+            wider = wider_mm(float(deep[k]) / MM, len(clamp.reach) > 8)
+            issues.append(_issue(one, arm, float(deep[k]), where[k], int(rows[k]), wider))
     return tuple(issues)
+
+
+def wider_mm(deep: float, rounded: bool) -> float:
+    """How much wider [mm] an opening must be for tools that reach ``deep`` [mm] into its clamp; the bars of a
+    ``rounded`` one are nearer to its middle than its radius."""
+    return 2.0 * deep / (np.cos(np.pi / BARS) if rounded else 1.0) + SLACK
 
 
 def _clear(
@@ -155,7 +165,7 @@ def _circles(profile: FloatArray) -> tuple[FloatArray, FloatArray]:
     return back[rows], radius[rows]
 
 
-def _issue(one: Pass, arm: str, deep: float, point: FloatArray, index: int) -> Issue:
+def _issue(one: Pass, arm: str, deep: float, point: FloatArray, index: int, wider: float) -> Issue:
     x, y, z = (float(value) / MM for value in point)
     return Issue(
         "forming.clamp",
@@ -167,6 +177,6 @@ def _issue(one: Pass, arm: str, deep: float, point: FloatArray, index: int) -> I
         value=deep / MM,
         limit=0.0,
         unit="mm",
-        hint=f"make the opening {2.0 * deep / MM:.1f} mm wider and twice settings.clearance_mm besides; or "
+        hint=f"make the opening {wider:.1f} mm wider and twice settings.clearance_mm besides; or "
         "take a slimmer tool or a smaller disk, let the tool lean less, or make the clamp's bars lower",
     )

@@ -159,18 +159,18 @@ def check_bow(
             limit=bow.span / MM,
             unit="mm",
         )
-        return
     inside = np.flatnonzero(np.isfinite(chord(lines, box)[0]))
     if not inside.size:
         return
     depth = _depth(lines[inside], pose[inside], box, op.margin_mm * MM)
     k = int(np.argmax(depth))
     if depth[k] > bow.throat:
+        deeper = np.ceil((depth[k] - bow.throat) / MM)
         yield Issue(
             "bow.throat",
             f"{op.name}: in {segment[inside[k]]} the block reaches {depth[k] / MM:.0f} mm behind the wire "
             f"on every side, but the bow's throat is free for {bow.throat / MM:.0f} mm; take a bow that is "
-            f"{np.ceil((depth[k] - bow.throat) / MM):.0f} mm deeper, or a smaller block",
+            f"{deeper:.0f} mm deeper (throat_mm: {bow.stated_throat / MM + deeper:.0f}), or a smaller block",
             index=int(inside[k]),
             value=float(depth[k] / MM),
             limit=bow.throat / MM,

@@ -91,15 +91,16 @@ def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: lis
     )
 
 
-def check(problem: Problem, targets: Sequence[Targets]) -> list[Issue]:
-    """Issues of reach and collision without optimising or timing; empty if every operation has a path."""
+def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> list[Issue]:
+    """Issues of reach and collision without optimising or timing; empty if every operation has a path.
+    ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
     bases: Mapping[str, FloatArray] | None = None
     for stand in stands(problem, targets):
         at = [0]
         place, reasons = _look(problem, stand if bases is None else stand.based(bases), at)
         if place is None:
-            return _advised(problem, targets, at[0], reasons)
+            return _advised(problem, targets, at[0], reasons) if advise else reasons
         bases = {**(bases or {}), **place.bases}
     return []
 

@@ -56,6 +56,11 @@ class Bow(OnFlange):
                 nearest.append(float(high[2]))
         return -max(nearest)
 
+    @property
+    def stated_throat(self) -> float:
+        """The throat [m] as cells state it: from the middle of the beam."""
+        return self.throat + 0.5 * BEAM
+
 
 def bow(
     span: float = 0.4,
