@@ -339,6 +339,7 @@ CODES: Final[dict[str, str]] = {
     "motion.no_path": "no choice of branches carries the arms past a target without a jump",
     "motion.collision": "bodies come too near each other at a target whatever its freedoms",
     "motion.linear_move": "an arm cannot follow the straight move between two targets",
+    "motion.overlap": "bodies of the cell that stand still are inside of one another",
     "motion.home": "the arms are too near something while all are at home",
     "motion.entry": "an arm has no free way between home and its first or last target",
     "motion.timing": "no clock was found for a piece of the path",

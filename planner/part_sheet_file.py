@@ -12,12 +12,13 @@ import shapely
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh
-from planner.geometry.mesh_noise import BOUND, deviation, fitted, levelled
+from planner.geometry.mesh import TriangleMesh, check_surface, read_mesh, vertex_normals
+from planner.geometry.mesh_noise import BOUND, beside, deviation, fitted, levelled
 from planner.geometry.mesh_repair import OFF_RIM, border, rims_levelled, sewn
 from planner.geometry.outer_hull import outer_hull
 from planner.geometry.rigid import transform
 from planner.geometry.shapes import Shape
+from planner.geometry.vectors import dots
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Formed, Mesh, Part, Sheet, Stock
 from planner.schema import FileName, Strict, Unit
@@ -36,6 +37,10 @@ FLATTENED: Final = 0.5
 """How far the flat of a fitted face may be off it, as a share of the mesh's noise."""
 ROUGH: Final = 1.5
 """Noise beyond so many times the stated tolerance is told."""
+OFF_RIDGE: Final = 0.02 * MM
+RIDGE: Final = 5
+"""Of a face that is fitted at most so many vertices beside one another may be off to one side by so much more
+than noise is."""
 TURNED: Final = 0.05
 """Share of the area of faces that may look the other way before a mesh counts as inside out."""
 
@@ -127,7 +132,28 @@ def _meant(mesh: TriangleMesh, noise: float, stated: float | None, level: float,
         sigma = min(noise, tolerance / BOUND)
         meant = levelled(fitted(mesh, sigma, level), FLATTENED * sigma, level)
     meant = rims_levelled(meant, level, OFF_RIM)
+    if noise > 0.0:
+        _require_no_ridge(mesh, meant, max(tolerance, BOUND * noise), path)
     return MeantFace(meant, tolerance, _noise_notes(mesh, meant, noise, tolerance, stated, path))
+
+
+def _require_no_ridge(mesh: TriangleMesh, meant: TriangleMesh, tolerance: float, path: Path) -> None:
+    """What is narrower than what noise is smoothed over would be smoothed away without a word."""
+    off = dots(mesh.vertices - meant.vertices, vertex_normals(meant))
+    group = beside(mesh, off, tolerance + OFF_RIDGE)
+    if len(group) <= RIDGE:
+        return
+    most, kind = float(np.abs(off[group]).max()), "ridge" if off[group].sum() > 0.0 else "groove"
+    x, y, _ = mesh.vertices[group].mean(axis=0) / MM
+    field = "part.sheet_mesh.tolerance_mm"
+    what = f"{path.name}: about ({x:.1f}, {y:.1f}) mm a {kind} of {most / MM:.3g} mm would be smoothed away "
+    what += f"as if it were noise, which is {tolerance / MM:.3g} mm at most; {len(group)} vertices are in it"
+    hint = "take it off the mesh, scan it more finely, or, if it need not be formed, state tolerance_mm: "
+    hint += f"{np.ceil(most / MM * 100.0) / 100.0:g}"
+    value, limit = most / MM, tolerance / MM
+    raise TandemError(
+        Issue("part.mesh_tolerance", what, field=field, value=value, limit=limit, unit="mm", hint=hint)
+    )
 
 
 def with_formed(stock: Stock, part: Part) -> Stock:

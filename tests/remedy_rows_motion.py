@@ -107,7 +107,13 @@ ROUND: Final = table(
     [(450, 10.0 * t - 70.0, 510 - 10.0 * np.cos(np.pi * t)) for t in WAVE], 0.0 * WAVE, 200.0
 )
 
+SUNK: Final = {
+    "name": "table",
+    "shapes": [{"kind": "box", "size_mm": [300, 300, 60], "pose": {"xyz_mm": [450, 0, -20]}}],
+}
 QUICK: Final = [
+    Row("motion.overlap", check, change(POSES, "cell.obstacles", [SUNK]), "move the stock by",
+        {"stock.place.xyz_mm.2": Said("move the stock by (0, 0, #) mm", more=True)}),
     Row("motion.home", check, change(ASIDE, "cell.obstacles", [HAND]), "take home_deg",
         {"cell.arms.0.home_deg": Yaml("take home_deg (\\[.*?\\])")}),
     Row("motion.joint_limit", check, MARGINS["joint_margin_deg"], "settings.joint_margin_deg",

@@ -223,7 +223,7 @@ def _noisy(noise: float, seed: int = 5) -> Edit:
     return edit
 
 
-def _scan(noise: float = 1e-4) -> Mesh:
+def _scan(noise: float = 1e-4, apart: float = 1.5e-3) -> Mesh:
     """A dish of 60 mm on irregular triangles as a scan has it."""
     line = small_forming.dish().vertices
     away, height = np.hypot(line[:, 0], line[:, 1]), line[:, 2]
@@ -232,7 +232,7 @@ def _scan(noise: float = 1e-4) -> Mesh:
     def dish(x: Any, y: Any) -> Any:
         return np.asarray(np.interp(np.hypot(x, y), away[order], height[order]))
 
-    return _noisy(noise)(nests.sheet(dish, 0.045, 1.5e-3, 2))
+    return _noisy(noise)(nests.sheet(dish, 0.045, apart, 2))
 
 
 def _said(tmp_path: Path, tolerance: object, part: Mesh) -> Path:
@@ -289,6 +289,24 @@ def test_noise_beyond_the_stated_tolerance_is_told_and_its_remedy_works(tmp_path
     assert warning.value is not None
     again = pipeline.load(_said(tmp_path, round(warning.value, 3), _scan()))
     assert again.part is not None and len(again.part.notes) == 1
+
+
+@pytest.mark.parametrize("high", [0.25, -0.3])
+def test_a_narrow_ridge_is_not_taken_for_noise_and_its_remedy_works(tmp_path: Path, high: float) -> None:
+    """1 mm wide and 16 mm long, in a scan with noise of 0.05 mm and vertices 1 mm apart; without it there is
+    nothing to tell."""
+    part = _scan(5e-5, 1e-3)
+    x, y = part.vertices[:, 0], part.vertices[:, 1]
+    ridge = high * MM * ((np.abs(y) < 0.5 * MM) & (np.abs(x) < 8.0 * MM))
+    marked = Mesh(part.vertices + ridge[:, None] * [0.0, 0.0, 1.0], part.faces)
+    pipeline.load(_said(tmp_path, "auto", part))
+    (issue,) = refused(_said(tmp_path, "auto", marked))
+    assert issue.code == "part.mesh_tolerance"
+    assert ("ridge" if high > 0.0 else "groove") in issue.message
+    assert issue.hint is not None
+    stated = float(issue.hint.rsplit("tolerance_mm: ", 1)[1])
+    assert stated == pytest.approx(issue.value, abs=0.011)
+    pipeline.load(_said(tmp_path, stated, marked))
 
 
 def test_a_part_that_is_all_noise_is_refused(tmp_path: Path) -> None:

@@ -164,7 +164,7 @@ def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str,
     with the depth.
 
     Bases and the support may stand on obstacles, so what they stand in is looked at only for the stock and
-    between bases and the support.
+    between bases and the support. A support may not stand in its block, but a clamp may in its sheet.
     """
     context = model.checker.UpdatePositions(model.home)
     query = model.plant.get_geometry_query_input_port().Eval(context)
@@ -186,6 +186,7 @@ def _standing_pairs(model: CellModel) -> list[tuple[str, str]]:
     pairs += [(a, b) for i, a in enumerate(bases) for b in bases[i + 1 :]]
     if model.stock.support:
         pairs += [("support", base) for base in bases]
+        pairs += [("stock", "support")] if model.stock.sheet is None else []
     return pairs
 
 

@@ -21,6 +21,7 @@ FloatArray = NDArray[np.float64]
 
 FEET: Final = 0.025
 """[m] what feet, shims and clamps may be between two bodies of which one stands on the other."""
+FLOOR: Final = "or correct the heights of the bases, the lowest of which tells the floor"
 LEVEL: Final = np.cos(np.deg2rad(1.0))
 """A block whose side is level by so much stands on it."""
 
@@ -163,16 +164,16 @@ def issues(problem: Problem) -> list[Issue]:
     """What is wrong with how the blocks of a problem stand, as far as it is known before their places are."""
     out: list[Issue] = []
     for setup in problem.setups:
-        stock = setup.stock
-        if stock.held_by is not None or stock.sheet is not None:
-            continue
-        field = f"operations.{setup.operations[0]}.setup.support" if setup.number > 1 else "stock.support"
-        out += _setup(setup, field)
+        out += stood(setup)
     return out
 
 
-def _setup(setup: Setup, field: str) -> list[Issue]:
+def stood(setup: Setup) -> list[Issue]:
+    """What is wrong with how the block of one setup stands, as far as it is known before its place is."""
     stock, cell = setup.stock, setup.cell
+    if stock.held_by is not None or stock.sheet is not None:
+        return []
+    field = f"operations.{setup.operations[0]}.setup.support" if setup.number > 1 else "stock.support"
     turn = stock.attitude if stock.place is None else stock.place[:3, :3]
     if stock.pedestal is not None:
         if np.abs(turn[2]).max() < LEVEL:
@@ -183,6 +184,12 @@ def _setup(setup: Setup, field: str) -> list[Issue]:
         if stock.place is None:
             why = "its place is searched, and nothing is stated that it stands on"
             return [] if Ground.of(cell).bears else [_hangs(why, field, None)]
+        if (sunk := _sunk(cell, stock, stock.place)) > FEET:
+            lost = _hangs("", field, sunk)
+            what = f"the block goes {sunk / MM:.0f} mm below the floor; allowed are {FEET / MM:g} mm"
+            return [
+                dataclasses.replace(lost, message=what, hint=f"move it by {sunk / MM:.0f} mm in z, {FLOOR}")
+            ]
         gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
         return (
             [] if gap <= FEET else [_hangs(f"it is {gap / MM:.0f} mm above what would bear it", field, gap)]
@@ -193,9 +200,16 @@ def _setup(setup: Setup, field: str) -> list[Issue]:
     if stock.place is not None:
         gap = float(air(Ground.of(cell), stock, stock.place[None])[0])
         out.append((gap, FEET, f"the support under the block ends {gap / MM:.0f} mm above what is below it"))
+        sunk = _sunk(cell, stock, stock.place)
+        out.insert(0, (sunk, FEET, f"the block goes {sunk / MM:.0f} mm below the floor"))
     hint = "make it longer, put it under the middle of the block, put what it stands on among the cell's "
     hint += "obstacles, or let Tandem make one: support: pedestal"
     return [_unborne(what, field, off, limit, hint) for off, limit, what in out if off > limit + 1e-9][:1]
+
+
+def _sunk(cell: Cell, stock: Stock, place: FloatArray) -> float:
+    """How far [m] a block at ``place`` (4, 4) goes below the floor."""
+    return Ground.of(cell).floor - float(underside(stock, place[None])[0])
 
 
 def _rest(stock: Stock, place: FloatArray) -> list[tuple[float, float, str]]:
@@ -228,8 +242,7 @@ def _high(cell: Cell, stock: Stock, pedestal: Pedestal, place: FloatArray, field
     most, kind = pedestal.heights[-1], pedestal.kind
     if high < -FEET:
         what = f"the block is {-high / MM:.0f} mm below the floor, where no {kind} is"
-        hint = "correct its place, or the heights of the bases, the lowest of which tells the floor; or take "
-        hint += "support out"
+        hint = f"correct its place, {FLOOR}; or take support out"
         return [_unborne(what, field, -high, FEET, hint)]
     if high > most + 1e-9:
         what = f"the {kind} under the block would be {high / MM:.0f} mm high; those in stock are "
@@ -237,13 +250,20 @@ def _high(cell: Cell, stock: Stock, pedestal: Pedestal, place: FloatArray, field
         hint = f"put the block lower, at most {most / MM:.0f} mm above the floor, or state the shapes of its "
         hint += "support"
         return [_unborne(what, field, high, most, hint)]
-    for shape in with_support(cell, stock, place).support:
-        name, deep = _stands_in(transform(place @ shape.pose, corners(shape)), cell)
-        if deep > FEET:
-            what = f"the {kind} under the block would stand {deep / MM:.0f} mm deep in {name}"
-            hint = f"state the shapes of a support that stands on it, or put the block or {name} elsewhere"
-            return [_unborne(what, field, deep, FEET, hint)]
+    name, deep = made_in(cell, stock, place)
+    if deep > FEET:
+        what = f"the {kind} under the block would stand {deep / MM:.0f} mm deep in {name}"
+        hint = f"state the shapes of a support that stands on it, or put the block or {name} elsewhere"
+        return [_unborne(what, field, deep, FEET, hint)]
     return []
+
+
+def made_in(cell: Cell, stock: Stock, place: FloatArray) -> tuple[str, float]:
+    """The obstacle in which what is made for a block at ``place`` (4, 4) would stand deepest, and how deep
+    [m]."""
+    shapes = () if stock.pedestal is None else with_support(cell, stock, place).support
+    found = [_stands_in(transform(place @ shape.pose, corners(shape)), cell) for shape in shapes]
+    return max(found, key=lambda one: one[1], default=("", 0.0))
 
 
 def _stands_in(made: FloatArray, cell: Cell) -> tuple[str, float]:

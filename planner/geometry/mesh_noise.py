@@ -160,6 +160,15 @@ def fitted(mesh: TriangleMesh, sigma: float, level: float) -> TriangleMesh:
     return TriangleMesh(_untangled(face, _smoothed(face, vertex_normals(face), 2), rim), mesh.faces)
 
 
+def beside(mesh: TriangleMesh, off: FloatArray, limit: float) -> IntArray:
+    """The vertices of the largest connected group of those that are ``off`` (V,) [m] by more than ``limit``
+    [m] to one side: noise is off at random, a ridge or groove is not."""
+    best, graph = np.zeros(0, dtype=np.int64), _neighbours(mesh)
+    for side in (off, -off):
+        best = max([best, *_pieces(graph, side > limit)], key=len)
+    return best
+
+
 def levelled(mesh: TriangleMesh, within: float, sheet: float) -> TriangleMesh:
     """The mesh with its flats level, those across z, that of the sheet at the height ``sheet`` [m].
 

@@ -317,6 +317,8 @@ class Search:
         placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
         if any(clearance.overlaps(m) for m in placed.values()):
             return False
+        if any(standing.made_in(m.cell, m.stock, place.stock)[1] > standing.FEET for m in placed.values()):
+            return False
         return all(self._few_free(placed[id(model)], place, few) for model, few in jobs)
 
     def _few_free(self, model: CellModel, place: Place, few: Few) -> bool:

@@ -10,10 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.cell import plant
+from planner.cell import clearance, plant, standing
 from planner.cell.plant import CellModel
 from planner.geometry.rigid import from_parts
-from planner.issues import Issue, TandemError, aggregate
+from planner.issues import Issue, Remedy, TandemError, aggregate
 from planner.motion import diagnose, entry, remedy
 from planner.motion.operation import plan_operation
 from planner.motion.paths import find
@@ -24,6 +24,7 @@ from planner.motion.spline_room import with_room
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
+from planner.units import MM
 from planner.versions import versions
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +32,8 @@ Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
 AWAY: Final = 50.0
+ASIDE: Final = 0.01
+"""[m] by whole multiples of this a block is told to be moved out of what it stands in."""
 
 
 def solve(problem: Problem, targets: Sequence[Targets], progress: Progress | None = None) -> Plan:
@@ -178,6 +181,8 @@ def _settle(
     stages["cell"] = stages.get("cell", 0.0) + time.perf_counter() - lap
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
+        if found := _inside(problem, stand, models):
+            raise TandemError(found)
         return place, _plan(problem, stand, models, place, tell, at)
     _require_home(problem, stand, models)
     tell("placement", 0.0)
@@ -248,7 +253,7 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
     models = stand.models()
     if stand.settled:
         place = Place(stand.place, {}, 0.0, 0)
-        reasons = _no_path(problem, stand, models, place, at)
+        reasons = _inside(problem, stand, models) or _no_path(problem, stand, models, place, at)
         return (None if reasons else place), reasons
     try:
         _require_home(problem, stand, models)
@@ -261,6 +266,62 @@ def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, 
         if not reasons:
             return place, []
     return None, [_unplaced(trace, stand), *reasons]
+
+
+def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list[Issue]:
+    """``motion.overlap`` for bodies that are inside of one another where all stands as it is stated, with
+    homes that are not free."""
+    out: list[Issue] = []
+    for setup, model in zip(stand.setups, models, strict=True):
+        placed = model.with_stock(stand.place)
+        for one, other, deep in clearance.overlaps(placed):
+            own = "stock" in (one, other) and "support" not in (one, other)  # which moves with its block
+            move = _out_of(setup, placed, stand.place) if own else None
+            way = "" if move is None else ", ".join(f"{v / MM:g}" for v in move)
+            hint = "correct the place or the size of one of them; a block ends where its support begins"
+            what = f"{one} and {other} stand in one another, {deep / MM:.1f} mm deep"
+            out.append(
+                Issue(
+                    "motion.overlap",
+                    f"{what}; arms would go where something else is",
+                    bodies=(one, other),
+                    value=deep / MM,
+                    limit=1.0,
+                    unit="mm",
+                    hint=f"move the stock by ({way}) mm (tried); or {hint}" if move is not None else hint,
+                    remedy=None if move is None else Remedy("stock", "stock", _in_mm(move)),
+                )
+            )
+    if not out:
+        return []
+    for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
+        for job in jobs:
+            scene = Scene.of(setup.cell, job.arms, stand.place, problem.settings, model)
+            try:
+                entry.require_home(scene, job)
+            except TandemError as error:
+                out += error.issues
+    return list(aggregate(out))
+
+
+def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:
+    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE`, after which the
+    block stands in nothing and is borne as it was; None where there is none within 20 of them."""
+    borne = {issue.code for issue in standing.stood(setup)}
+    for size in ASIDE * np.arange(1, 21):
+        for way in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
+            at = from_parts(place[:3, :3], place[:3, 3] + way)
+            moved = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=at))
+            if (
+                not clearance.overlaps(model.with_stock(at))
+                and {i.code for i in standing.stood(moved)} <= borne
+            ):
+                return np.asarray(way)
+    return None
+
+
+def _in_mm(move: FloatArray) -> tuple[float, float, float]:
+    return (float(move[0] / MM), float(move[1] / MM), float(move[2] / MM))
 
 
 def _no_path(

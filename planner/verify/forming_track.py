@@ -137,15 +137,17 @@ def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
 
 def _bend(centre: FloatArray, joined: BoolArray) -> FloatArray:
     """How far (T - 1,) [m] ``centre`` (T, A, 3) may be off the straight way between two samples (`_corner`):
-    what its second differences are across the way; changes of speed make no bend."""
-    turn = np.zeros(centre.shape[:2])
+    what its second differences at both are across that way; changes of speed make no bend."""
+    before, behind = np.zeros((2, len(centre) - 1, centre.shape[1]))
     for begin, end in _parts(len(centre)):
         step = np.diff(centre[begin - 1 : end + 1], axis=0)
         along = step / np.maximum(lengths(step), 1e-12)[..., None]
         second = np.diff(step, axis=0)
-        second -= dots(second, along[:-1])[..., None] * along[:-1]
-        turn[begin:end] = lengths(second)
-    return np.asarray(_corner(turn, joined).max(axis=1))
+        # what one corner between two samples makes at either is across one and the same way only so
+        for out, row, way in ((behind, slice(begin - 1, end - 1), 0), (before, slice(begin, end), 1)):
+            across = along[way : way + len(second)]
+            out[row] = lengths(second - dots(second, across)[..., None] * across)
+    return np.asarray(_corner(before, behind, joined).max(axis=1))
 
 
 def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
@@ -163,9 +165,10 @@ def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
         line[begin:end, 0] = np.abs(own)
         across[begin:end, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
         apart[begin:end, 0] = length
-    aside = _corner(across, joined)[:, 0]
+    aside = _corner(across[:-1], across[1:], joined)[:, 0]
     least = np.minimum(apart[1:, 0], apart[:-1, 0])
-    return np.asarray(_corner(line, joined)[:, 0] + aside**2 / np.maximum(2.0 * (least - aside), 1e-6))
+    along = _corner(line[:-1], line[1:], joined)[:, 0]
+    return np.asarray(along + aside**2 / np.maximum(2.0 * (least - aside), 1e-6))
 
 
 def _parts(count: int) -> list[tuple[int, int]]:
@@ -173,9 +176,10 @@ def _parts(count: int) -> list[tuple[int, int]]:
     return [(begin, min(begin + _CHUNK, count - 1)) for begin in range(1, count - 1, _CHUNK)]
 
 
-def _corner(second: FloatArray, joined: BoolArray) -> FloatArray:
-    """What one sharp corner anywhere between two samples makes (T - 1, A) [m], whose second differences are a
-    and b there, of ``second`` (T, A): a b / (a + b). An even bend makes a quarter of that."""
-    second[1:-1][~(joined[1:] & joined[:-1])] = 0.0
-    a, b = second[:-1], second[1:]
+def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray) -> FloatArray:
+    """What one sharp corner anywhere between two samples makes (T - 1, A) [m], whose second differences are
+    ``before`` a and ``behind`` b (T - 1, A) there: a b / (a + b). An even bend makes a quarter of that."""
+    a, b = (np.where(joined[:, None], one, 0.0) for one in (before, behind))
+    a[1:][~joined[:-1]] = 0.0  # none is known across a gap
+    b[:-1][~joined[1:]] = 0.0
     return np.asarray(a * b / np.maximum(a + b, 1e-30))

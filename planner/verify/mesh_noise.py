@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -116,3 +117,18 @@ def scatter(vertices: FloatArray, height: FloatArray, steep: FloatArray) -> Scat
     middle = np.stack([np.bincount(index, weights=vertices[:, k]) / number for k in range(2)], axis=1)
     many = number >= FEW
     return Scatter(off, mean[many], number[many], middle[many])
+
+
+def together(faces: IntArray, off: FloatArray, limit: float) -> IntArray:
+    """The largest group of vertices that are ``off`` (V,) [m] by more than ``limit`` [m] to one side and that
+    edges of ``faces`` (F, 3) join: noise puts few of them beside one another, a ridge that is smoothed away
+    many."""
+    far = np.abs(off) > limit
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = ends[far[ends].all(axis=1) & (off[ends[:, 0]] * off[ends[:, 1]] > 0.0)]
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(off), len(off)))
+    _, group = connected_components(graph, directed=False)
+    rows = np.flatnonzero(far)
+    if not len(rows):
+        return rows
+    return np.asarray(rows[group[rows] == np.argmax(np.bincount(group[rows]))])

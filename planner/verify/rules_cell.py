@@ -34,7 +34,8 @@ def accepted(wanted: float) -> float:
 
 
 def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearance.LeastClearance]:
-    """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts."""
+    """Robots, tools, block and obstacles keep apart; a bow's wire passes the block where it cuts. Bodies that
+    stand are not inside of one another: the block and what bears it, bases, obstacles."""
     wanted = context.problem.settings.clearance
     limit = accepted(wanted)
     issues: list[Issue] = []
@@ -43,6 +44,9 @@ def bodies(context: Context, models: Models) -> tuple[Outcome, IntArray, clearan
     pairs: list[tuple[str, str]] = []
     rest = np.inf
     for index in range(len(context.setups)):
+        for one, other, deep in clearance.overlaps(models(index)):
+            what = f"{one} and {other}, which stand still, are {mm(deep):.1f} mm inside of one another"
+            issues.append(Issue("verify.clearance", what, bodies=(one, other), value=-mm(deep), unit="mm"))
         rows = looks(context, index)
         for chosen, ignore in _groups(context, index, rows):
             model = models(index)

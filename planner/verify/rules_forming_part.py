@@ -13,7 +13,7 @@ from planner.issues import Issue
 from planner.verify.context import Context, Outcome, mm
 from planner.verify.forming_shapes import Feature, PartShapes, Shape, in_order
 from planner.verify.forming_state import Forming
-from planner.verify.mesh_noise import STEP, scatter, tolerance_of
+from planner.verify.mesh_noise import STEP, scatter, together, tolerance_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -26,6 +26,8 @@ USUAL = 0.99
 """Share of a noisy mesh's vertices that are within its tolerance of what is formed."""
 MOST = 2.5
 """How far the farthest may be, in tolerances: noise and rounded folds."""
+BESIDE, GROUP = 3e-5, 6
+"""By so much [m] more than the tolerance at most so many vertices beside one another are off to one side."""
 MEAN = 0.35
 """How far the mean of a place may be off, in tolerances, besides its noise."""
 LUCK = 1.4
@@ -112,10 +114,11 @@ def stated_tolerance(context: Context) -> float | None:
 
 def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
     """How far [m] the vertices of a part with noise are off what all features make, all but one in a hundred,
-    and issues: also where the farthest is beyond twice and a half its tolerance, or the mean of some place is
-    off by more than noise would have it."""
+    and issues: also where the farthest is beyond twice and a half its tolerance, the mean of some place is
+    off by more than noise would have it, or many vertices beside one another are off to one side."""
     part, issues = made.part, []
-    vertices = part.vertices[np.unique(part.faces)]
+    used, index = np.unique(part.faces, return_inverse=True)
+    vertices, own = part.vertices[used], np.asarray(index).reshape(-1, 3)
     places = vertices[:, :2]
     height = made.sheet(np.arange(len(made.features)), places)
     slopes = []
@@ -144,6 +147,15 @@ def _whole_of_noisy(made: PartShapes) -> tuple[float, list[Issue]]:
         what = f"about ({at}) mm all passes together leave the sheet {mm(value):.3f} mm off the part in the "
         what += "mean, which its noise does not do"
         issues.append(_issue(what, made.features[0], mm(value), mm(float(allowed[k])), "mm"))
+    limit = BESIDE + max(wide, tolerance_of(part.vertices, part.faces))
+    group = together(own, found.off, limit)
+    if len(group) > GROUP:
+        at = ", ".join(f"{mm(x):.1f}" for x in vertices[group].mean(axis=0))
+        what = (
+            f"about ({at}) mm {len(group)} vertices beside one another are off what all passes make, by up "
+        )
+        what += f"to {mm(float(off[group].max())):.3f} mm to one side, which noise does not do"
+        issues.append(_issue(what, made.features[0], mm(float(off[group].max())), mm(limit), "mm"))
     if abs(made.level) > FACE + wide:
         what = f"the part's edge is {mm(abs(made.level)):.3f} mm off the flat sheet"
         issues.append(_issue(what, made.features[0], mm(abs(made.level)), mm(FACE + wide), "mm"))

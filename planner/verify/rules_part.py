@@ -14,7 +14,7 @@ from planner.verify.findings import at_node
 from planner.verify.rules_surface import sweeps
 from planner.verify.rules_wire import wire_issue
 from planner.verify.slits import in_slit, slits
-from planner.verify.spared import taken
+from planner.verify.spared import taken, taken_by_bent
 from planner.verify.speed import local
 from planner.verify.walls import Walls, walls
 from planner.verify.wire import Wire, to_block
@@ -61,8 +61,8 @@ def _ranks(context: Context, index: int) -> dict[str, int]:
 
 def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """On its ways in and out the wire's slot keeps off the part, within the tolerance, but for one plane
-    slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface a
-    straight wire's slot keeps off all the others, those that are cut already and those to come."""
+    slit to what the part lies around; sides of the datum block are cut from outside. Beside a surface the
+    slot keeps off all the others, those that are cut already and those to come."""
     issues: list[Issue] = []
     worst, where = np.inf, ""
     own = {claim.segment.key for claim in context.surfaces}
@@ -110,14 +110,15 @@ def part(context: Context, wires: tuple[Wire, ...]) -> Outcome:
 
 
 def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, ...]) -> list[Issue]:
-    """What the slots of straight wires take from other surfaces than those beside which they cut."""
+    """What slots take from other surfaces than those beside which they cut."""
     issues: list[Issue] = []
     straight = {claim.segment.key for claim in context.rulings}
     for claim, sweep in zip(context.surfaces, sweeps(context, wires), strict=True):
-        if claim.segment.key not in straight or len(sweep.points) < 2:
+        if len(sweep.points) < 2:
             continue
+        take = taken if claim.segment.key in straight else taken_by_bent
         for other in part:
-            found = None if other is claim else taken(claim, sweep, other, part, context.datum.box)
+            found = None if other is claim else take(claim, sweep, other, part, context.datum.box)
             if found is None:
                 continue
             x, y, z = (mm(float(value)) for value in found.place)

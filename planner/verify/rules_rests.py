@@ -40,7 +40,7 @@ def rests(context: Context) -> Outcome:
     """A block that an arm holds lies flat on a gripper whose face is within its own, which holds it firmly
     enough and is with it within the payload; any other one stands on the floor, on a body of the cell or on
     a support that is under its middle and stands there itself, unless the problem accepts that it does
-    not."""
+    not. What is made for a block is of sizes in stock and in no body of the cell, whatever is accepted."""
     issues: list[Issue] = []
     told = 0
     for index, setup in enumerate(context.setups):
@@ -51,7 +51,7 @@ def rests(context: Context) -> Outcome:
             place = stock.place if context.places[index] is None else context.places[index]
             stated = bool(stock.support) or stock.pedestal is not None
             taken = ("stock.support" if stated else "stock.hangs") in context.problem.accept
-            faults = [] if place is None or taken else list(_stands(setup.cell, stock, place))
+            faults = [] if place is None else list(_stands(setup.cell, stock, place, taken))
         else:
             continue
         told += 1
@@ -88,42 +88,55 @@ def _held(setup: Setup) -> Iterator[str]:
         yield f"gripper and block weigh {tool.mass + mass:.2f} kg, the arm carries {payload:g} kg"
 
 
-def _stands(cell: Cell, stock: Stock, place: FloatArray) -> Iterator[str]:
-    """What is wrong with how a block stands at ``place`` (4, 4)."""
+def _stands(cell: Cell, stock: Stock, place: FloatArray, taken: bool) -> Iterator[str]:
+    """What is wrong with how a block stands at ``place`` (4, 4); ``taken``: the problem accepts that it
+    stands as it is stated to."""
     block = transform(place, _box_corners(stock))
     under = float(block[:, 2].min())
     floor = float(min([0.0, *(arm.base[2, 3] for arm in cell.arms if arm.base[2, 2] > 0.5)]))
     bodies = [transform(s.pose, corners(s)) for obstacle in cell.obstacles for s in obstacle.shapes]
+    if stock.pedestal is not None:
+        yield from _made(stock, stock.pedestal, place, under - floor, taken)
+        if under - floor <= FEET:
+            return
+    elif under < floor - FEET - EDGE and not taken:
+        yield f"the block goes {mm(floor - under):.0f} mm below the floor"
+    shapes = standing.with_support(cell, stock, place).support
+    feet = [transform(place @ shape.pose, corners(shape)) for shape in shapes]
+    if stock.pedestal is None and taken:
+        return
     if stock.pedestal is None and not stock.support:
         air = under - _ground(block, floor, bodies)
         if air > FEET + EDGE:
             yield f"the block hangs {mm(air):.0f} mm above what would bear it; no support is stated"
         return
-    if stock.pedestal is not None:
-        yield from _made(stock, stock.pedestal, place, under - floor)
-        if under - floor <= FEET:
-            return
-    shapes = standing.with_support(cell, stock, place).support
-    feet = [transform(place @ shape.pose, corners(shape)) for shape in shapes]
     yield from _on(block, feet)
     if not feet:
         return
-    if stock.pedestal is not None and stock.place is not None:
+    if stock.pedestal is not None and not (taken and stock.place is not None):
         yield from _stands_in(feet[0], cell)
     lowest = min(feet, key=lambda one: float(one[:, 2].min()))
     air = float(lowest[:, 2].min()) - _ground(lowest, floor, bodies)
     if air > FEET + EDGE:
         yield f"the support ends {mm(air):.0f} mm above what is below it"
+    if stock.pedestal is not None:
+        sides = [
+            v for v, up in zip(shapes[0].size, (place @ shapes[0].pose)[2], strict=False) if abs(up) < 0.5
+        ]
+        if any(min(abs(v - side) for side in stock.pedestal.sides) > LEVEL for v in sides):
+            size = " x ".join(f"{mm(v):.0f}" for v in sides)
+            yield f"no {stock.pedestal.kind} of {size} mm is in stock"
 
 
-def _made(stock: Stock, pedestal: Pedestal, place: FloatArray, high: float) -> Iterator[str]:
+def _made(stock: Stock, pedestal: Pedestal, place: FloatArray, high: float, taken: bool) -> Iterator[str]:
     """What is wrong with a block for which something ``high`` [m] is made to stand on."""
     kind, heights = pedestal.kind, pedestal.heights
     if float(np.abs(place[2, :3]).max()) < np.cos(FLAT):
         yield f"the block leans, and stands on no {kind}"
-    if stock.place is None and min(abs(high - one) for one in heights) > LEVEL:
-        yield f"the block is {mm(high):.2f} mm above the floor; no {kind} is that high"
-    elif high > max(heights) + LEVEL or high < -FEET - EDGE:
+    if stock.place is None:
+        if min(abs(high - one) for one in heights) > LEVEL:
+            yield f"the block is {mm(high):.2f} mm above the floor; no {kind} is that high"
+    elif (high > max(heights) + LEVEL or high < -FEET - EDGE) and not taken:
         most = mm(max(heights))
         yield f"the block is {mm(high):.0f} mm above the floor; a {kind} is up to {most:.0f} mm high"
 

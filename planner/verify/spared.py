@@ -1,7 +1,8 @@
-"""What the slot of a straight wire takes from other surfaces of the part than the one beside which it cuts.
+"""What the slot of a wire takes from other surfaces of the part than the one beside which it cuts.
 
-Each surface is divided until its pieces are small or too far from the wires to matter: distances change by no
-more than the places do. What the sheets of wires leave of it does not depend on the order of the cuts.
+For a straight wire each surface is divided until its pieces are small or too far from the wires to matter:
+distances change by no more than the places do. What the sheets of wires leave of it does not depend on the
+order of the cuts. Bent wires are looked at point by point, and from look to look.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from planner.claims import CutsSurface, KerfCurve
 from planner.geometry.vectors import dots
-from planner.verify.surface import Sweep
+from planner.verify.surface import SAMPLE, Sweep, sample_face
 from planner.verify.walls import walls
 
 FloatArray = NDArray[np.float64]
@@ -99,6 +100,48 @@ def taken(
         return None
     k = int(np.argmax(np.where(real, depth, -np.inf)))
     return Taken(float(depth[k]), place[k], int(row[k]), float(half[k]))
+
+
+def taken_by_bent(
+    claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
+) -> Taken | None:
+    """As :func:`taken`, by a bent wire: where its points come nearer to the other surface than half their
+    slot, or pass through it from one look to the next.
+
+    Where a point is outside of the surface that it cuts, what the slot reaches is outside of the part, or on
+    this side of that surface; so what counts is beyond the rim of that surface, or deep below it.
+    """
+    del part
+    points, half = sweep.points, 0.5 * claim.kerf.at(sweep.speed)
+    flat = points.reshape(-1, 3)
+    inside = ((flat > block[0]) & (flat < block[1])).all(axis=1).reshape(half.shape)
+    step = np.linalg.norm(np.diff(points, axis=0), axis=2)
+    joined = sweep.joined[:, None] & inside[1:] & inside[:-1]
+    places, _, area = sample_face(other.vertices, other.faces)
+    apart = 2.0 * max(SAMPLE, float(np.sqrt(area.max())))
+    most = float(half.max(initial=0.0)) + float(np.where(joined, step, 0.0).max(initial=0.0)) + apart
+    far, _ = cKDTree(places).query(flat, distance_upper_bound=most)
+    near = np.flatnonzero(np.isfinite(far) & inside.reshape(-1))
+    off, own = np.full((2, len(flat)), np.nan)
+    if not len(near):
+        return None
+    off[near] = walls((other,)).off(flat[near])[0]
+    off = off.reshape(half.shape)
+    signs = joined & (off[1:] * off[:-1] < 0.0)  # NaN is no crossing
+    through = np.zeros(half.shape, dtype=np.bool_)
+    through[1:] |= signs
+    through[:-1] |= signs
+    depth = np.where(through, half, half - np.abs(off))
+    bad = depth > other.tolerance
+    some = np.flatnonzero(bad)
+    if not len(some):
+        return None
+    own[some] = walls((claim,)).off(flat[some])[0]
+    depth = np.where(bad & ~(own.reshape(half.shape) > 0.0), depth, -np.inf)
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    if not np.isfinite(depth[row, column]):
+        return None
+    return Taken(float(depth[row, column]), points[row, column], int(row), float(half[row, column]))
 
 
 class _Sheet:

@@ -158,6 +158,6 @@ def test_what_is_made_is_no_higher_than_what_is_in_stock(tmp_path: Path) -> None
 def test_what_is_made_does_not_stand_in_a_body_of_the_cell() -> None:
     for x, code in ((1.0, ["stock.support"]), (1.5, [])):
         stock = Stock(SIZE, at(x, 0.7), np.eye(3), pedestal=PEDESTAL)
-        found = standing._setup(Setup(1, cell(TABLE_TOP), stock, (0,)), "stock.support")
+        found = standing.stood(Setup(1, cell(TABLE_TOP), stock, (0,)))
         assert [issue.code for issue in found] == code
         assert all("deep in bench" in issue.message for issue in found)

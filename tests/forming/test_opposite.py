@@ -327,6 +327,23 @@ def test_a_bend_that_two_tools_have_in_common_takes_nothing_from_their_gap() -> 
     assert pieces(sampled(1e-3 * one, 1e-3 * other), 1e-6).apart.max() == pytest.approx(2.3e-5, abs=2e-6)
 
 
+def test_one_corner_between_two_samples_is_bounded_wherever_it_is() -> None:
+    """Against the corner itself: its distance from the straight way that joins the samples."""
+    rng = np.random.default_rng(11)
+    for turn, at in zip(rng.uniform(0.05, 2.6, 60), rng.uniform(0.02, 0.98, 60), strict=True):
+        way = np.array([[1.0, 0.0, 0.0], [np.cos(turn), np.sin(turn), 0.0]])
+        corner = 5.0 * way[0]
+        before = [corner - (k + at) * way[0] for k in range(4, -1, -1)]
+        after = [corner + (k + 1.0 - at) * way[1] for k in range(5)]
+        points = 1e-3 * np.array([*before, *after])
+        chord = points[5] - points[4]
+        true = np.linalg.norm(np.cross(1e-3 * corner - points[4], chord)) / np.linalg.norm(chord)
+        found = pieces(sampled(points, points - [0.0, 0.0, 11e-3]), 1e-9)
+        own = (found.first <= 4) & (found.last >= 5)
+        assert found.off[own].min() >= true - 1e-9
+        assert found.off[own].max() <= 1.02 * true + 1e-6
+
+
 def sampled(one: Array, two: Array) -> Track:
     """Samples of two arms in one segment, all of it forming."""
     centre = np.stack([one, two], axis=1)

@@ -3,6 +3,7 @@ refused, and by which rule; and the distances to walls by which the proof sees i
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 
@@ -115,6 +116,32 @@ def test_a_slit_is_one_plane_on_the_outer_side_of_its_contour(contours, by):
     """Leave to come through the part is none to go elsewhere, nor on beyond the contour in the slit's own
     plane. (Slits that are as they have to be: tests/verify/test_slits.py.)"""
     assert "verify.part" in codes(straight_job, through_the_part(by), "verify.part", contours)
+
+
+# ---- a bent wire beside another face ----------------------------------------
+
+
+@pytest.mark.parametrize(("rise", "good"), [(0.0, True), (0.034, False)])
+def test_a_bent_wire_that_goes_up_through_the_other_face(monkeypatch, rise, good):
+    """Beyond the rim of the face that it cuts, which ends 10 mm before the middle of the block, the wire
+    rises smoothly through the front, 25 mm above it: the face itself is as it should be."""
+    end, way = -0.01, small_job.way
+
+    def rising(count=60):
+        for y, low, lift, speed, label, stop in way(count):
+            share = np.clip((y - end) / 0.06, 0.0, 1.0) if low and label in ("cut/back", "retreat") else 0.0
+            yield y, low, lift + rise * share * share * (3.0 - 2.0 * share), speed, label, stop
+
+    monkeypatch.setattr(small_job, "way", lambda count=60: list(rising(count)))
+    claims = [
+        dataclasses.replace(c, faces=c.faces[c.vertices[c.faces].mean(axis=1)[:, 1] < end])
+        if isinstance(c, CutsSurface) and c.segment.name == "back"
+        else c
+        for c in small_job.claims()["panel"]
+    ]
+    texts = small_job.programs.__wrapped__(60)
+    proof = Prover(small_job.problem(), {"panel": tuple(claims)}).prove(texts)
+    assert {issue.code for issue in proof.issues} == (set() if good else {"verify.part"})
 
 
 # ---- sides of a ruled surface ----------------------------------------

@@ -339,6 +339,17 @@ NOISY = {
 }
 
 
+@pytest.mark.parametrize(("deep", "seen"), [(0.0, False), (4.5e-4, True)])
+def test_a_ridge_that_is_smoothed_away_is_no_noise(scan, deep, seen):
+    """2 mm wide and 20 mm long: in no mean of a place, and among no 1 % of the vertices."""
+    change = of_faces(lambda p: -deep * ((np.abs(p[:, 1]) < 1e-3) & (np.abs(p[:, 0]) < 0.01)))
+    group = {name: change(one) for name, one in processes.claims(scan).items()}
+    forming = Forming.__new__(Forming)
+    forming.context = Context(scan, group, {})
+    words = " ".join(issue.message for issue in forming_part(forming.context, forming).issues)
+    assert ("beside one another" in words) == seen
+
+
 @pytest.mark.parametrize("name", NOISY)
 def test_what_noise_does_not_explain_is_told(scan, name):
     assert PART in told(scan, NOISY[name])

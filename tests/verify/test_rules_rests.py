@@ -70,14 +70,20 @@ def post(length: float, top: float = 0.0) -> tuple[Shape, ...]:
     return (Shape("box", (0.05, 0.05, length), from_rpy((0.0, 0.0, top - 0.5 * length), (0, 0, 0))),)
 
 
-def standing(height: float, obstacles: tuple[Obstacle, ...] = (), **change: Any) -> list[str]:
-    """The faults of the job of a block that stands, lifted to a height."""
+def standing(
+    height: float,
+    obstacles: tuple[Obstacle, ...] = (),
+    accept: tuple[str, ...] = (),
+    searched: bool = False,
+    **change: Any,
+) -> list[str]:
+    """The faults of the job of a block that stands, lifted to a height; ``searched``: nobody states it."""
     problem = straight_job.problem()
     place = np.array(problem.stock.place if problem.stock.place is not None else np.eye(4))
     place[2, 3] = height - float((place[:3, :3] @ np.array([0.0, 0.0, 0.0]))[2])
-    own = dataclasses.replace(problem.stock, place=place, **change)
+    own = dataclasses.replace(problem.stock, place=None if searched else place, **change)
     cell = dataclasses.replace(problem.cell, obstacles=obstacles)
-    changed = dataclasses.replace(problem, stock=own, cell=cell, changes={}, accept=())
+    changed = dataclasses.replace(problem, stock=own, cell=cell, changes={}, accept=accept)
     context = Context(changed, straight_job.claims(), straight_job.programs(6))
     context.__dict__["places"] = (place,) * len(context.setups)
     return [issue.message for issue in rests(context).issues]
@@ -141,6 +147,67 @@ def test_a_pedestal_that_is_made_elsewhere_is_found(monkeypatch: pytest.MonkeyPa
 
         monkeypatch.setattr(made_for, "with_support", wrong)
         assert any(word in fault for fault in standing(0.7, pedestal=PEDESTAL))
+
+
+def test_a_block_below_the_floor_and_what_acceptance_does_not_hide() -> None:
+    assert "500 mm below the floor" in standing(-0.5)[0]
+    assert "500 mm below the floor" in standing(-0.5, support=post(1.0))[0]
+    assert standing(-0.02) == []
+    for stated, code in (({}, "stock.hangs"), ({"support": post(0.6)}, "stock.support")):
+        assert standing(0.7, accept=(code,), **stated) == []
+        assert standing(0.7, **stated) != []
+
+
+def test_what_is_made_is_of_a_size_in_stock_whatever_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with_support = made_for.with_support
+
+    def wrong(*given: Any) -> Any:
+        made = with_support(*given)
+        shapes = [dataclasses.replace(s, size=(0.9 * s.size[0], *s.size[1:])) for s in made.support]
+        return dataclasses.replace(made, support=tuple(shapes))
+
+    monkeypatch.setattr(made_for, "with_support", wrong)
+    for taken in ((), ("stock.support",)):
+        assert "mm is in stock" in standing(0.7, pedestal=PEDESTAL, accept=taken)[0]
+    monkeypatch.undo()
+    assert standing(0.7, pedestal=PEDESTAL) == []
+    assert standing(1.6, pedestal=PEDESTAL, accept=("stock.support",)) == []
+
+
+@pytest.mark.parametrize("searched", [True, False])
+def test_what_is_made_for_a_searched_place_is_in_no_body(searched: bool) -> None:
+    """A planner that searches beside its own rule may put a pedestal through a bench."""
+    place = straight_job.problem().stock.place
+    assert place is not None
+    at = from_rpy((float(place[0, 3]), float(place[1, 3]), 0.2), (0, 0, 0))
+    bench = Obstacle("bench", (Shape("box", (0.1, 0.1, 0.4), at),))
+    own = ("stock.support",)  # what is searched is Tandem's own choice
+    found = standing(0.7, (bench,), accept=own, searched=searched, pedestal=PEDESTAL)
+    assert ("inside of what is made" in " ".join(found)) == searched
+
+
+def test_standing_bodies_are_not_inside_of_one_another() -> None:
+    """By hand: a box of 40 mm that ends 30 mm above the foot of the block, in its middle, far from the wire
+    and the arm; a support that ends 30 mm above it. Neither is looked at for clearance: both stand still."""
+    problem = straight_job.problem()
+    texts = straight_job.programs(6)
+    x, y = (float(v) for v in straight_job.PLACES[0][:2, 3])
+    low = Shape("box", (0.04, 0.04, 0.04), from_rpy((x, y, 0.01), (0, 0, 0)))
+    cell = dataclasses.replace(problem.cell, obstacles=(Obstacle("box", (low,)),))
+    inside = dataclasses.replace(low, pose=from_rpy((0.0, 0.0, 0.01), (0, 0, 0)))
+    for changed, other in (
+        (dataclasses.replace(problem, cell=cell), "box"),
+        (
+            dataclasses.replace(problem, stock=dataclasses.replace(problem.stock, support=(inside,))),
+            "support",
+        ),
+    ):
+        proof = Prover(changed, straight_job.claims()).prove(texts)
+        found = [
+            i.bodies for i in proof.issues if i.code == "verify.clearance" and "stand still" in i.message
+        ]
+        assert found
+        assert all(set(pair) == {"stock", other} for pair in found)
 
 
 def test_what_is_searched_for_a_pedestal_is_as_high_as_one() -> None:
