@@ -19,7 +19,7 @@ from planner import dialogue
 from planner.arrays import read_only
 from planner.claims import Claim
 from planner.forming import forming_claims, holder, part_claim
-from planner.forming.forming_check import check, shift_issues, step_issues
+from planner.forming.forming_check import check, of_die, shift_issues, step_issues
 from planner.forming.forming_exhibits import exhibits
 from planner.forming.frames import freedoms, poses
 from planner.forming.laid import NARROW, SHORTEST, lay_all
@@ -64,15 +64,16 @@ class FormingJob(Job[Forming]):
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
-        corners = unreached_issues(made)
-        refused = [*holder.issues(made), *shift_issues(made), *(one for one in corners if has_errors([one]))]
+        corners, dies = unreached_issues(made), list(of_die(made))
+        early = (one for one in (*dies, *corners) if has_errors([one]))
+        refused = [*holder.issues(made), *shift_issues(made), *early]
         if refused:
             raise TandemError(refused)
         try:
             paths = lay_all(made)
         except TandemError as error:
             raise TandemError(_or_allowed(made, error.issues, corners)) from None
-        issues = [*corners, *check(made, setup, paths)]
+        issues = [*corners, *dies, *check(made, setup, paths)]
         if has_errors(issues):
             raise TandemError(aggregate(issues))
         return _targets(made, setup, paths, _route(made, setup, paths), issues, self.claims())

@@ -27,10 +27,10 @@ from planner.units import DEG, MM
 
 
 def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
-    """All issues of a job: metal, passes, forces, the die and its holder, supports that cannot do as they
-    should, tools that would cut into what is formed already."""
+    """All issues of a job but its die's: metal, passes, forces, the die's holder, supports that cannot do as
+    they should, tools that would cut into what is formed already."""
     out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
-    return [*out, *_die(work), *holder.step_issues(work, paths)]
+    return [*out, *holder.step_issues(work, paths)]
 
 
 def shift_issues(work: Work) -> Iterator[Issue]:
@@ -68,6 +68,16 @@ def step_issues(work: Work) -> Iterator[Issue]:
         )
 
 
+def of_die(work: Work) -> Iterator[Issue]:
+    """Issues of the die, which asks for no path: a part that it is not the die of is not to be blamed on a
+    ball."""
+    die = work.operation.die
+    if die is not None:
+        final = {one.feature: one for one in work.passes}  # shapes in between stand off the die
+        tolerance = work.operation.gouge_tol_mm * MM
+        yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
+
+
 def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
     """The axial force on the forming tool of a pass."""
     op, radius = work.operation, work.heads[work.former(one)].radius
@@ -91,14 +101,6 @@ def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue
         yield from clear_issues(one, path, state, arms, profiles, work.pressed)
         if work.operation.cone_deg == 0.0:  # else motion may tilt it out of there
             yield from clamp_issues(one, path, work.clamp, arms, profiles)
-
-
-def _die(work: Work) -> Iterator[Issue]:
-    die = work.operation.die
-    if die is not None:
-        final = {one.feature: one for one in work.passes}  # shapes in between stand off the die
-        tolerance = work.operation.gouge_tol_mm * MM
-        yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
 
 
 def _metal(work: Work) -> Iterator[Issue]:

@@ -8,8 +8,10 @@ from typing import Final
 import numpy as np
 
 from planner.forming.adsif_path import adsif_tool_path
+from planner.forming.operation import GAPPED
 from planner.forming.paths import make_path
 from planner.forming.support import tool_path
+from planner.forming.thickness import steepest
 from planner.forming.values import ContactPath, Pass, ToolPath
 from planner.forming.work import Work
 from planner.issues import Issue, TandemError
@@ -18,6 +20,11 @@ from planner.units import MM
 NARROW: Final = "forming.tool_radius"
 SHORTEST: Final = 0.006
 """Moves take so long [s] at least at the stated feed; controllers plan none that are much shorter."""
+SPARE: Final = 0.01 * MM
+"""How far tools may be off their way, where fillets are that the ball just fits, times how steeply the
+sheet's thickness changes with the wall's angle."""
+LEFT: Final = 0.06 * MM
+"""So far off the floor the ball may stay for it."""
 TOP: Final = 5.0 * MM
 """Loops about the top of a male die that are no wider than this may be left out."""
 
@@ -45,11 +52,21 @@ def lay(work: Work, one: Pass) -> ToolPath:
     former = work.heads[work.former(one)]
     if op.mode == "adsif" and other is not None:
         return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
-    contact = make_path(one, former.radius, work.options)
+    options = work.options
+    if op.mode in GAPPED:
+        options = dataclasses.replace(options, spare=_spare(work, one))
+    contact = make_path(one, former.radius, options)
     if work.tree.feature(one.feature).sign == one.side:
         contact = _off_the_top(contact, SHORTEST * op.feed_mm_s * MM)
     support = None if other is None else work.heads[other]
     return tool_path(one, contact, op, former, support, work.thickness, work.clamp, work.every)
+
+
+def _spare(work: Work, one: Pass) -> float:
+    """How much larger [m] than the ball fillets have to be so that it goes through them: beside the wall, in
+    one that is hardly larger, it touches the floor for the wall, and the gap of the tools is another."""
+    wanted = SPARE * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
+    return min(wanted, LEFT / max(1.0 - float(np.cos(steepest(one.vertices, one.faces))), 1e-3))
 
 
 def _off_the_top(path: ContactPath, shortest: float) -> ContactPath:

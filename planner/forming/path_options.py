@@ -29,7 +29,8 @@ class PathOptions:
     loops begin, ``direction`` of the loops as seen from +z. ``longest`` [m] move. ``lift`` [m]: so far above
     everything the ball goes over to another loop. ``missed`` [m]: a place of a smooth face that the ball
     stays farther off than this (and than the mesh's own facets make it) is too narrow for the tool;
-    infinite where a stated tolerance is asked before.
+    infinite where a stated tolerance is asked before. ``spare`` [m]: fillets that a ball so
+    much larger does not fit count as creases; 0 where nothing depends on the place that the ball touches.
     """
 
     kind: Kind = "contour"
@@ -43,3 +44,4 @@ class PathOptions:
     longest: float = 0.02
     lift: float = 5e-3
     missed: float = MISSED
+    spare: float = 0.0

@@ -68,7 +68,8 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         return groups
 
     creases = Creases(face)
-    groups = lowest_reached(sliced(levels), levels, sliced, face, creases, options.chord)
+    wider = Face(face.mesh, radius + options.spare, box) if options.spare > 0.0 else None
+    groups = lowest_reached(sliced(levels), levels, sliced, face, creases, options.chord, wider)
     loops, ways = in_order([group for group in groups if group], options, centre)
     if not loops:
         raise TandemError(

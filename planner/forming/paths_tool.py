@@ -25,6 +25,8 @@ CLEAR: Final = 1e-5
 """The lowest loop at the foot of a wall keeps the ball so much farther [m] off the floor than straight moves
 between targets take it off the wall, which it would lose for the floor, facet by facet, else: the gap between
 two tools would hop from the wall's to the floor's."""
+SNUG: Final = 4e-6
+"""What a wider ball may be pushed aside [m] besides: facets make no more of a smooth face."""
 MOST_CLEAR: Final = 1e-4
 """But no farther than this [m], however coarse the moves."""
 LIFTED: Final = 8e-5
@@ -130,11 +132,24 @@ def lowest_reached(
     face: Face,
     creases: Creases,
     chord: float,
+    wider: Face | None = None,
 ) -> list[list[Loop]]:
     """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
     ball off all along; in place of the first level without any the lowest one that the ball reaches. Straight
-    moves are off the loops by up to ``chord`` [m]."""
-    reached = [[loop for loop in group if _reached(loop, face, creases)] for group in groups]
+    moves are off the loops by up to ``chord`` [m].
+
+    So are those all along which a ``wider`` ball is pushed aside farther: a fillet that the ball just fits
+    counts as a crease, for a few micrometres aside it touches another place of it, where the sheet is of
+    another thickness. Where the ball would stay off more than the foot of a wall for it, as in a hollow that
+    is round all over, none counts.
+    """
+
+    def fits(loop: Loop, most: float = PUSHED) -> bool:
+        if wider is None or creases.near(_sample(loop)[0]).all():
+            return _reached(loop, face, creases, most)
+        return _pushed(loop, wider) - _pushed(loop, face) <= SNUG
+
+    reached = [[loop for loop in group if fits(loop)] for group in groups]
     for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
         if group or not before or k == 0 or not reached[k - 1]:
             continue
@@ -144,10 +159,12 @@ def lowest_reached(
         most = min(max(TOUCH, 1.5 * min(_pushed(loop, face) for loop in reached[k - 1])), PUSHED)
         while good - bad > TOUCH:
             middle = 0.5 * (good + bad)
-            found = [loop for loop in sliced(np.array([middle]))[0] if _reached(loop, face, creases, most)]
+            found = [loop for loop in sliced(np.array([middle]))[0] if fits(loop, most)]
             good, bad = (middle, bad) if found else (good, middle)
             best = found or best
         reached[k] = best
+    if wider is not None and not _ends_low(reached, face.radius, float(levels[-1])):
+        return lowest_reached(groups, levels, sliced, face, creases, chord)
     out: list[list[Loop]] = []
     last = np.inf
     for k, group in enumerate(reached):
@@ -158,6 +175,13 @@ def lowest_reached(
         out.append(lifted if lifted is group or level < last - PUSHED else [])
         last = level if out[-1] else last
     return out
+
+
+def _ends_low(groups: list[list[Loop]], radius: float, end: float) -> bool:
+    """Whether a ball on the lowest loops comes down to the level ``end`` [m] about."""
+    group = next((group for group in reversed(groups) if group), [])
+    lowest = [float((loop.point[:, 2] + radius * loop.normal[:, 2]).min()) for loop in group]
+    return bool(lowest) and min(lowest) - radius <= end + MOST_CLEAR
 
 
 def _lifted(

@@ -14,6 +14,7 @@ import itertools
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from planner.geometry.closest import small_pieces
 from planner.geometry.vectors import dots
@@ -21,6 +22,7 @@ from planner.verify.forming_face import Face
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 TOUCH = 2e-6
 """A ball may cut in by so much [m]."""
@@ -113,9 +115,10 @@ def left_by(face: Face, radius: float, side: int, start: float) -> Face:
     wrong[owner[off > LEAST]] = True
     if not wrong.any():
         return face
-    parts, owner = small_pieces(corners[wrong], GRAIN * radius, _MOST)
+    _spread(face, wrong, moved, radius, side)
+    parts, owner = _fine(face, np.flatnonzero(wrong), radius, side)
     places = parts.reshape(-1, 3)
-    up = np.repeat(face.normal[np.flatnonzero(wrong)[owner]], 3, axis=0)
+    up = np.repeat(face.normal[owner], 3, axis=0)
     back = centres(face, places, up, radius, side) - places
     far = np.linalg.norm(back, axis=1, keepdims=True)
     moved = places + np.maximum(far - radius, 0.0) * back / np.maximum(far, 1e-12)
@@ -129,3 +132,44 @@ def left_by(face: Face, radius: float, side: int, start: float) -> Face:
     edge = np.concatenate([face.border[~wrong], np.zeros((len(parts), 3), dtype=np.bool_)])
     found.border = edge[found.rows]
     return found
+
+
+def _fine(face: Face, rows: IntArray, radius: float, side: int) -> tuple[FloatArray, IntArray]:
+    """Triangles ``rows`` (K,) of a face in pieces (P, 3, 3), small where a ball does not reach them, and the
+    triangle (P,) that each belongs to; a long one is reached at its corners and in its middle."""
+    size, many = GRAIN * radius, 0
+    open_, owner = face.corners[rows], rows
+    done: list[FloatArray] = []
+    owners: list[IntArray] = []
+    while len(open_):
+        long = np.linalg.norm(open_ - np.roll(open_, 1, axis=1), axis=2).max(axis=1) > size
+        long &= many + 2 * len(open_) <= _MOST
+        split = np.flatnonzero(long)
+        looks = np.concatenate([open_[split], open_[split].mean(axis=1, keepdims=True)], axis=1)
+        up = np.repeat(face.normal[owner[split]], 4, axis=0)
+        off = short(face, looks.reshape(-1, 3), up, radius, side).reshape(-1, 4)
+        split = split[(off > LEAST).any(axis=1)]
+        kept = np.setdiff1d(np.arange(len(open_)), split)
+        done.append(open_[kept])
+        owners.append(owner[kept])
+        many += len(kept)
+        if not len(split):
+            break
+        open_, half = small_pieces(open_[split], size, 2 * len(split))
+        owner = owner[split[half]]
+    return np.concatenate(done), np.concatenate(owners)
+
+
+def _spread(face: Face, wrong: BoolArray, moved: IntArray, radius: float, side: int) -> None:
+    """Adds to the triangles that a ball does not reach, ``wrong`` (F,), those of ``moved`` (M,) that have a
+    corner in common with them, which it does not reach either: a long triangle's pieces are looked at in
+    their middles, and one at its far corner is none of them."""
+    while True:
+        rows = moved[~wrong[moved]]
+        corner, up = face.corners[rows].reshape(-1, 3), np.repeat(face.normal[rows], 3, axis=0)
+        known = cKDTree(face.corners[wrong].reshape(-1, 3))
+        met = np.flatnonzero(np.isfinite(known.query(corner, distance_upper_bound=TOUCH)[0]))
+        fresh = met[short(face, corner[met], up[met], radius, side) > LEAST]
+        if not len(fresh):
+            return
+        wrong[rows[fresh // 3]] = True

@@ -210,6 +210,30 @@ def test_tool_larger_than_a_fillet_is_refused_with_the_largest_that_fits() -> No
     make_path(cone(0.1, 0.04, 60.0, 0.006), 1e-3 * issue.limit, PathOptions(stepdown=3e-3))
 
 
+@pytest.mark.parametrize("ball", [1.9e-3, 2e-3, 2.06e-3])
+def test_a_fillet_that_a_ball_just_fits_is_left_as_a_crease_where_the_place_counts(ball: float) -> None:
+    """In a fillet of its own radius a ball touches another place for any step aside; on the cone above it
+    does not. The wall's plane and the floor's say where it is."""
+    fillet, angle, spare = 2e-3, np.radians(45.0), 0.25e-3
+    one, options = cone(0.04, 0.012, 45.0, fillet), PathOptions(kind="helical", stepdown=1e-3)
+    path = make_path(one, ball, dataclasses.replace(options, spare=spare))
+    off_floor = path.centre[:, 2] + 0.012 - ball
+    assert 4e-5 < off_floor.min() < spare * (1.0 - np.cos(angle))
+    wall = (0.04 - np.hypot(path.centre[:, 0], path.centre[:, 1])) * np.sin(angle) + path.centre[
+        :, 2
+    ] * np.cos(angle)
+    assert np.abs(wall[path.working] - ball)[path.loop[path.working] > 1].max() < 6e-5
+    assert (make_path(one, ball, options).centre[:, 2] + 0.012 - ball).min() < 1e-5  # else into the fillet
+    wide = make_path(one, 1.7e-3, dataclasses.replace(options, spare=spare))
+    assert (wide.centre[:, 2] + 0.012 - 1.7e-3).min() < 1e-5
+
+
+def test_a_dish_that_a_ball_just_fits_is_formed_all_the_same() -> None:
+    one, options = bowl(0.0051, 0.0015, count=72, walls=40), PathOptions(kind="helical", stepdown=3e-4)
+    path = make_path(one, 0.005, dataclasses.replace(options, spare=0.25e-3))
+    assert path.centre[:, 2].min() + 0.0015 - 0.005 < 2e-5
+
+
 def test_a_fillet_that_is_low_for_the_step_is_no_narrower_between_its_loops() -> None:
     """A spiral's normal goes from one loop's to the next one's: half way it may be far off."""
     one, options = cone(0.06, 0.006, 40.0, 0.003), PathOptions(kind="helical", stepdown=1.5e-3)

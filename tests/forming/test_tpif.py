@@ -270,3 +270,13 @@ def test_a_die_in_the_part_is_refused() -> None:
     with pytest.raises(TandemError) as caught:
         forming.FormingJob(one, problem.setups[0], problem.part).targets()
     assert "forming.die_gouge" in {issue.code for issue in caught.value.issues}
+
+
+def test_a_die_that_is_not_the_parts_is_told_before_a_ball_that_is_too_large() -> None:
+    problem = coarse()
+    job = forming.FormingJob(operation(problem, {"unit": "cm"}), problem.setups[0], problem.part)
+    heads = {arm: dataclasses.replace(head, radius=0.05) for arm, head in job.made.heads.items()}
+    job.__dict__["made"] = dataclasses.replace(job.made, heads=heads)
+    with pytest.raises(TandemError) as caught:
+        job.targets()
+    assert {issue.code for issue in caught.value.issues} == {"forming.die_gouge"}

@@ -51,6 +51,7 @@ CHECKS: Final[Mapping[str, Change]] = {
         "hotwire.straight_passed:check_passed",
         "hotwire.straight_steps:check_drops",
         "forming.forming_check:check",
+        "forming.forming_check:of_die",
         "forming.forming_check:shift_issues",
         "forming.holder:issues",
         "milling.mill_check:check",

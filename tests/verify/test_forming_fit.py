@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 
 from planner.forming.contact import Face as PlannersFace
 from planner.forming.unreached import nearest_centres, unreached
 from planner.geometry.mesh import TriangleMesh
+from planner.verify import forming_fit
 from planner.verify.forming_face import Face
 from planner.verify.forming_fit import left_by, short
-from tests.forming.shapes import Array, cone, revolved
+from tests.forming.shapes import Array, cone, pit, revolved
 from tests.forming.test_passes import made
 
 BALL = 0.005
@@ -73,6 +75,22 @@ def test_what_is_left_in_a_sharp_corner_is_a_fillet_of_the_ball() -> None:
     tight = (near > floor - reach + 5e-5) & (places[:, 2] < ball * (1.0 - np.cos(a)) - 0.004 - 5e-5)
     assert tight.sum() > 500
     assert off[tight] == pytest.approx(ball, abs=8e-5)  # facets
+
+
+def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pit as drawn, of a few triangles, with more small pieces than are looked at."""
+    monkeypatch.setattr(forming_fit, "_MOST", 20_000)
+    ball, half, deep, angle = 0.003, 0.02, 0.006, np.radians(50.0)
+    mesh = pit(shapely.box(-half, -half, half, half), 50.0, deep)
+    left = left_by(Face(mesh.vertices, mesh.faces, ball), ball, 1, 0.0)
+    foot, reach = half - deep / np.tan(angle), ball * np.tan(0.5 * angle)
+    for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # between two walls and the floor
+        apart = left.nearest(np.array([[x * foot, y * foot, -deep]])).apart[0]
+        assert apart == pytest.approx(np.hypot(np.sqrt(2.0) * reach, ball) - ball, abs=0.006 * ball)
+    along = np.array([[foot, 0.2 * foot, -deep], [0.1 * foot, -foot, -deep]])
+    assert left.nearest(along).apart == pytest.approx(np.hypot(reach, ball) - ball, abs=0.006 * ball)
+    inner = np.array([[0.0, 0.3 * foot, -deep], [0.5 * foot, foot - 1.5 * reach, -deep]])
+    assert left.nearest(inner).apart == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_planner_tells_volume_place_and_share_of_a_sharp_floor() -> None:
