@@ -53,7 +53,7 @@ def lay(work: Work, one: Pass) -> ToolPath:
     if op.mode == "adsif" and other is not None:
         return adsif_tool_path(one, op, former, work.heads[other], work.thickness, work.sheet.metal)
     options = work.options
-    if op.mode in GAPPED:
+    if op.mode in GAPPED or op.mode == "heat":
         options = dataclasses.replace(options, spare=_spare(work, one))
     contact = make_path(one, former.radius, options)
     if work.tree.feature(one.feature).sign == one.side:
@@ -64,7 +64,8 @@ def lay(work: Work, one: Pass) -> ToolPath:
 
 def _spare(work: Work, one: Pass) -> float:
     """How much larger [m] than the ball fillets have to be so that it goes through them: beside the wall, in
-    one that is hardly larger, it touches the floor for the wall, and the gap of the tools is another."""
+    one that is hardly larger, it touches the floor for the wall: the gap of the tools is another, and the
+    place to be heated is elsewhere."""
     wanted = SPARE * work.operation.squeeze * work.thickness / (work.operation.gap_tol_mm * MM)
     return min(wanted, LEFT / max(1.0 - float(np.cos(steepest(one.vertices, one.faces))), 1e-3))
 
