@@ -19,10 +19,13 @@ KINDS = {"ABB": {".mod", ".pgf"}, "KUKA": {".src", ".dat"}}
 
 
 def written(folder: Path, name: str, scale: float) -> Path:
-    """The small problem for another robot, its poses ``scale`` times as far away; no home is stated."""
+    """The small problem for another robot, block and poses ``scale`` times as far away; no home is stated."""
     assert HOME in small_problem.PROBLEM
+    place = "xyz_mm: [450, 0, 0]"
+    assert place in small_problem.PROBLEM
     rows = [f"{450 * scale:g},{y},{500 * scale:g},0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
     text = small_problem.PROBLEM.replace("irb140", name).replace(HOME, "")
+    text = text.replace(place, f"xyz_mm: [{450 * scale:g}, 0, 0]")
     return small_problem.write(folder, text, "\n".join([small_problem.COLUMNS, *rows]) + "\n")
 
 
