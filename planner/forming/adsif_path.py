@@ -96,9 +96,20 @@ def pressed_by_support(operation: Forming, radii: float, thickness: float) -> fl
     response, held = _response(operation), operation.adsif
     low, high = response.range
     wall = np.append(np.arange(low, high, WALLS), high)
-    position, gap = _commanded(response, wall, held, thickness)
-    _, down = between_centres(position, gap, radii, 0.0)
+    position, gap = invert(response, wall, held.prefer)
+    gap = gap * thickness - _yielded(held) * np.sin(position)
+    able = gap > 0.0  # of other walls the path says that nothing of their gap is left
+    if not able.any():
+        return 0.0
+    _, down = between_centres(position[able], gap[able], radii, 0.0)
     return float(thickness - held.projection_mm * MM + radii - down.min())
+
+
+def _yielded(held: Adsif) -> float:
+    """How far [m] both tools give way in the plane of the sheet, by the stated force and stiffness."""
+    if held.force_n <= 0.0 or held.stiffness_n_mm is None:
+        return 0.0
+    return float(deflection(held.force_n, held.stiffness_n_mm / MM))
 
 
 def _commanded(
@@ -107,8 +118,8 @@ def _commanded(
     """Position angles [rad] and gaps [m] as commanded (N,) for wall angles (N,) [rad]."""
     position, gap = invert(response, wall, held.prefer)
     gap = gap * thickness
-    if held.force_n > 0.0 and held.stiffness_n_mm is not None:
-        gap = compensated(gap, position, deflection(held.force_n, held.stiffness_n_mm / MM))
+    if _yielded(held) > 0.0:
+        gap = compensated(gap, position, _yielded(held))
     return position, gap
 
 
