@@ -69,7 +69,9 @@ def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
 
     creases = Creases(face)
     wider = Face(face.mesh, radius + options.spare, box) if options.spare > 0.0 else None
-    groups = lowest_reached(sliced(levels), levels, sliced, face, creases, options.chord, wider)
+    groups = lowest_reached(
+        sliced(levels), levels, sliced, face, creases, options.chord, wider, options.missed
+    )
     loops, ways = in_order([group for group in groups if group], options, centre)
     if not loops:
         raise TandemError(

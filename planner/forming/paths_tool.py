@@ -133,6 +133,7 @@ def lowest_reached(
     creases: Creases,
     chord: float,
     wider: Face | None = None,
+    missed: float = np.inf,
 ) -> list[list[Loop]]:
     """The loops of each of the ``levels`` (L,) without those that a crease, as around a flat floor, keeps the
     ball off all along; in place of the first level without any the lowest one that the ball reaches. Straight
@@ -141,13 +142,15 @@ def lowest_reached(
     So are those all along which a ``wider`` ball is pushed aside farther: a fillet that the ball just fits
     counts as a crease, for a few micrometres aside it touches another place of it, where the sheet is of
     another thickness. Where the ball would stay off more than the foot of a wall for it, as in a hollow that
-    is round all over, none counts.
+    is round all over, none counts; nor does a fillet that is so narrow that the ball itself stays off by more
+    than ``missed`` [m], which is to be told.
     """
 
     def fits(loop: Loop, most: float = PUSHED) -> bool:
         if wider is None or creases.near(_sample(loop)[0]).all():
             return _reached(loop, face, creases, most)
-        return _pushed(loop, wider) - _pushed(loop, face) <= SNUG
+        off = _pushed(loop, face)
+        return off > missed or _pushed(loop, wider) - off <= SNUG
 
     reached = [[loop for loop in group if fits(loop)] for group in groups]
     for k, (group, before) in enumerate(zip(reached, groups, strict=True)):
