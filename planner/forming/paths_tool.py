@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.forming.contact import CREASE, TOUCH, Contact, Face
 from planner.forming.paths_slices import Loop
-from planner.geometry.vectors import dots
+from planner.geometry.vectors import dots, lengths
 from planner.issues import Issue, TandemError
 
 FloatArray = NDArray[np.float64]
@@ -31,6 +31,8 @@ MOST_CLEAR: Final = 1e-4
 """But no farther than this [m], however coarse the moves."""
 LIFTED: Final = 8e-5
 """It is lifted by so much [m] at most: floors that are not level stop the ball here and there."""
+ABOVE: Final = 4e-4
+"""So far [m] above the lowest loop no floor stops the ball."""
 _DENSE: Final = 128
 _SAMPLES: Final = 32
 _WORST: Final = 12
@@ -197,13 +199,14 @@ def _lifted(
     """Loops of one level, ``clear`` [m] higher where the floor at the foot of their wall pushes the ball off
     it."""
     near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
-    if not near or max(_stopped(loop, face) for loop in near) == 0.0:
+    level = float(group[0].point[0, 2]) if group else 0.0
+    beside = _corners(sliced(np.array([level + ABOVE]))[0], face)
+    if not near or max(_stopped(loop, face, beside) for loop in near) == 0.0:
         return group
-    level = float(group[0].point[0, 2])
 
     def free(height: float) -> bool:
         found = sliced(np.array([height]))[0]
-        return bool(found) and max(_stopped(loop, face) for loop in found) == 0.0
+        return bool(found) and max(_stopped(loop, face, beside) for loop in found) == 0.0
 
     low, high = level, level + LIFTED
     if not free(high):
@@ -214,9 +217,22 @@ def _lifted(
     return sliced(np.array([high + clear]))[0]
 
 
-def _stopped(loop: Loop, face: Face) -> float:
-    """By how much [m] at most something else than the wall it is on pushes a ball aside along a loop."""
-    return float(face.pushed(*_sample(loop, _DENSE), beyond=CREASE).max())
+def _corners(loops: list[Loop], face: Face) -> FloatArray:
+    """Places (K, 2) [m] in plan where another wall pushes a ball aside on loops above any floor."""
+    at = [_sample(loop, _DENSE) for loop in loops]
+    found = [place[face.pushed(place, normal, beyond=CREASE) > 0.0, :2] for place, normal in at]
+    return np.concatenate([*found, np.zeros((0, 2))])
+
+
+def _stopped(loop: Loop, face: Face, beside: FloatArray) -> float:
+    """By how much [m] at most something else than the wall it is on, and those that meet it ``beside`` (K, 2)
+    [m], pushes a ball aside along a loop."""
+    place, normal = _sample(loop, _DENSE)
+    if len(beside):
+        step = float(np.linalg.norm(np.diff(loop.point, axis=0), axis=1).sum()) / _DENSE
+        away = lengths(place[:, None, :2] - beside).min(axis=1) > 1.5 * step
+        place, normal = place[away], normal[away]
+    return float(face.pushed(place, normal, beyond=CREASE).max(initial=0.0))
 
 
 def _reached(loop: Loop, face: Face, creases: Creases, most: float = PUSHED) -> bool:

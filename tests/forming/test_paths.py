@@ -136,8 +136,8 @@ def test_pyramid_keeps_its_corners(kind: str) -> None:
             assert np.linalg.norm(path.centre[rows, :2] - corner, axis=1).min() < 2e-4
     # sides are straight: few targets are needed
     assert len(path.point) < 45 * (path.loop.max() + 1)
-    # the tip reaches the floor although the edge around it is sharp
-    assert path.centre[-1, 2] - 0.005 == pytest.approx(-0.03, abs=3e-5)
+    # the tip reaches the floor although the edge around it is sharp, but for what keeps it at the wall
+    assert path.centre[-1, 2] - 0.005 == pytest.approx(-0.03 + options.chord + 1e-5, abs=2e-5)
 
 
 def test_ellipse_gets_targets_by_turn_and_chord() -> None:
@@ -197,6 +197,20 @@ def test_sharp_floor_edge_is_left_with_a_fillet_of_the_ball() -> None:
     # the wall is touched down to where a ball that lies on the floor touches it
     assert path.point[-1, 2] == pytest.approx(-0.03 + 0.009525 * (1.0 - np.cos(np.radians(60.0))), abs=8e-5)
     assert np.ptp(path.point[path.loop == path.loop.max(), 2]) < 1e-5
+
+
+def test_the_lowest_loop_of_a_pyramid_with_sharp_corners_keeps_off_its_floor_too() -> None:
+    """In such a corner the other wall pushes the ball aside at any height, which no floor does."""
+    radius = np.linspace(0.018, 0.064, 24)
+    height = np.append(-0.023, -0.023 + (radius - radius[0]) / (radius[-1] - radius[0]) * 0.023)
+    ball, options = 0.003, PathOptions(kind="contour", stepdown=8e-4)
+    one = rings(np.append(0.0, radius), height, 96, shape=square_shape)
+    path = make_path(one, ball, options)
+    last = path.working & (path.loop == path.loop.max())
+    # beside the corners, where the floor and one wall alone are near
+    middle = last & (np.abs(path.centre[:, :2]).min(axis=1) < 0.01)
+    off_floor = path.centre[middle, 2] + 0.023 - ball
+    assert off_floor.min() > 1e-5 and off_floor.max() < 1.5e-4
 
 
 def test_tool_larger_than_a_fillet_is_refused_with_the_largest_that_fits() -> None:
