@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from planner import pipeline
-from planner.batch.bundles import job
 from planner.batch.cluster import Cluster
 from planner.batch.job import Finished, Job
+from planner.batch.run import bundled_job
 from planner.batch.workers import Workers
 from tests import small_problem
 
@@ -82,7 +82,7 @@ def _jobs(folder: Path, count: int) -> list[Job]:
     for i in range(count):
         rows = [f"450,{y + 0.1 * i:.1f},500,0.5,-0.5,0.5,0.5,20" for y in range(-50, 51, 20)]
         path = small_problem.write(folder, table="\n".join([small_problem.COLUMNS, *rows]))
-        out.append(job(f"job-{i:02d}", pipeline.load(path)))
+        out.append(bundled_job(f"job-{i:02d}", pipeline.load(path)))
     return out
 
 

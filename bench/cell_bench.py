@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
-from planner import catalogue, cell_file
+from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.cell.robots import forward
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import from_rpy
 from planner.problem import Stock
+from planner.reading import cell as cell_file
 
-Array = NDArray[np.float64]
 SEED = 20
 COUNT = 2000
 BLOCK = Stock(np.array([0.17, 0.70, 0.10]), None, np.eye(3))
@@ -26,7 +26,7 @@ BLOCK = Stock(np.array([0.17, 0.70, 0.10]), None, np.eye(3))
 def run() -> list[dict[str, Any]]:
     """Rows with name, median_s, spread (p90 - p10), ratio (peer's median over ours), note; times per
     configuration."""
-    path = catalogue.data_dir("problems") / "cells" / "two_irb140_facing.yaml"
+    path = robots.data_dir("problems") / "cells" / "two_irb140_facing.yaml"
     spec = cell_file.CellFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     cell = cell_file.build(spec, path.parent)
     place = from_rpy((0.0, 0.0, 0.55), (0.0, 0.0, 0.0))
@@ -70,12 +70,12 @@ def run() -> list[dict[str, Any]]:
     return rows
 
 
-def _wide(model: plant.CellModel, width: float) -> dict[str, Array]:
+def _wide(model: plant.CellModel, width: float) -> dict[str, FloatArray]:
     rng = np.random.default_rng(SEED)
     return {a.name: a.home + rng.uniform(-width, width, (COUNT, 6)) for a in model.cell.arms}
 
 
-def _drake(model: plant.CellModel, q: Mapping[str, Array]) -> None:
+def _drake(model: plant.CellModel, q: Mapping[str, FloatArray]) -> None:
     checker = model.checker
     checker.SetPaddingAllRobotRobotPairs(0.010)
     checker.SetPaddingAllRobotEnvironmentPairs(0.010)
@@ -84,7 +84,7 @@ def _drake(model: plant.CellModel, q: Mapping[str, Array]) -> None:
     checker.SetPaddingAllRobotEnvironmentPairs(0.0)
 
 
-def _wire(model: plant.CellModel, q: Mapping[str, Array]) -> Array:
+def _wire(model: plant.CellModel, q: Mapping[str, FloatArray]) -> FloatArray:
     tcp = model.tcp(q)
     start, end = tcp["left"][:, None, :3, 3], tcp["right"][:, None, :3, 3]
     return start + np.linspace(0.0, 1.0, 40)[:, None] * (end - start)

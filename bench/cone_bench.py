@@ -19,9 +19,9 @@ from planner.cell import clearance
 from planner.motion import solve
 from planner.post import write
 from planner.verify.context import Context
-from planner.verify.looks import looks
 from planner.verify.prove import Prover
-from planner.verify.rules_cell import REACH
+from planner.verify.replay.clearance_samples import clearance_rows
+from planner.verify.rules.clearance import MEASURED_REACH
 
 JOBS = ("cone_dpif_l", "cone_dpif_p")
 GOAL_S, GOAL_MB = 120.0, 2000.0
@@ -71,14 +71,18 @@ def stages(name: str) -> list[dict[str, Any]]:
 
 def _against_all(name: str, prover: Prover, context: Context) -> dict[str, Any]:
     """Bounds of some looks, with the time of measuring all of them as the peer."""
-    rows = looks(context, 0)
+    rows = clearance_rows(context, 0)
     rows = rows[np.linspace(0, len(rows) - 1, LOOKS).astype(np.int64)]
     model, q = prover.model(context), {arm: q[rows] for arm, q in context.motion.q.items()}
     start = time.process_time()
-    clearance.at_least(model, q, REACH)
+    clearance.at_least(model, q, MEASURED_REACH)
     middle = time.process_time()
-    for begin in range(0, LOOKS, clearance.FEW - 1):  # so few that no bound is asked
-        clearance.least(model, {arm: v[begin : begin + clearance.FEW - 1] for arm, v in q.items()}, REACH)
+    for begin in range(0, LOOKS, clearance.FEW_CONFIGURATIONS - 1):  # so few that no bound is asked
+        clearance.least(
+            model,
+            {arm: v[begin : begin + clearance.FEW_CONFIGURATIONS - 1] for arm, v in q.items()},
+            MEASURED_REACH,
+        )
     end = time.process_time()
     took, peer = middle - start, end - middle
     note = f"{LOOKS} looks; all of them measured: {peer:.2f} s"

@@ -7,13 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 from scipy.optimize import least_squares
 
-from planner.hotwire import elastica, heavy, response
+from planner.geometry.arrays import FloatArray
+from planner.hotwire.elastica import heavy, weightless
 
-Array = NDArray[np.float64]
 SEED = 20
 BATCH = 200
 
@@ -23,8 +22,8 @@ def run() -> list[dict[str, Any]]:
     rng = np.random.default_rng(SEED)
     rows = []
     length, start, end = _clamps(rng, 40)
-    solved = _times(lambda: elastica.solve(length, start, end), 5, 40)
-    shapes = elastica.solve(length, start, end)
+    solved = _times(lambda: weightless.solve(length, start, end), 5, 40)
+    shapes = weightless.solve(length, start, end)
     rows.append(
         _row(
             "solve, per wire",
@@ -37,8 +36,8 @@ def run() -> list[dict[str, Any]]:
     few: list[tuple[float, float]] = []
     for _ in range(30):
         size, a, b = _clamps(rng, 20)
-        points = elastica.solve(size, a, b).points(60)
-        few += _times(lambda p=points: elastica.fit(p), 1, 20)
+        points = weightless.solve(size, a, b).points(60)
+        few += _times(lambda p=points: weightless.fit(p), 1, 20)
     peer = _times(lambda: _plain_fit(points[0]), 3, 1)
     rows.append(
         _row(
@@ -58,7 +57,7 @@ def run() -> list[dict[str, Any]]:
     rows.append(_row("fit with weight, per curve", per, None, "30 batches of 20"))
 
     fitted = heavy.fit(panel, wires, weight).shape
-    section = elastica.strip(10.0, 0.3)
+    section = weightless.strip(10.0, 0.3)
     rows.append(_row("stability in plane, 200 wires", _times(lambda: fitted.margin_in_plane, 7, 1), None, ""))
     rows.append(
         _row(
@@ -69,14 +68,14 @@ def run() -> list[dict[str, Any]]:
         )
     )
     rows.append(
-        _row("end sensitivity, 200 wires", _times(lambda: response.end_sensitivity(fitted), 7, 1), None, "")
+        _row("end sensitivity, 200 wires", _times(lambda: heavy.end_sensitivity(fitted), 7, 1), None, "")
     )
     points = _times(lambda: shapes.points(201), 7, 40)
     rows.append(_row("closed form at 201 points, per wire", points, None, "batch of 40"))
     return rows
 
 
-def _clamps(rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+def _clamps(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     length = rng.uniform(0.1, 3.0, count)
     turn = rng.uniform(-1.5, 1.5, count) * np.pi
     aim = rng.uniform(-np.pi, np.pi, count)
@@ -85,7 +84,7 @@ def _clamps(rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
     return length, start, np.stack([reach * np.cos(aim), reach * np.sin(aim), turn], axis=1)
 
 
-def _panel(rng: np.random.Generator, count: int = BATCH) -> tuple[Array, Array, Array]:
+def _panel(rng: np.random.Generator, count: int = BATCH) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sections that change along a sweep: arcs with a little S and a ripple that no elastica follows."""
     u = np.linspace(-1.0, 1.0, 60)
     v = np.linspace(0.0, 1.0, count)[:, None]
@@ -96,12 +95,12 @@ def _panel(rng: np.random.Generator, count: int = BATCH) -> tuple[Array, Array, 
     return points, np.full(count, 0.56), np.tile([0.0, -6.0], (count, 1))
 
 
-def _bvp(shape: elastica.Shape, i: int) -> None:
+def _bvp(shape: weightless.Shape, i: int) -> None:
     start, end, length = shape.start[i], shape.end[i], float(shape.length[i])
     s = np.linspace(0.0, length, 51)
     first = np.vstack([shape.points(51)[i].T, shape.theta(51)[i], shape.curvature(51)[i]]) * 1.05
 
-    def balance(_: Array, y: Array, p: Array) -> Array:
+    def balance(_: FloatArray, y: FloatArray, p: FloatArray) -> FloatArray:
         return np.vstack([np.cos(y[2]), np.sin(y[2]), y[3], p[0] * np.sin(y[2]) - p[1] * np.cos(y[2])])
 
     solve_bvp(
@@ -114,14 +113,14 @@ def _bvp(shape: elastica.Shape, i: int) -> None:
     )
 
 
-def _plain_fit(points: Array) -> None:
+def _plain_fit(points: FloatArray) -> None:
     size = float(np.hypot(*np.diff(points, axis=0).T).sum())
     chord = np.diff(points, axis=0)
     theta = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
     begin = np.array([*points[0], theta[0], (theta[-1] - theta[0]) / size, 0.0, 0.0, size])
 
-    def gap(p: Array) -> Array:
-        return (elastica.from_params(p[:6], p[6]).points(len(points)) - points).ravel()
+    def gap(p: FloatArray) -> FloatArray:
+        return (weightless.from_params(p[:6], p[6]).points(len(points)) - points).ravel()
 
     least_squares(gap, begin, x_scale=[size, size, 1.0, 1 / size, size**-2, size**-2, size])
 

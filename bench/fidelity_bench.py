@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from planner.catalogue import robot, robot_names
+from planner.catalogue.robots import robot, robot_names
 from tests.post import fidelity
 
 TARGETS = 100_000

@@ -84,7 +84,7 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
     timed("start-up", load)
     from planner import pipeline, processes
-    from planner.milling.work import work
+    from planner.milling.process_plan import work
     from planner.motion import solve
     from planner.post import write
 
@@ -105,23 +105,25 @@ def stages(path: str, folder: str) -> list[dict[str, Any]]:
 
 def _against_all(made: Any) -> dict[str, Any]:
     """The cutter along the last pass of the first wall, against places of the wall."""
-    from planner.geometry.closest import small_pieces
-    from planner.milling import body
+    from planner.geometry.mesh import small_pieces
+    from planner.milling import check as milling_check
 
     face, path = made.faces[0].mesh, made.cuts[0].runs[-1].path
     points = small_pieces(face.vertices[face.faces], 2e-3, 200_000)[0].mean(axis=1)
-    section = body.sections(made.cutter)[0]
+    section = milling_check.sections(made.cutter)[0]
     start = time.process_time()
-    found, _ = body.off(points, path.tip, path.axis, section)
+    found, _ = milling_check.distance_off(points, path.tip, path.axis, section)
     took = time.process_time() - start
     start = time.process_time()
-    tips, axes, _ = body.between(path.tip, path.axis, section.end, body.DENSE * section.radius)
+    tips, axes, _ = milling_check.between(
+        path.tip, path.axis, section.end, milling_check.DENSE * section.radius
+    )
     worst = 0.0
     for i in range(0, len(points), SAMPLE):
         rest = points[i] - tips
         back = np.einsum("nd,nd->n", rest, axes)
         beside = np.linalg.norm(rest - back[:, None] * axes, axis=1)
-        all_of_them = min(float(section.off(back, beside).min()), body.SIGHT)
+        all_of_them = min(float(section.off(back, beside).min()), milling_check.SIGHT)
         worst = max(worst, abs(all_of_them - float(found[i])))
     peer = (time.process_time() - start) * SAMPLE
     note = f"{len(points)} places; against all {len(tips)} places of the path: {peer:.1f} s (one in {SAMPLE} "

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.forming.feature_tree import build
+from planner.forming.features.tree import build
 from planner.problem import Mesh
 
 HALF, SPACING = 0.1, 1e-3

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.milling import gcode
-from planner.milling.gcode_file import GCodeFile
+from planner.milling.gcode import reader
+from planner.milling.operation import GCodeFile
 
 LINES = 1_000_000
 PLANNED = 332
@@ -84,7 +84,7 @@ def _read(path: Path) -> dict[str, Any]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
     spec = GCodeFile.model_validate({"file": path, "origin": {}, "tool_axis": "ijk"})
-    count = sum(len(block.path) for block in gcode.blocks(spec.dialect("gcode")))
+    count = sum(len(block.path) for block in reader.blocks(spec.dialect("gcode")))
     span = time.perf_counter() - start
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024.0
     start = time.perf_counter()

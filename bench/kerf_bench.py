@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import materials
-from planner.hotwire import kerf, kerf_cuts, kerf_energy, kerf_fit, kerf_general, kerf_measured
-from planner.hotwire.kerf_cuts import Cuts, CutTable
+from planner.catalogue import materials
+from planner.geometry.arrays import FloatArray
+from planner.hotwire.kerf import calibration, models, test_cuts, width
+from planner.hotwire.kerf.test_cuts import Cuts, CutTable
 from planner.units import MM
 
-Array = NDArray[np.float64]
 Masks = dict[str, NDArray[np.bool_]]
-Predictor = Callable[[Masks, str], Array]
+Predictor = Callable[[Masks, str], FloatArray]
 """From the cells (foam to mask) that may be used, the kerfs [m] of all cells of one foam."""
 SEED = 3
 POINTS = 100_000
 
-TABLES: dict[str, CutTable] = kerf_cuts.dissertation_tables()
+TABLES: dict[str, CutTable] = test_cuts.dissertation_tables()
 
 
 def run() -> list[dict[str, Any]]:
@@ -50,11 +50,11 @@ def run() -> list[dict[str, Any]]:
     )
     speeds = np.random.default_rng(SEED).uniform(2e-3, 10e-3, POINTS)
     for model in ("energy", "general", "measured", "dissertation"):
-        kerf.width("eps_af", kerf.TEST_WIRE, 45.0, speeds, 0.05, model)  # the prior is chosen once
+        width.width("eps_af", width.TEST_WIRE, 45.0, speeds, 0.05, model)  # the prior is chosen once
         times = []
         for _ in range(15):
             started = time.perf_counter()
-            kerf.width("eps_af", kerf.TEST_WIRE, 45.0, speeds, 0.05, model)
+            width.width("eps_af", width.TEST_WIRE, 45.0, speeds, 0.05, model)
             times.append(time.perf_counter() - started)
         rows.append(
             {
@@ -93,16 +93,16 @@ def coverage(cells: Masks) -> float:
             held = cells[name] & (table.voltage == voltage)
             fit = _line([name], _without_voltage(cells, voltage))
             off = np.abs(table.cuts.width - (fit.chi * ideal - fit.offset))
-            inside.append((off <= kerf_energy.margin(fit, ideal))[held])
+            inside.append((off <= models.margin(fit, ideal))[held])
     return float(np.mean(np.concatenate(inside)))
 
 
-def _mean(cells: Masks, name: str) -> Array:
+def _mean(cells: Masks, name: str) -> FloatArray:
     kerfs = [TABLES[n].cuts.width[cells[n]] for n in _own_or_all(cells, name)]
     return np.full(len(TABLES[name].cuts), np.mean(np.concatenate(kerfs)))
 
 
-def _origin(cells: Masks, name: str) -> Array:
+def _origin(cells: Masks, name: str) -> FloatArray:
     """Kerf in proportion to power over speed, whatever the foam is."""
     names = _own_or_all(cells, name)
     x = np.concatenate([_power_over_speed(n)[cells[n]] for n in names])
@@ -110,7 +110,7 @@ def _origin(cells: Masks, name: str) -> Array:
     return float(x @ y / (x @ x)) * _power_over_speed(name)
 
 
-def _dissertation(cells: Masks, name: str) -> Array:
+def _dissertation(cells: Masks, name: str) -> FloatArray:
     """Its only free figure is the share of radiation: from the cells, in steps of 0.1 as its author chose
     it; for a foam left out, the mean of the others'."""
 
@@ -123,18 +123,18 @@ def _dissertation(cells: Masks, name: str) -> Array:
     return _with_share(name, best(name) if name in cells else float(np.mean([best(n) for n in cells])))
 
 
-def _energy(cells: Masks, name: str) -> Array:
+def _energy(cells: Masks, name: str) -> FloatArray:
     fit = _line(_own_or_all(cells, name), cells)
     return fit.chi * _ideal(name) - fit.offset
 
 
-def _general(cells: Masks, name: str) -> Array:
-    chi, chi_lambda = kerf_general.fit(cells)
+def _general(cells: Masks, name: str) -> FloatArray:
+    chi, chi_lambda = models.fit_general(cells)
     foam, cuts = materials.foam(name), TABLES[name].cuts
-    return chi * _ideal(name) - chi_lambda * kerf_general.conducted(foam, cuts.speed)
+    return chi * _ideal(name) - chi_lambda * models.conducted(foam, cuts.speed)
 
 
-def _measured(cells: Masks, name: str) -> Array:
+def _measured(cells: Masks, name: str) -> FloatArray:
     if name not in cells:
         return _energy(cells, name)
     sets = {
@@ -142,7 +142,7 @@ def _measured(cells: Masks, name: str) -> Array:
         for n in cells
     }
     cuts, residuals = sets[name]
-    field = kerf_measured.process(cuts, residuals, kerf_measured.likeliest(list(sets.values())))
+    field = models.process(cuts, residuals, models.likeliest(list(sets.values())))
     every = TABLES[name].cuts
     return _energy(cells, name) + field.at(every.power_per_length, every.speed)[0]
 
@@ -163,25 +163,25 @@ def _line(names: list[str], cells: Masks) -> materials.KerfFit:
     first = materials.foam(names[0])
     parts = [TABLES[n].cuts.only(cells[n]) for n in names]
     scaled = [
-        p.power_per_length * kerf_energy.heat(first) / kerf_energy.heat(materials.foam(n))
+        p.power_per_length * models.heat(first) / models.heat(materials.foam(n))
         for n, p in zip(names, parts, strict=True)
     ]
     speeds, widths = (np.concatenate([getattr(p, key) for p in parts]) for key in ("speed", "width"))
-    return kerf_fit.least_squares(first, Cuts(np.concatenate(scaled), speeds, widths), 0.05, 0.0004)
+    return calibration.least_squares(first, Cuts(np.concatenate(scaled), speeds, widths), 0.05, 0.0004)
 
 
-def _with_share(name: str, share: float) -> Array:
+def _with_share(name: str, share: float) -> FloatArray:
     foam = dataclasses.replace(materials.foam(name), radiation=share)
     table = TABLES[name]
-    return kerf.width(foam, kerf.TEST_WIRE, table.power, table.cuts.speed, 0.05, "dissertation").width
+    return width.width(foam, width.TEST_WIRE, table.power, table.cuts.speed, 0.05, "dissertation").width
 
 
-def _ideal(name: str) -> Array:
+def _ideal(name: str) -> FloatArray:
     cuts = TABLES[name].cuts
-    return kerf_energy.ideal(materials.foam(name), cuts.power_per_length, cuts.speed)
+    return models.ideal(materials.foam(name), cuts.power_per_length, cuts.speed)
 
 
-def _power_over_speed(name: str) -> Array:
+def _power_over_speed(name: str) -> FloatArray:
     return TABLES[name].cuts.power_per_length / TABLES[name].cuts.speed
 
 

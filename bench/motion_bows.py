@@ -10,16 +10,14 @@ import dataclasses
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.catalogue.materials import foam
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import exp_rotation, from_parts, from_rpy, inverse
-from planner.materials import foam
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
-from planner.segments import Segment
 from planner.targets import ScrewFreedom, Targets
 from planner.tooling import bow, gripper_plate
-
-FloatArray = NDArray[np.float64]
 
 HOME = np.deg2rad([0.0, -30.0, 20.0, 0.0, 45.0, 0.0])
 ASIDE = np.deg2rad([60.0, -30.0, 20.0, 0.0, 45.0, 0.0])

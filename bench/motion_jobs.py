@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.geometry.rigid import from_parts, from_rpy
-from planner.geometry.shapes import Shape
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape, from_parts, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
-from planner.segments import Segment
 from planner.targets import Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool, wire_holder
-
-FloatArray = NDArray[np.float64]
 
 HOME = np.deg2rad([0.0, -10.0, 10.0, 0.0, 60.0, 0.0])
 

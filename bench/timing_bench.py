@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.motion.timing import parameterise
-from planner.motion.timing_drake import solve_once
+from planner.motion.trajectory.timing import parameterise, solve_once
 
 PATHS = 100
 DRAKE_PATHS = 20

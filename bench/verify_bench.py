@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.cell.robots import forward
-from planner.verify import machines
+from planner.cell.kinematics import forward
 from planner.verify.context import Context
 from planner.verify.prove import RULES, Prover
-from planner.verify.wire import follow_wire
+from planner.verify.replay import arm_model
+from planner.verify.wire.wire_motion import follow_wire
 from tests.verify import held_job, small_job, straight_job
 from tests.verify.mutants import MUTATORS
 
@@ -73,7 +73,7 @@ def run() -> list[dict[str, Any]]:
 
 def _poses() -> dict[str, Any]:
     """The flanges of two arms by the chains of their URDFs; the peer is the planner's own chain."""
-    arms = [machines.of(name) for name in ("irb140", "kr210_r2700")]
+    arms = [arm_model.machine_of(name) for name in ("irb140", "kr210_r2700")]
     rng = np.random.default_rng(4)
     q = [rng.uniform(arm.data.lower, arm.data.upper, (POSES, 6)) for arm in arms]
 

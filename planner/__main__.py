@@ -9,7 +9,7 @@ def main() -> None:
         from planner.files import unhurried
 
         with unhurried():  # an import that is interrupted may swallow it
-            from planner.cli import main as command
+            from planner.cli.command_line import main as command
     except KeyboardInterrupt:
         sys.exit(130)
     command()

@@ -1,4 +1,9 @@
-"""Files: asked for without surprises, written whole or not at all."""
+"""Files and folders, asked for without surprises, written whole or not at all; versions of packages.
+
+A file is written under a temporary name and renamed; a folder is staged in a hidden one inside of
+it, which is locked while its run lives and swept by the next run where that was killed. `versions`
+are those of what plans depend on.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
+from typing import Final
 
 from planner.issues import Issue, TandemError
 
@@ -168,3 +174,20 @@ def unhurried() -> Iterator[None]:
 
 def _refuse(folder: Path, what: str) -> TandemError:
     return TandemError(Issue("output.folder", f"output folder {folder}: {what}", file=str(folder)))
+
+
+PACKAGES: Final = ("tandem-planner", "drake", "numpy", "scipy", "toppra")
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the plan depends on."""
+    import importlib.metadata  # where they are used: the command begins by importing this module
+    import platform
+
+    out = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            out[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            out[name] = "not installed"
+    return out

@@ -1,7 +1,8 @@
-"""One type for everything that is wrong, and the error that carries it.
+"""One type for everything that is wrong, the error that carries it, and whose fault a refusal is.
 
-An :class:`Issue` is data. Programs compare its ``code``; people read its ``message``, which says the
-subject, what was got, what is allowed and what to do.
+An :class:`Issue` is data. Programs compare its ``code``; people read its ``message``, which says
+the subject, what was got, what is allowed and what to do. `given_wrong` tells faults of what was
+given (exit code 2) from what cannot be planned (exit code 3).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 from enum import StrEnum
 from typing import Any, Literal
 
-from planner.issue_codes import ACCEPTABLE, CODES
+from planner.catalogue.issue_codes import CODES
 
 
 class Severity(StrEnum):
@@ -68,7 +69,9 @@ class Issue:
 
     def __post_init__(self) -> None:
         if self.code not in CODES:
-            raise KeyError(f"issue code {self.code!r} is not in planner/issue_codes.py; declare it there")
+            raise KeyError(
+                f"issue code {self.code!r} is not in planner/catalogue/issue_codes.py; declare it there"
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """The issue as plain data for JSON, without the fields that are unset."""
@@ -123,7 +126,7 @@ def judged(issues: Iterable[Issue], accept: Collection[str]) -> tuple[Issue, ...
 def _judge(issue: Issue, accept: Collection[str]) -> Issue:
     if issue.accepted is None:
         return issue
-    if issue.code not in ACCEPTABLE:
+    if not CODES[issue.code].accepts:
         raise ValueError(f"{issue.code} is not in the table of what a problem may accept")
     if issue.code in accept:
         return dataclasses.replace(issue, severity=Severity.WARNING, accepted=True)
@@ -167,3 +170,14 @@ def _excess(issue: Issue) -> float:
     if issue.value is None or issue.limit is None:
         return 0.0
     return abs(issue.value - issue.limit)
+
+
+def given_wrong(issues: Iterable[Issue]) -> bool:
+    """Whether all errors are faults of what was given (exit code 2), not of what is feasible (3)."""
+    return all(CODES[issue.code].given for issue in issues if issue.severity is Severity.ERROR)
+
+
+def with_remedy(issue: Issue) -> Issue:
+    """The issue with what its code says to do, where it does not say so itself."""
+    remedy = CODES[issue.code].remedy
+    return issue if issue.hint or remedy is None else dataclasses.replace(issue, hint=remedy)

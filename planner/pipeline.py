@@ -10,21 +10,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner import enlarged, plan_io, problem_bundle, problem_file, processes, yaml_lines
-from planner.catalogue import bundled
-from planner.cell import standing
+from planner import plans, processes
+from planner.catalogue.robots import bundled
+from planner.cell import support
 from planner.files import RESULT, claim_folder, is_file, write_folder
+from planner.forming.support.clearance import wider_mm
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.motion import solve
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Problem
+from planner.reading import problem as problem_file
+from planner.reading import size_advice, strict_yaml
+from planner.reading.strict_yaml import Document
 from planner.report import output
 from planner.targets import Job, Targets
-from planner.verify import kinds, margins, partial, program_text, prove
+from planner.verify import partial, prove, result
 from planner.verify.partial import Partial
+from planner.verify.programs import program_text
 from planner.verify.result import Proof
-from planner.yaml_lines import Document
 
 Progress = Callable[[str, float], None]
 MAX_PROGRAM_BYTES = 20_000_000
@@ -60,8 +64,8 @@ class Outcome:
         tell = progress or _silent
         tell("report", 0.0)
         files: dict[str, str | bytes] = dict(output.files(self.problem, self.plan, self.proof))
-        files |= plan_io.dump(self.plan)
-        files |= {f"problem/{name}": text for name, text in problem_bundle.bundle(self.problem).items()}
+        files |= plans.dump(self.plan)
+        files |= {f"problem/{name}": text for name, text in problem_file.bundle(self.problem).items()}
         files |= {f"programs/{name}": text for name, text in self.programs.items()}
         write_folder(Path(folder), files, RESULT)
         tell("report", 1.0)
@@ -72,16 +76,16 @@ def load(path: str | Path) -> Problem:
 
     Raises ``TandemError`` with every fault found.
     """
-    document = yaml_lines.read(_find(Path(path)))
+    document = strict_yaml.read(_find(Path(path)))
     try:
-        return problem_file.build(document, processes.schemas())
+        return problem_file.build(document, processes.readers())
     except TandemError as error:
-        raise TandemError(enlarged.advised(document, error.issues, _changed)) from None
+        raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 
 
 def _changed(document: Document, far: bool) -> list[Issue]:
     """Issues of a changed problem before motion, and with ``far`` of a first look at that too."""
-    problem = problem_file.build(document, processes.schemas())
+    problem = problem_file.build(document, processes.readers())
     targets = _targets(problem, processes.jobs(problem))
     found = [*_stands(problem), *(issue for item in targets for issue in item.issues)]
     return [*found, *(solve.check(problem, targets, advise=False) if far else [])]
@@ -104,7 +108,7 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
     jobs = processes.jobs(problem)
     targets = _targets(problem, jobs)
     claims = processes.claims(problem, jobs)
-    refused = [*write.refusals(problem, targets), *kinds.unproven(claims)]
+    refused = [*write.refusals(problem, targets), *prove.unproven(claims)]
     if refused:
         raise TandemError(refused)
     made = solve.solve(problem, targets, tell)
@@ -156,7 +160,7 @@ def _targets(problem: Problem, jobs: Sequence[Job[Any]]) -> list[Targets]:
 
 def _stands(problem: Problem) -> list[Issue]:
     """What is to be told of what the blocks stand on."""
-    return list(judged(standing.issues(problem), problem.accept))
+    return list(judged(support.issues(problem), problem.accept))
 
 
 def _unused(problem: Problem, found: Sequence[Issue]) -> list[Issue]:
@@ -263,8 +267,8 @@ def _with_margins(
     made: Plan, problem: Problem, programs: Mapping[str, str], proof: Proof
 ) -> Mapping[str, str]:
     """The proven programs with the proof's margins in their headers, which must change comments alone."""
-    final = write.programs(made, problem, margins.text(proof))
-    if not margins.same_program(programs, final):
+    final = write.programs(made, problem, result.text(proof))
+    if not result.same_program(programs, final):
         raise TandemError(
             Issue(
                 "internal.error", "the header changed more than comments of the proven programs; report this"

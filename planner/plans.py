@@ -1,20 +1,37 @@
-"""A plan: joint paths on one clock, with what is needed to write programs and reports; saved and loaded
-whole.
+"""Plans: joint paths on one clock, with what programs and reports need; saved and loaded whole.
+
+``plan.npz`` holds the arrays, ``plan.json`` everything else. Plain JSON arrays are tuples;
+``{"$list": [...]}`` is a list, ``{"$array": key}`` an array of ``plan.npz``, ``{"$type": name,
+...}`` one of the value classes that a plan holds, ``{"$float": "nan"}`` a number that JSON lacks
+and ``{"$map": [[key, value], ...]}`` a mapping whose keys are not plain strings. Segments stand as
+their labels, files (``{"$file": name}``) as their names, for a result's folder carries them.
+Nothing is pickled.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+import hashlib
+import io
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.issues import Issue
+from planner.claims.claim import KerfCurve
+from planner.claims.segments import Segment
+from planner.files import write_whole
+from planner.geometry.arrays import FloatArray
+from planner.issues import Issue, TandemError
 from planner.targets import Targets
-
-FloatArray = NDArray[np.float64]
+from planner.tooling import Cutter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,3 +76,223 @@ class Plan:
     def stock_pose(self) -> FloatArray:
         """The stock's pose (4, 4) in the first setup."""
         return self.places[0]
+
+
+FORMAT: Final = "tandem-plan"
+SCHEMA: Final = 1
+ARRAYS: Final = "plan.npz"
+DATA: Final = "plan.json"
+
+
+def _held(kinds: Iterable[Any], known: dict[str, type]) -> dict[str, type]:
+    """All dataclasses among types and in the fields of these, by name, but for what is written otherwise."""
+    for kind in kinds:
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type) and kind not in (Issue, Segment):
+            if known.get(kind.__name__) is not kind:
+                known[kind.__name__] = kind
+                _held(get_type_hints(kind).values(), known)
+        else:
+            _held(get_args(kind), known)
+    return known
+
+
+_VALUES: Final = _held((Plan, Cutter, KerfCurve), {})
+"""Classes of values that plans hold; the last ones stand in exhibits, whose fields have no types."""
+_SEGMENTS: Final = {"segment", "segments"}
+"""Fields of those classes that hold segments."""
+_BROKEN: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    EOFError,
+    OSError,
+    zipfile.BadZipFile,
+)
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def save(plan: Plan, folder: str | os.PathLike[str]) -> None:
+    """Writes ``plan.npz`` and ``plan.json`` into ``folder``, which is made if missing; see :func:`dump`."""
+    for name, content in dump(plan).items():
+        write_whole(Path(folder) / name, content)
+
+
+def dump(plan: Plan) -> dict[str, bytes]:
+    """The content of ``plan.npz`` and ``plan.json``; the same plan gives the same bytes, so the wall-clock
+    times of the planning (``stages`` in the metrics) are left out.
+
+    ``plan.json`` comes last and carries the hash of ``plan.npz``, so a pair torn apart by a kill is found.
+    Raises :class:`TandemError` (``plan.not_saveable``) for a value that is neither an array nor plain data.
+    """
+    arrays: Arrays = {}
+    tree = _encode(_timeless(plan), "", arrays)
+    packed = _pack(arrays)
+    header = {"format": FORMAT, "schema": SCHEMA, "arrays": hashlib.sha256(packed).hexdigest(), "plan": tree}
+    text = json.dumps(header, indent=1, ensure_ascii=False, allow_nan=False)
+    return {ARRAYS: packed, DATA: text.encode()}
+
+
+def load(folder: str | os.PathLike[str]) -> Plan:
+    """The plan that :func:`save` wrote into ``folder``.
+
+    Raises :class:`TandemError`: ``plan.missing_file``, ``plan.schema`` (made by another format or version) or
+    ``plan.damaged``.
+    """
+    source = Path(folder)
+    header = _header(source / DATA)
+    packed = _bytes(source / ARRAYS)
+    if hashlib.sha256(packed).hexdigest() != header.get("arrays"):
+        raise _damaged(source / ARRAYS, "its hash is not the one that plan.json states")
+    try:
+        plan = _decode(header["plan"], _unpack(packed))
+    except _BROKEN as error:
+        raise _damaged(source / DATA, f"{type(error).__name__}: {error}") from error
+    if not isinstance(plan, Plan):
+        raise _damaged(source / DATA, f"it holds a {type(plan).__name__}, not a plan")
+    return plan
+
+
+def _timeless(plan: Plan) -> Plan:
+    def kept(metrics: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in metrics.items() if name != "stages"}
+
+    operations = tuple(dataclasses.replace(op, metrics=kept(op.metrics)) for op in plan.operations)
+    return dataclasses.replace(plan, operations=operations, metrics=kept(plan.metrics))
+
+
+def _encode(value: Any, key: str, arrays: Arrays) -> Any:
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise _not_saveable(key, "an array of Python objects")
+        arrays[key] = value
+        return {"$array": key}
+    if isinstance(value, np.generic):
+        return _encode(value.item(), key, arrays)
+    if isinstance(value, Enum):
+        return _encode(value.value, key, arrays)
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Path):
+        return {"$file": value.name}
+    if isinstance(value, Segment):
+        return str(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"$float": repr(value)}
+    if isinstance(value, Issue):
+        return {"$type": "Issue", **{k: _encode(v, f"{key}/{k}", arrays) for k, v in value.to_dict().items()}}
+    if type(value) in _VALUES.values():
+        fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+        return {"$type": type(value).__name__, **_encode_items(fields, key, arrays)}
+    if isinstance(value, Mapping):
+        if all(isinstance(k, str) and not k.startswith("$") for k in value):
+            return _encode_items(value, key, arrays)
+        rows = [
+            [_encode(k, f"{key}/{i}k", arrays), _encode(v, f"{key}/{i}", arrays)]
+            for i, (k, v) in enumerate(value.items())
+        ]
+        return {"$map": rows}
+    if isinstance(value, tuple | list):
+        items = [_encode(item, f"{key}/{i}", arrays) for i, item in enumerate(value)]
+        return items if isinstance(value, tuple) else {"$list": items}
+    raise _not_saveable(key, f"a {type(value).__name__}")
+
+
+def _encode_items(items: Mapping[str, Any], key: str, arrays: Arrays) -> dict[str, Any]:
+    def path(name: str) -> str:
+        return f"{key}/{name.replace('~', '~0').replace('/', '~1')}"
+
+    return {k: _encode(v, path(k), arrays) for k, v in items.items()}
+
+
+def _decode(value: Any, arrays: Arrays) -> Any:
+    if isinstance(value, list):
+        return tuple(_decode(item, arrays) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "$array" in value:
+        return arrays[value["$array"]]
+    if "$float" in value:
+        return float(value["$float"])
+    if "$file" in value:
+        return Path(value["$file"])
+    if "$list" in value:
+        return [_decode(item, arrays) for item in value["$list"]]
+    if "$map" in value:
+        return {_decode(k, arrays): _decode(v, arrays) for k, v in value["$map"]}
+    fields = {k: _decode(v, arrays) for k, v in value.items() if k != "$type"}
+    if "$type" not in value:
+        return fields
+    if value["$type"] == "Issue":
+        return Issue.from_dict(fields)
+    for name in _SEGMENTS & set(fields):
+        own = fields[name]
+        if own is not None:
+            fields[name] = tuple(map(Segment.read, own)) if isinstance(own, tuple) else Segment.read(own)
+    return _VALUES[value["$type"]](**fields)
+
+
+def _pack(arrays: Arrays) -> bytes:
+    """The bytes of an npz file with fixed dates, so that equal arrays give equal bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for key, array in arrays.items():
+            with archive.open(zipfile.ZipInfo(f"{key[1:]}.npy"), "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+    return stream.getvalue()
+
+
+def _unpack(packed: bytes) -> Arrays:
+    with np.load(io.BytesIO(packed), allow_pickle=False) as archive:
+        return {f"/{key}": archive[key] for key in archive.files}
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise TandemError(
+            Issue(
+                "plan.missing_file",
+                f"{path.name} cannot be read: {error.strerror}; a plan is {DATA} and {ARRAYS} in one folder",
+                file=str(path),
+                hint="give the folder that `tandem plan -o` wrote",
+            )
+        ) from error
+
+
+def _header(path: Path) -> dict[str, Any]:
+    try:
+        header = json.loads(_bytes(path))
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, f"not JSON: {error}") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise _foreign(path, f"{path.name} is not a plan of Tandem (no format {FORMAT!r})")
+    if header.get("schema") != SCHEMA:
+        raise _foreign(
+            path, f"{path.name} has schema version {header.get('schema')!r}; this version reads {SCHEMA}"
+        )
+    return header
+
+
+def _damaged(path: Path, why: str) -> TandemError:
+    return TandemError(
+        Issue("plan.damaged", f"{path.name} is damaged: {why}", file=str(path), hint="plan the problem again")
+    )
+
+
+def _foreign(path: Path, message: str) -> TandemError:
+    return TandemError(Issue("plan.schema", message, file=str(path), hint="plan the problem again"))
+
+
+def _not_saveable(key: str, what: str) -> TandemError:
+    return TandemError(
+        Issue(
+            "plan.not_saveable",
+            f"the plan's value {key[1:] or 'itself'} is {what}; a plan holds arrays, tuples, lists, "
+            "mappings, text, numbers and Tandem's own values",
+            field=key[1:],
+        )
+    )

@@ -1,6 +1,6 @@
 """What is to be planned, as values in SI units: cell, stock, part, operations.
 
-:mod:`planner.problem_file` reads these from YAML. A process defines its own operation class; all that the
+:mod:`planner.reading.problem` reads these from YAML. A process defines its own operation class; all that the
 rest of the house needs of one is :class:`Operation`.
 """
 
@@ -12,17 +12,15 @@ from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.geometry.shapes import Shape
-from planner.handshake import Handshake
+from planner.catalogue.materials import Foam, SheetMetal
+from planner.claims.dialogue import Handshake
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.rigid import Shape
 from planner.issues import Issue
-from planner.materials import Foam
-from planner.sheet_metals import SheetMetal
+from planner.reading.materials import WireFile
 from planner.tooling import Gripper, Tool
-from planner.wire_file import WireFile
 
-FloatArray = NDArray[np.float64]
 KrlDialect = Literal["krc4", "krc2"]
 KrlPath = Literal["slin", "spline"]
 
@@ -155,7 +153,7 @@ class Mesh:
     """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
 
     vertices: FloatArray
-    faces: NDArray[np.int64]
+    faces: IntArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +169,7 @@ class Ruled:
     name: str
     start: FloatArray
     end: FloatArray
-    corner: NDArray[np.bool_]
+    corner: BoolArray
     closed: bool = False
     hole: bool = False
 
@@ -255,7 +253,7 @@ class Stock:
     tool holds the block, with the stock frame at ``grip`` (4, 4) in its TCP frame, which may be chosen;
     ``place`` is then the pose about which the holder moves the block. ``sheet``: the block is a sheet,
     clamped along its rim; z runs through its thickness, and ``support`` is its clamp. ``pedestal``: what
-    stands under the block is made, as high as its place wants it (``planner.cell.standing``), in place of
+    stands under the block is made, as high as its place wants it (``planner.cell.support``), in place of
     ``support``.
     """
 

@@ -1,22 +1,27 @@
-"""The registry of processes: one line each. A process turns an operation on a stock into a job: its targets
-and what must hold of them. What it needs for that is imported where a problem first asks for it.
+"""The registry of processes: one line each, and those of installed packages.
+
+A process turns an operation on a stock into a job: its targets and what must hold of them. What it
+needs for that is imported where a problem first asks for it. A package adds one by an entry point of
+the group ``tandem.processes``: its name is the word in problem files, its object a :class:`Process`.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final, NamedTuple
 
 from pydantic import BaseModel
 
-from planner.claims import Claim
+from planner.claims.claim import Claim
 from planner.forming.operation import Forming
-from planner.hotwire.operation import ElasticWire
-from planner.hotwire.straight_operation import Straight
+from planner.hotwire.operation import ElasticWire, Straight
+from planner.issues import Issue, TandemError
 from planner.milling.operation import Milling
-from planner.posed import Posed
 from planner.problem import Part, Problem, Setup
+from planner.reading.poses import Posed
 from planner.targets import Job
 
 
@@ -34,23 +39,66 @@ class Process(NamedTuple):
 
 
 PROCESSES: Final[Mapping[str, Process]] = {
-    "forming": Process(Forming, "planner.forming.forming", "FormingJob"),
-    "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic", "ElasticJob"),
-    "straight_wire": Process(Straight, "planner.hotwire.straight", "StraightJob"),
-    "milling": Process(Milling, "planner.milling.milling", "MillingJob"),
-    "targets": Process(Posed, "planner.posed", "PosedJob"),
+    "forming": Process(Forming, "planner.forming.job", "FormingJob"),
+    "elastic_wire": Process(ElasticWire, "planner.hotwire.elastic.job", "ElasticJob"),
+    "straight_wire": Process(Straight, "planner.hotwire.straight.job", "StraightJob"),
+    "milling": Process(Milling, "planner.milling.job", "MillingJob"),
+    "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
 }
 
 
+GROUP: Final = "tandem.processes"
+"""Entry points by which installed packages add processes."""
+
+
+@functools.cache
+def known() -> Mapping[str, Process | Issue]:
+    """All processes by the word that problem files use; of what cannot be used, or is claimed twice, the
+    issue (``problem.process_package``) that says why. It stops no problem but those that name it."""
+    found: dict[str, Process | Issue] = dict(PROCESSES)
+    owners = dict.fromkeys(PROCESSES, "Tandem")
+    for point in sorted(entry_points(group=GROUP), key=lambda one: (one.name, one.value)):
+        owner = f"package {point.dist.name}" if point.dist is not None else point.value
+        if point.name in owners:
+            what = f"the process {point.name!r} is claimed by {owners[point.name]} and by {owner}"
+            hint = "uninstall one of them, or give its entry point another name"
+            found[point.name] = Issue("problem.process_package", f"{what}; {hint}")
+        else:
+            found[point.name] = _loaded(point, owner)
+            owners[point.name] = owner
+    return found
+
+
+def _loaded(point: EntryPoint, owner: str) -> Process | Issue:
+    try:
+        made = point.load()
+    except Exception as error:  # whatever goes wrong while somebody else's code is imported
+        fault = f"cannot be imported ({type(error).__name__}: {error})"
+    else:
+        if isinstance(made, Process) and isinstance(made.schema, type) and issubclass(made.schema, BaseModel):
+            return made
+        fault = f"is {type(made).__name__}, not a planner.processes.Process with the schema of its operation"
+    what = f"the process {point.name!r} of {owner} {fault}"
+    return Issue("problem.process_package", f"{what}; mend or uninstall {owner} ({point.value})")
+
+
 def schemas() -> dict[str, type[BaseModel]]:
-    """The operation schema of every process, by the word that problem files use."""
-    return {name: process.schema for name, process in PROCESSES.items()}
+    """The operation schema of every process that can be used, by the word that problem files use."""
+    return {name: one.schema for name, one in known().items() if isinstance(one, Process)}
+
+
+def readers() -> dict[str, type[BaseModel] | Issue]:
+    """What reads the operations of a problem file, by process: a schema, or why there is none."""
+    return {name: one.schema if isinstance(one, Process) else one for name, one in known().items()}
 
 
 def job(problem: Problem, index: int) -> Job[Any]:
-    """The job of one operation, by its index."""
+    """The job of one operation, by its index. Raises ``TandemError`` where its process cannot be used."""
     operation = problem.operations[index]
-    return PROCESSES[operation.process].job(operation, problem.setup_of(index), problem.part)
+    process = known()[operation.process]
+    if isinstance(process, Issue):
+        raise TandemError(process)
+    return process.job(operation, problem.setup_of(index), problem.part)
 
 
 def jobs(problem: Problem) -> tuple[Job[Any], ...]:

@@ -13,20 +13,19 @@ from collections.abc import Mapping
 from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.claims import Claim
+from planner.claims.claim import Claim
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import exp_twist, log_pose
 from planner.issues import Issue
 from planner.problem import Part, Setup
-from planner.segments import Segment
 
-FloatArray = NDArray[np.float64]
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
 FEED_SHARE: Final = 0.97
 """Share of the feeds at which clocks go where nothing else binds; the rest covers what controllers do in
 ramps and corners. Slots, which follow from the speed, are those of this share."""
-PREFER: Final = 0.5
+PREFERENCE_COST: Final = 0.5
 """What a path pays that stays at the far end of the range of a freedom with a preferred value [s]."""
 
 
@@ -65,7 +64,7 @@ class ScrewFreedom:
     prefer: FloatArray | None = None
     periodic: bool = False
     aim: Aim | None = None
-    weight: float = PREFER
+    weight: float = PREFERENCE_COST
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +83,7 @@ class TableFreedom:
     lower: FloatArray
     upper: FloatArray
     prefer: FloatArray | None = None
-    weight: float = PREFER
+    weight: float = PREFERENCE_COST
 
     @functools.cached_property
     def twists(self) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -155,7 +154,7 @@ class Targets:
     feed: FloatArray
     feed_min: FloatArray
     travel: FloatArray
-    stop: NDArray[np.bool_]
+    stop: BoolArray
     segment: tuple[Segment, ...]
     coupled: bool = False
     edge: Edge | None = None
@@ -188,7 +187,7 @@ class Targets:
         ]
         return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
 
-    def poses(self, values: FloatArray, index: NDArray[np.intp] | None = None) -> dict[str, FloatArray]:
+    def poses(self, values: FloatArray, index: IndexArray | None = None) -> dict[str, FloatArray]:
         """Exact TCP poses {arm: (..., 4, 4)} in the work frames for freedom values (..., F).
 
         Without ``index`` the leading axis of ``values`` is the N targets; with it, ``index`` (...,) says
@@ -197,7 +196,7 @@ class Targets:
         rows = np.arange(self.count) if index is None else index
         return {arm: self._pose(arm, values, rows) for arm in self.arms}
 
-    def _pose(self, arm: str, values: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+    def _pose(self, arm: str, values: FloatArray, rows: IndexArray) -> FloatArray:
         pose = self.pose[arm][rows]
         for j, freedom in enumerate(self.freedoms):
             if isinstance(freedom, TableFreedom) and arm in freedom.pose:

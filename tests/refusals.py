@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.catalogue import data_dir
+from planner.catalogue.robots import data_dir
 from planner.issues import Issue, TandemError
 from tests import small_problem
 

@@ -11,9 +11,11 @@ import trimesh
 import yaml
 
 from planner import pipeline, processes
-from planner.hotwire import kerf, kerf_csv, kerf_fit, wire
+from planner.catalogue.materials import foam
+from planner.hotwire import wire
+from planner.hotwire.kerf import calibration
+from planner.hotwire.kerf import width as kerf_width
 from planner.issues import Issue, TandemError
-from planner.materials import foam
 from planner.post import write as post
 from tests import small_forming, small_problem, test_gripping
 from tests.geometry.part_specs import SQUARE, WING, outline
@@ -289,13 +291,13 @@ def make_wire(folder: Path, data: Any) -> list[Issue]:
 def ask_kerf(folder: Path, data: Any) -> list[Issue]:
     """The kerf, or with ``wanted`` [m] the speed for one."""
     given = dict(data)
-    own = kerf.HotWire(given.pop("diameter"), given.pop("length"))
+    own = kerf_width.HotWire(given.pop("diameter"), given.pop("length"))
 
     def work() -> list[Issue]:
         if "wanted" in given:
-            kerf.speed_for(given["foam"], own, given["power"], given["wanted"], 0.05)
+            kerf_width.speed_for(given["foam"], own, given["power"], given["wanted"], 0.05)
         else:
-            kerf.width(given["foam"], own, given["power"], 5e-3, given["thickness"], given["model"])
+            kerf_width.width(given["foam"], own, given["power"], 5e-3, given["thickness"], given["model"])
         return []
 
     return found(work)
@@ -307,9 +309,9 @@ def fit_kerf(folder: Path, data: Any) -> list[Issue]:
     def work() -> list[Issue]:
         path = folder / "tests.csv"
         path.write_text(data["text"])
-        read = kerf_csv.read(path, 0.0004, 0.43, 0.05)
+        read = calibration.read_cuts(path, 0.0004, 0.43, 0.05)
         own = dataclasses.replace(foam("eps_a120"), kerf=None)
-        kerf_fit.robust(own, read.cuts, read.burnt, read.dragging, read.good, 0.05, 0.0004)
+        calibration.robust(own, read.cuts, read.burnt, read.dragging, read.good, 0.05, 0.0004)
         return []
 
     return found(work)

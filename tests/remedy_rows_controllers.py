@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.handshake import Handshake
+from planner.claims.dialogue import Handshake
 from planner.issues import Issue
-from planner.post import krl_notes
+from planner.post.krl import controller_files as krl_files
 from planner.post.steps import build
 from planner.post.write import notes, programs
 from planner.problem import Controller
@@ -156,7 +156,7 @@ def sized(folder: Path, data: Any) -> list[Issue]:
     """What is told of programs of so many bytes that are parted into so many problems."""
     plan, problem = kuka()
     text = {"left/test.src": "x" * (data["bytes"] // data["problems"])}
-    return list(krl_notes.notes(build(plan, problem), plan, problem, text))
+    return list(krl_files.notes(build(plan, problem), plan, problem, text))
 
 
 def made(code: str, own: Callable[..., Any], given: Mapping[str, Any], says: str, remedy: Any) -> Row:

@@ -10,11 +10,13 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from planner.forming import adsif, adsif_table, feature_tree, force, paths
-from planner.forming.path_options import PathOptions
+from planner.catalogue.materials import sheet_metal
+from planner.forming import sheet_mechanics
+from planner.forming.features import tree
+from planner.forming.paths import adsif_response, contact_path
+from planner.forming.paths.spiral import PathOptions
 from planner.issues import Issue
 from planner.problem import Mesh
-from planner.sheet_metals import sheet_metal
 from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import shapes
@@ -86,7 +88,7 @@ def torn(*faces: int) -> Mesh:
 DISK: Final = change(small_forming.problem("dpif_p"), "cell.arms.1.tool", dict(small_forming.DISK))
 THICK: Final = tool(SPIF, 0, radius_mm=2, shaft_radius_mm=15, neck_mm=2.1)
 SLIM: Final = tool(SPIF, 0, radius_mm=4.5, shaft_radius_mm=4.5)
-TABLE: Final = adsif_table.BUILT_IN.read_text("utf-8")
+TABLE: Final = adsif_response.BUILT_IN.read_text("utf-8")
 OWN: Final = change(wide("adsif"), "operations.0.adsif", {"file": "own.csv"})
 SOFT: Final = {"force_n": 12000, "stiffness_n_mm": 5000}
 FILLETS: Final = small_forming.dish(30.0, 8.0, 45.0, 6.05)
@@ -163,18 +165,18 @@ def refusal(work: Callable[[], object]) -> list[Issue]:
 
 def respond(folder: Path, data: Any) -> list[Issue]:
     """The wall angle at a position [deg] and a gap over the thickness."""
-    table = adsif_table.built_in()
-    return refusal(lambda: adsif.wall_angle(table, data["position"] * DEG, data["gap"]))
+    table = adsif_response.built_in_table()
+    return refusal(lambda: adsif_response.wall_angle(table, data["position"] * DEG, data["gap"]))
 
 
 def estimate(folder: Path, data: Any) -> list[Issue]:
     """The force of a step [mm] on walls of 40 degrees."""
     metal = sheet_metal("aa1100_o")
-    return refusal(lambda: force.estimate(metal, MM, 12 * MM, data["step"] * MM, [40.0 * DEG]))
+    return refusal(lambda: sheet_mechanics.estimate(metal, MM, 12 * MM, data["step"] * MM, [40.0 * DEG]))
 
 
 def features(folder: Path, data: Any) -> list[Issue]:
-    return refusal(lambda: feature_tree.build(DISH, data["step"] * MM))
+    return refusal(lambda: tree.build(DISH, data["step"] * MM))
 
 
 def path(folder: Path, data: Any) -> list[Issue]:
@@ -183,7 +185,7 @@ def path(folder: Path, data: Any) -> list[Issue]:
     faces = np.delete(one.faces, data["torn"], axis=0)
     one = dataclasses.replace(one, region=one.region + data["aside"] * MM, faces=faces)
     options = PathOptions(stepdown=data["step"] * MM)
-    return refusal(lambda: paths.make_path(one, 0.005, options))
+    return refusal(lambda: contact_path.make_path(one, 0.005, options))
 
 
 BOWL: Final = {"step": 1.0, "aside": 0.0, "torn": []}

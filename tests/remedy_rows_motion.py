@@ -11,12 +11,13 @@ import numpy as np
 
 from planner import pipeline, processes
 from planner.issues import Issue
-from planner.motion import entry, thinning
+from planner.motion import transit
 from planner.motion.operation import plan_operation
-from planner.motion.reach import sample
-from planner.motion.search import Found, search
+from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.reach import sample
 from planner.motion.solve import check as check_motion
 from planner.motion.solve import solve
+from planner.motion.trajectory import thinning
 from planner.problem import Settings
 from planner.units import MM
 from tests import small_problem
@@ -60,7 +61,7 @@ def enter(folder: Path, data: Any) -> list[Issue]:
         assert isinstance(way, Found)
         spot = scene.chains["left"].pose(way.q["left"][0])[:3, 3]
         crates = (box("crate", (0.05, 0.05, 0.05), tuple(spot)),) if data["crate"] else ()
-        entry.entry(pair(20, crates)[0], targets, way.q)
+        transit.entry(pair(20, crates)[0], targets, way.q)
         return []
 
     return found(work)
@@ -81,7 +82,7 @@ def short(folder: Path, data: Any) -> list[Issue]:
     _, targets = s_curve(data["count"])
     travel = np.append(0.0, np.linalg.norm(np.diff(targets.pose["arm"][:, :3, 3], axis=0), axis=1))
     targets = dataclasses.replace(targets, travel=travel)
-    return thinning.told(targets, targets.neutral(), np.cumsum(travel) / (data["feed"] * MM))
+    return thinning.short_move_notes(targets, targets.neutral(), np.cumsum(travel) / (data["feed"] * MM))
 
 
 def placed(folder: Path, data: Any) -> list[Issue]:

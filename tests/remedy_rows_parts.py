@@ -10,7 +10,7 @@ import ezdxf
 import numpy as np
 import trimesh
 
-from planner.geometry.airfoil import naca
+from planner.geometry.wing import naca
 from tests.geometry.part_specs import SQUARE, WING, circle, guides, outline
 from tests.geometry.test_surfaces import grid_mesh
 from tests.refusals import HYPAR, POSES, change

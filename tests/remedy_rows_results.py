@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import align_commands, cli, files, pipeline, problem_bundle, sshsig
+from planner import files, pipeline
 from planner.batch.batch_file import read_batch
+from planner.cli import align as align_commands
+from planner.cli import command_line, statement
 from planner.issues import Issue
-from planner.verify import replay
+from planner.reading import problem as problem_file
 from planner.verify.prove import Prover
+from planner.verify.replay import playback
 from tests import small_problem
 from tests.refusals import POSES, change
 from tests.remedy_rows import GONE, Row, found, write
@@ -130,7 +133,7 @@ def prove(folder: Path, data: Any) -> list[Issue]:
             path.write_bytes(b"\xff\x00" if data.get("text") == name else text.encode("latin-1"))
 
     def work() -> Iterable[Issue]:
-        with mock.patch.object(replay, "LONGEST", data.get("longest", replay.LONGEST)):
+        with mock.patch.object(playback, "LONGEST", data.get("longest", playback.LONGEST)):
             last = "verify.continuity" if "longest" in data else "verify.files"
             prover = Prover(small_job.problem(), small_job.claims())
             return prover.prove(pipeline.read_programs(folder), last=last).issues
@@ -143,18 +146,18 @@ def compare(folder: Path, data: Any) -> list[Issue]:
     own = write(folder, data["own"])
     stored = folder / "stored.yaml"
     stored.write_text(yaml.safe_dump(data["stored"]))
-    for name, content in problem_bundle.bundle(pipeline.load(stored)).items():
+    for name, content in problem_file.bundle(pipeline.load(stored)).items():
         path = folder / "out" / "problem" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return list(cli._compared(pipeline, folder / "out", pipeline.load(own), own))
+    return list(command_line._compared(pipeline, folder / "out", pipeline.load(own), own))
 
 
 def use_key(folder: Path, data: Any) -> list[Issue]:
     """A key of a file, to ``sign`` or to check with; ``line``: of a file of allowed signers."""
-    raw, kind = bytes(range(32)), sshsig.KIND.encode()
+    raw, kind = bytes(range(32)), statement.KIND.encode()
     public = base64.b64encode(struct.pack(">I", len(kind)) + kind + struct.pack(">I", 32) + raw).decode()
-    (folder / "KEY.pub").write_text(f"{sshsig.KIND} {public}\n")
+    (folder / "KEY.pub").write_text(f"{statement.KIND} {public}\n")
     if data["sign"]:
         private = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ed25519").Ed25519PrivateKey
         words = pytest.importorskip("cryptography.hazmat.primitives.serialization")
@@ -163,10 +166,10 @@ def use_key(folder: Path, data: Any) -> list[Issue]:
     else:
         (folder / "KEY").write_text("-----BEGIN OPENSSH PRIVATE KEY-----\n")
     if "line" in data:
-        (folder / data["key"]).write_text(data["line"].replace("PUBLIC", f"{sshsig.KIND} {public}") + "\n")
+        (folder / data["key"]).write_text(data["line"].replace("PUBLIC", f"{statement.KIND} {public}") + "\n")
 
     def work() -> Iterable[Issue]:
-        (sshsig.private_key if data["sign"] else sshsig.public_keys)(folder / data["key"])
+        (statement.read_private_key if data["sign"] else statement.read_public_keys)(folder / data["key"])
         return []
 
     return found(work)

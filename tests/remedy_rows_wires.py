@@ -6,10 +6,10 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Final
 
-from planner.hotwire.elastic import ElasticJob
-from planner.hotwire.straight import StraightJob
+from planner.catalogue.materials import foams
+from planner.hotwire.elastic.job import ElasticJob
+from planner.hotwire.straight.job import StraightJob
 from planner.issues import Issue
-from planner.materials import foams
 from tests.hotwire import foam_blocks, panels
 from tests.hotwire.test_straight_issues import twisted
 from tests.remedy_rows import CUT, Row, found, heat, lay

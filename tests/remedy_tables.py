@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from planner.issue_codes import CODES
+from planner.catalogue.issue_codes import CODES
 
 ELSEWHERE: Final = {
     "forming.force": ("test_acceptance", "test_an_error_says_how_it_is_accepted_and_following_that_works"),
@@ -16,6 +16,10 @@ ELSEWHERE: Final = {
     "milling.too_large": (
         "verify/test_mill_places",
         "test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven",
+    ),
+    "problem.process_package": (
+        "test_processes",
+        "test_what_cannot_be_used_is_refused_where_a_problem_names_it",
     ),
     "part.mesh_noise": (
         "test_sheet_file",

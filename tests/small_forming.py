@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 import yaml
 
-from planner.catalogue import data_dir
+from planner.catalogue.robots import data_dir
 from planner.problem import Mesh
 from planner.units import MM
 from tests.forming.shapes import revolved

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planner import align_commands, yaml_lines
+from planner.cli import align as align_commands
 from planner.geometry.rigid import from_rpy, inverse
 from planner.issues import TandemError
-from planner.problem_file import read_cell
+from planner.reading import strict_yaml
+from planner.reading.problem import read_cell
 from planner.units import DEG, MM
 
 CELL = Path(__file__).parent.parent / "problems" / "cells" / "two_irb140_facing.yaml"
@@ -65,7 +66,7 @@ def test_the_cell_has_the_base_and_nothing_else_changes(tmp_path: Path) -> None:
     changed = [k for k, (a, b) in enumerate(zip(new, old, strict=True)) if a != b]
     assert len(changed) == 1
     assert new[changed[0]].startswith("    base: {xyz_mm: [861.2, 13.4")
-    cell = read_cell(yaml_lines.read(tmp_path / "new.yaml"))
+    cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(cell.arms[1].base, TRUE, atol=1e-6)
     assert np.array_equal(cell.arms[0].base, LEFT)
 
@@ -73,7 +74,7 @@ def test_the_cell_has_the_base_and_nothing_else_changes(tmp_path: Path) -> None:
 def test_the_first_arm_can_be_aligned_to_the_second(tmp_path: Path) -> None:
     right = np.array([850, 0, 0]), [0.0, 0.0, 180 * DEG]
     align_commands.run(align(tmp_path, arm="left"))
-    cell = read_cell(yaml_lines.read(tmp_path / "new.yaml"))
+    cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     wanted = from_rpy(right[0] * MM, right[1]) @ inverse(TRUE) @ LEFT
     assert np.allclose(cell.arms[0].base, wanted, atol=1e-6)
 
@@ -95,7 +96,7 @@ def test_every_layout_keeps_its_comments(tmp_path: Path, layout: str) -> None:
     cell = cell_with(tmp_path, "\n    base: {xyz_mm: [850, 0, 0], rpy_deg: [0, 0, 180]}\n", layout)
     align_commands.run(align(tmp_path, cell=cell))
     text = (tmp_path / "new.yaml").read_text()
-    new = read_cell(yaml_lines.read(tmp_path / "new.yaml"))
+    new = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(new.arms[1].base, TRUE, atol=1e-6)
     assert not new.arms[1].base_auto
     for comment in ("# searched", "# by hand", "# about z", "# from the drawing"):
@@ -111,7 +112,7 @@ def test_an_alias_is_refused_with_a_remedy(tmp_path: Path) -> None:
 def test_a_bad_point_stops_it_until_it_is_left_out(tmp_path: Path) -> None:
     assert refused(align(tmp_path, off=2.0)) == ["align.bad_point"]
     align_commands.run(align(tmp_path, off=2.0, leave_out=("p3",)))
-    cell = read_cell(yaml_lines.read(tmp_path / "new.yaml"))
+    cell = read_cell(strict_yaml.read(tmp_path / "new.yaml"))
     assert np.allclose(cell.arms[1].base, TRUE, atol=1e-6)
 
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner import alignment
+from planner.align import rigid_fit
+from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import from_parts, from_rpy
 from planner.issues import Severity, TandemError
 from planner.units import DEG, MM
 
-Array = NDArray[np.float64]
 ARMS = ("left", "right")
 TRUE = from_rpy([1.7, 0.05, 0.02], np.array([0.4, -0.3, 178.0]) * DEG)
 FLAT = np.array([[900, -300, 400], [900, 300, 400], [900, 250, 900], [900, -280, 950]]) * MM
 
 
-def seen(b: Array, noise: float = 0.0, seed: int = 0) -> Array:
+def seen(b: FloatArray, noise: float = 0.0, seed: int = 0) -> FloatArray:
     """Points of the second robot as the first one probes them."""
     error = np.random.default_rng(seed).normal(0.0, 1.0, b.shape) * noise
     return b @ TRUE[:3, :3].T + TRUE[:3, 3] + error
@@ -28,8 +27,8 @@ def names(count: int) -> list[str]:
     return [f"p{k + 1}" for k in range(count)]
 
 
-def solve(a: Array, b: Array) -> alignment.Alignment:
-    return alignment.align(a, b, names(len(a)), ARMS)
+def solve(a: FloatArray, b: FloatArray) -> rigid_fit.Alignment:
+    return rigid_fit.align(a, b, names(len(a)), ARMS)
 
 
 @pytest.mark.parametrize("count", [3, 4, 8, 40])
@@ -48,7 +47,7 @@ def test_weighted_fits_are_those_of_scipy() -> None:
     rng = np.random.default_rng(5)
     b = rng.uniform(-0.6, 0.6, (7, 3))
     a, weight = seen(b, 3 * MM), rng.uniform(0.1, 2.0, (4, 7))
-    for pose, w in zip(alignment.rigid_fit(a, b, weight), weight, strict=True):
+    for pose, w in zip(rigid_fit.rigid_fit(a, b, weight), weight, strict=True):
         ma, mb = (np.average(p, axis=0, weights=w) for p in (a, b))
         turn, _ = Rotation.align_vectors(a - ma, b - mb, weights=w)
         assert np.allclose(pose, from_parts(turn.as_matrix(), ma - turn.apply(mb)), atol=1e-9)
@@ -88,7 +87,7 @@ def test_bad_points_are_named(count: int, bad: int) -> None:
         wrong = np.sort(rng.permutation(count)[:bad])
         push = rng.normal(0.0, 1.0, (bad, 3))
         a[wrong] += 8 * MM * push / np.linalg.norm(push, axis=1, keepdims=True)
-        got = alignment.bad_points(a, b, 0.5 * MM)
+        got = rigid_fit.bad_points(a, b, 0.5 * MM)
         assert got is None or got == wrong.tolist()
         told += got is not None
     assert told >= 18
@@ -98,22 +97,22 @@ def test_a_bad_point_comes_with_where_the_others_put_it() -> None:
     b = np.random.default_rng(2).uniform(-0.5, 0.5, (6, 3))
     a = seen(b)
     a[4] += [0.0, 3 * MM, 0.0]
-    (issue,) = alignment.judge(solve(a, b), a, b, names(6), 0.5 * MM)
+    (issue,) = rigid_fit.judge(solve(a, b), a, b, names(6), 0.5 * MM)
     assert issue.code == "align.bad_point"
     assert issue.target == "p5"
     assert issue.value == pytest.approx(3.0, abs=1e-6)
     assert "+3.00" in issue.message
-    assert not alignment.judge(solve(a, b), a, b, names(6), 4 * MM)
+    assert not rigid_fit.judge(solve(a, b), a, b, names(6), 4 * MM)
     used = np.arange(6) != 4
-    left = alignment.align(a, b, names(6), ARMS, used)
+    left = rigid_fit.align(a, b, names(6), ARMS, used)
     assert np.allclose(left.pose, TRUE, atol=1e-12)
-    assert not alignment.judge(left, a, b, names(6), 0.5 * MM)
+    assert not rigid_fit.judge(left, a, b, names(6), 0.5 * MM)
 
 
 def test_of_three_points_none_is_blamed() -> None:
     a = seen(FLAT[:3])
     a[1] += [0.0, 5 * MM, 0.0]
-    (issue,) = alignment.judge(solve(a, FLAT[:3]), a, FLAT[:3], names(3), 0.5 * MM)
+    (issue,) = rigid_fit.judge(solve(a, FLAT[:3]), a, FLAT[:3], names(3), 0.5 * MM)
     assert issue.code == "align.large_residual"
     assert "'p2'" in issue.message
 
@@ -121,7 +120,7 @@ def test_of_three_points_none_is_blamed() -> None:
 def test_poor_points_all_over_blame_none() -> None:
     b = np.random.default_rng(2).uniform(-0.5, 0.5, (8, 3))
     a = seen(b, 5 * MM, 4)
-    (issue,) = alignment.judge(solve(a, b), a, b, names(8), 0.5 * MM)
+    (issue,) = rigid_fit.judge(solve(a, b), a, b, names(8), 0.5 * MM)
     assert issue.code == "align.large_residual"
 
 
@@ -144,7 +143,9 @@ SPREAD = np.random.default_rng(0).uniform(-0.5, 0.5, (6, 3))
         (seen(SPREAD), SPREAD[:, [1, 0, 2]], "align.mirrored", "swapped"),
     ],
 )
-def test_what_gives_no_base_is_refused_with_a_remedy(a: Array, b: Array, code: str, what: str) -> None:
+def test_what_gives_no_base_is_refused_with_a_remedy(
+    a: FloatArray, b: FloatArray, code: str, what: str
+) -> None:
     with pytest.raises(TandemError) as caught:
         solve(a, b)
     (issue,) = caught.value.issues
@@ -160,7 +161,7 @@ def test_repeated_probing_of_a_point_is_fine() -> None:
 
 def test_points_nearly_on_a_line_are_doubted() -> None:
     b = LINE + np.array([[0, 0, 0], [0, 0, 10], [0, 0, 0], [0, 0, 0]]) * MM
-    (issue,) = alignment.doubts(seen(b), b, ARMS)
+    (issue,) = rigid_fit.doubts(seen(b), b, ARMS)
     assert issue.code == "align.collinear"
     assert issue.severity is Severity.WARNING
-    assert not alignment.doubts(seen(FLAT), FLAT, ARMS)
+    assert not rigid_fit.doubts(seen(FLAT), FLAT, ARMS)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from planner.arrays import read_only
+from planner.geometry.arrays import read_only
 
 
 @dataclasses.dataclass(frozen=True)

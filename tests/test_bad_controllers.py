@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-from planner import controller_texts, pipeline
+from planner import pipeline
+from planner.claims import dialogue
 from planner.issues import TandemError
-from planner.post.rapid_format import BOX_LINE, STRING_LENGTH, box, identifier, quoted, write_lines
-from planner.post.text import plain
+from planner.post.program import plain
+from planner.post.rapid.syntax import BOX_LINE, STRING_LENGTH, box, identifier, quoted, write_lines
 from tests.test_bad_input import CAPITAL, change
 
 LONG = "doAVeryLongNameOfASignal"  # 24 characters, as long as a name may be
@@ -157,7 +158,7 @@ def test_a_spindle_and_a_wire_do_not_share_a_signal(tmp_path: Path) -> None:
 
 def test_texts_to_the_operator_fit_the_panel() -> None:
     signal, name = "x" * 28, "y" * 24
-    texts = controller_texts
+    texts = dialogue
     lines = [
         texts.OFF_BY_MM,
         texts.OFF_BY_DEGREES,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from planner import cli
-from planner.issue_codes import CODES
+from planner.catalogue.issue_codes import CODES
+from planner.cli import command_line
 from planner.issues import Issue, TandemError
 
 BROKEN = "tandem: 1\nname: broken\nstock: {size_mm: [1, 2, -3]}\noperations: []\n"
@@ -70,20 +70,20 @@ def test_the_lists(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("codes", "expected"),
     [
-        (["part.stock_too_small"], cli.BAD_INPUT),
-        (["targets.file", "problem.missing_file"], cli.BAD_INPUT),
-        (["gcode.feed", "gcode.unit"], cli.BAD_INPUT),
-        (["forming.closed_mesh"], cli.BAD_INPUT),
-        (["milling.guide_lengths"], cli.BAD_INPUT),
-        (["motion.no_path"], cli.NO_PLAN),
-        (["forming.wall_angle"], cli.NO_PLAN),
-        (["milling.tool_radius"], cli.NO_PLAN),
-        (["wire.too_short", "problem.field"], cli.NO_PLAN),
+        (["part.stock_too_small"], command_line.BAD_INPUT),
+        (["targets.file", "problem.missing_file"], command_line.BAD_INPUT),
+        (["gcode.feed", "gcode.unit"], command_line.BAD_INPUT),
+        (["forming.closed_mesh"], command_line.BAD_INPUT),
+        (["milling.guide_lengths"], command_line.BAD_INPUT),
+        (["motion.no_path"], command_line.NO_PLAN),
+        (["forming.wall_angle"], command_line.NO_PLAN),
+        (["milling.tool_radius"], command_line.NO_PLAN),
+        (["wire.too_short", "problem.field"], command_line.NO_PLAN),
     ],
 )
 def test_what_cannot_be_planned_is_told_from_what_was_given_wrong(codes: list[str], expected: int) -> None:
     error = TandemError([Issue(code, "m") for code in codes])
-    assert cli._infeasible_code(error) == expected
+    assert command_line._infeasible_code(error) == expected
 
 
 def test_a_failure_of_tandem_itself_is_named(
@@ -92,8 +92,8 @@ def test_a_failure_of_tandem_itself_is_named(
     def fail(**_: object) -> int:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr(cli.app, "cli", fail)
+    monkeypatch.setattr(command_line.app, "cli", fail)
     with pytest.raises(SystemExit) as stopped:
-        cli.main()
+        command_line.main()
     assert stopped.value.code == 1
     assert "internal.error" in capsys.readouterr().err

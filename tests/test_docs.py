@@ -124,9 +124,9 @@ def test_the_tables_are_those_of_the_code(name: str) -> None:
 
 
 def test_no_mapping_of_a_problem_file_is_left_out_of_the_reference() -> None:
-    from planner.cell_file import CellFile
-    from planner.problem_file import ProblemFile
     from planner.processes import schemas
+    from planner.reading.cell import CellFile
+    from planner.reading.problem import ProblemFile
 
     whole = [ProblemFile, CellFile, *schemas().values()]
     asked = {model.__name__ for model in whole}

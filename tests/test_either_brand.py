@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import planner
-from planner.catalogue import robot
+from planner.catalogue.robots import robot
 from planner.issues import TandemError
 from planner.units import DEG
 from tests import small_problem

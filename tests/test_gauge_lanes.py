@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner import catalogue, pipeline, processes
+from planner import pipeline, processes
+from planner.catalogue import robots
 
-FOLDER = catalogue.data_dir("problems") / "gauge_lanes"
+FOLDER = robots.data_dir("problems") / "gauge_lanes"
 
 
 def test_the_table_is_what_its_script_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import gripping, pipeline
+from planner import pipeline
 from planner.geometry.rigid import inverse, transform
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Problem
-from planner.report import setup_tables
+from planner.reading import grip_choice
+from planner.report import setup_sheet
 from planner.units import DEG, MM
 
 PLATE = {"kind": "gripper_plate"}
@@ -113,7 +114,7 @@ def test_the_wires_stay_away_from_what_is_chosen(tmp_path: Path, seed: int) -> N
         np.stack([np.cos(turn), np.sin(turn)], 1) * rng.uniform(0.7, 1.0, (9, 1)) * [165, 118]
     ).tolist()
     problem = load(tmp_path, data(outline, LIST[1:]))
-    found = gripping.choose(problem.setups[0], problem.part, 10 * MM)
+    found = grip_choice.choose(problem.setups[0], problem.part, 10 * MM)
     assert found is not None
     setup = problem.setups[0]
     tool = setup.cell.arm("right").tool
@@ -146,9 +147,9 @@ def test_the_choice_is_told_everywhere(tmp_path: Path) -> None:
     assert problem.setups[0].steps[0] == "Mount the tool plate_220x90 on arm right."
     x, y = inverse(problem.stock.grip)[:2, 3] / MM
     assert f"[{x:g}, {y:g}] mm" in note.message
-    (place, _), (_, by) = setup_tables._clamped_by(problem.stock), ("", "Tandem")
+    (place, _), (_, by) = setup_sheet._clamped_by(problem.stock), ("", "Tandem")
     assert f"{x + 180:.1f} mm from edge" in str(place[1])
-    assert setup_tables._clamped_by(problem.stock)[1][1] == by
+    assert setup_sheet._clamped_by(problem.stock)[1][1] == by
 
 
 def test_a_problem_may_state_gripper_and_grip(tmp_path: Path) -> None:
@@ -205,7 +206,7 @@ def test_a_gripper_that_is_too_weak_is_passed_over(tmp_path: Path) -> None:
     weak = {**LIST[1], "holding_n": 1.0}
     problem = load(tmp_path, data(WEDGE, [weak, LIST[2]]))
     assert problem.cell.arm("right").tool.name == "plate_100x100"
-    assert gripping.choose(problem.setups[0], problem.part, 10 * MM) is not None
+    assert grip_choice.choose(problem.setups[0], problem.part, 10 * MM) is not None
     assert problem.notes[0].message.count("turned") == int(abs(problem.stock.grip[0, 1]) > np.sin(1 * DEG))
 
 

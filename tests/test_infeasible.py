@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.catalogue import data_dir
+from planner.catalogue.robots import data_dir
 from planner.issues import Issue, Severity, TandemError
 
 FOLDER = data_dir("problems") / "infeasible"

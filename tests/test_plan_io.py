@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import claims, pipeline, plan_io, processes
+from planner import pipeline, plans, processes
+from planner.claims import claim
+from planner.claims.segments import Segment
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.segments import Segment
 from planner.targets import Action, Edge, ScrewFreedom, TableFreedom, Targets
 from tests.verify.planner_jobs import JOBS
 
@@ -38,17 +39,17 @@ def _targets(exhibits: dict[str, Any] | None = None) -> Targets:
         prefer=np.zeros(n),
     )
     held = (
-        claims.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
-        claims.CutsSurface(
+        claim.WireJoins(("left", "right"), 0.9, 1e-3, 2e-3, 1e-3, 0.01, True, 30.0, 1e-3, 1e-4),
+        claim.CutsSurface(
             Segment.read("cut/front"),
             RNG.normal(size=(3, 3)),
             np.array([[0, 1, 2]]),
-            claims.KerfCurve.constant(1e-3),
+            claim.KerfCurve.constant(1e-3),
             5e-4,
         ),
-        claims.ContactOnlyIn(("cut",), "doWirePower", 2.0),
-        claims.FeedWindow(Segment.read("cut/front"), 0.002, 0.01),
-        claims.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
+        claim.ContactOnlyIn(("cut",), "doWirePower", 2.0),
+        claim.FeedWindow(Segment.read("cut/front"), 0.002, 0.01),
+        claim.FollowsPoses("left", "stock", RNG.normal(size=(2, 4, 4)), (np.eye(6)[0],), 1e-4, 1e-3),
     )
     return Targets(
         arms=("left", "right"),
@@ -119,8 +120,8 @@ def _equal(a: Any, b: Any) -> bool:
 
 def test_every_value_comes_back_exactly(tmp_path: Path) -> None:
     plan = _plan()
-    plan_io.save(plan, tmp_path / "out")
-    assert _equal(plan, plan_io.load(tmp_path / "out"))
+    plans.save(plan, tmp_path / "out")
+    assert _equal(plan, plans.load(tmp_path / "out"))
 
 
 @pytest.mark.parametrize(
@@ -145,8 +146,8 @@ def test_claims_of_every_process_come_back(tmp_path: Path, name: str) -> None:
     plan = _plan()
     (operation,) = plan.operations
     operation = dataclasses.replace(operation, targets=dataclasses.replace(operation.targets, claims=own))
-    plan_io.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / "out")
-    back = plan_io.load(tmp_path / "out").operations[0].targets.claims
+    plans.save(dataclasses.replace(plan, operations=(operation,)), tmp_path / "out")
+    back = plans.load(tmp_path / "out").operations[0].targets.claims
     assert _equal(_named(own), back)
 
 
@@ -165,14 +166,14 @@ def _named(value: Any) -> Any:
 def test_equal_plans_give_equal_bytes_and_leave_nothing_else(tmp_path: Path) -> None:
     plan = _plan()
     for folder in ("a", "b"):
-        plan_io.save(plan, tmp_path / folder)
+        plans.save(plan, tmp_path / folder)
     for name in ("plan.npz", "plan.json"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["plan.json", "plan.npz"]
 
 
 def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
-    plan_io.save(_plan(), tmp_path)
+    plans.save(_plan(), tmp_path)
     with np.load(tmp_path / "plan.npz", allow_pickle=False) as archive:
         assert {
             "operations/0/q/left",
@@ -186,7 +187,7 @@ def test_arrays_have_path_like_keys_and_no_pickles(tmp_path: Path) -> None:
 def test_what_cannot_be_saved_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     for bad in (object(), np.array([None, 1], dtype=object), {1, 2}):
         with pytest.raises(TandemError) as caught:
-            plan_io.save(_plan(exhibits={"picture": {"data": bad}}), tmp_path / "out")
+            plans.save(_plan(exhibits={"picture": {"data": bad}}), tmp_path / "out")
         (issue,) = caught.value.issues
         assert issue.code == "plan.not_saveable"
         assert issue.field == "operations/0/targets/exhibits/picture/data"
@@ -195,34 +196,34 @@ def test_what_cannot_be_saved_is_named_and_nothing_is_written(tmp_path: Path) ->
 
 def _code(folder: Path) -> str:
     with pytest.raises(TandemError) as caught:
-        plan_io.load(folder)
+        plans.load(folder)
     return caught.value.issues[0].code
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:
     assert _code(tmp_path) == "plan.missing_file"
-    plan_io.save(_plan(), tmp_path)
+    plans.save(_plan(), tmp_path)
     (tmp_path / "plan.npz").unlink()
     assert _code(tmp_path) == "plan.missing_file"
 
 
 @pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"[" * 100_000])
 def test_json_that_is_none_is_damaged(tmp_path: Path, content: bytes) -> None:
-    plan_io.save(_plan(), tmp_path)
+    plans.save(_plan(), tmp_path)
     (tmp_path / "plan.json").write_bytes(content)
     assert _code(tmp_path) == "plan.damaged"
 
 
 def test_a_pair_of_two_plans_is_damaged(tmp_path: Path) -> None:
-    plan_io.save(_plan(), tmp_path / "a")
-    plan_io.save(_plan(), tmp_path / "b")
+    plans.save(_plan(), tmp_path / "a")
+    plans.save(_plan(), tmp_path / "b")
     (tmp_path / "a" / "plan.npz").write_bytes((tmp_path / "b" / "plan.npz").read_bytes())
     assert _code(tmp_path / "a") == "plan.damaged"
 
 
 @pytest.mark.parametrize("edit", ["type", "field", "array", "missing", "whole"])
 def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
-    plan_io.save(_plan(), tmp_path)
+    plans.save(_plan(), tmp_path)
     path = tmp_path / "plan.json"
     data = json.loads(path.read_text())
     plan = data["plan"]
@@ -242,7 +243,7 @@ def test_wrong_content_is_damaged(tmp_path: Path, edit: str) -> None:
 
 @pytest.mark.parametrize("change", [{"schema": 99}, {"format": "something else"}])
 def test_another_schema_or_format_is_refused(tmp_path: Path, change: dict[str, Any]) -> None:
-    plan_io.save(_plan(), tmp_path)
+    plans.save(_plan(), tmp_path)
     path = tmp_path / "plan.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
     assert _code(tmp_path) == "plan.schema"

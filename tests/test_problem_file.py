@@ -9,7 +9,7 @@ import pytest
 
 from planner.issues import Issue, TandemError
 from planner.pipeline import load
-from planner.problem_bundle import bundle
+from planner.reading.problem import bundle
 
 GOOD = """\
 tandem: 1

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from planner.issue_codes import CODES
+from planner.catalogue.issue_codes import CODES
 from planner.issues import Issue, Severity
 from tests import remedy_rows as rows
 from tests import (

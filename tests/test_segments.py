@@ -15,17 +15,16 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from planner import pipeline, processes
-from planner.blame import given_wrong
-from planner.catalogue import data_dir
-from planner.claims import FeedWindow
-from planner.issues import Severity, TandemError
+from planner.catalogue.robots import data_dir
+from planner.claims.claim import FeedWindow
+from planner.claims.segments import Segment, clash, fold
+from planner.issues import Severity, TandemError, given_wrong
 from planner.post import write
-from planner.post.krl_format import comment, mark
-from planner.post.rapid_names import procedure
-from planner.segments import Segment, clash, fold
+from planner.post.krl.syntax import comment, mark
+from planner.post.rapid.syntax import procedure
 from planner.verify import prove
-from planner.verify.krl_parser import said as marked
-from planner.verify.segment_names import said
+from planner.verify.krl.parser import marked_comment as marked
+from planner.verify.programs.program_text import segment_of_name
 from tests import line_ends, small_problem
 from tests.hotwire import test_straight
 from tests.milling import small_mill
@@ -40,8 +39,8 @@ FILE = st.one_of(
     st.from_regex(r"\A[A-Za-z][A-Za-z0-9_]{0,13}\Z"),
     st.builds(lambda words: ("a" + "_".join(words))[:14], st.lists(WORDS, min_size=1, max_size=5)),
 )
-"""Names as the fields of problem files have them (:data:`planner.schema.Name`), and such as look alike, of
-lengths that RAPID takes with any kind and phase."""
+"""Names as the fields of problem files have them (:data:`planner.reading.strict_yaml.Name`), and such as look
+alike, of lengths that RAPID takes with any kind and phase."""
 KINDS = st.one_of(
     st.sampled_from(["cut", "mill", "form", "link"]), st.from_regex(r"\A[A-Za-z][A-Za-z0-9_]{0,4}\Z")
 )
@@ -72,15 +71,15 @@ def test_a_name_that_ends_like_a_phase_is_no_phase() -> None:
     assert (own.name, own.phase, way.name, way.phase) == ("wall_in", "", "wall", "in")
     assert [str(s) for s in own.ways] == ["cut/wall_in_in", "cut/wall_in_on", "cut/wall_in_out"]
     assert procedure(way) == "cut_wall_in" and procedure(own) == "cut_wall_in_on"
-    assert said("cut_wall_in") == way and said("CUT_wall_in_on__12") == own
+    assert segment_of_name("cut_wall_in") == way and segment_of_name("CUT_wall_in_on__12") == own
     assert str(Segment("cut", "in")) == "cut/in" and str(Segment("cut", "wall_on")) == "cut/wall_on_on"
 
 
 def test_a_kind_with_underscores_is_no_kind_with_a_name() -> None:
     one, other = Segment("cut_front"), Segment("cut", "front")
     assert procedure(one) == "cut_front__k" and procedure(other) == "cut_front"
-    assert said("cut_front__k__3") == one and said("cut_front__3") == other
-    assert said(procedure(Segment("my_kind", "k"))) == Segment("my_kind", "k")
+    assert segment_of_name("cut_front__k__3") == one and segment_of_name("cut_front__3") == other
+    assert segment_of_name(procedure(Segment("my_kind", "k"))) == Segment("my_kind", "k")
 
 
 @pytest.mark.parametrize("wrong", [("a/b",), ("cut", "", "in"), ("cut", "wall", "on")])
@@ -107,11 +106,11 @@ def test_every_name_in_programs_reads_back(segment: Segment, visit: int) -> None
     what RAPID cannot tell apart."""
     wanted = (fold(segment.kind), fold(segment.name), segment.phase)
     name = procedure(segment)
-    assert (again := said(name if visit == 1 else f"{name}__{visit}")) == segment.folded
+    assert (again := segment_of_name(name if visit == 1 else f"{name}__{visit}")) == segment.folded
     assert (again.kind, again.name, again.phase) == wanted
     (line,) = comment(f"Segment {mark(segment)}: 12 moves, 3 s.")
     (found,) = marked(1, line)
-    assert said(found.text) == segment.folded
+    assert segment_of_name(found.text) == segment.folded
 
 
 @seed(3)
@@ -183,7 +182,9 @@ def test_labels_of_users_come_back_as_they_meant_them(tmp_path: Path) -> None:
     table = "\n".join([f"{small_problem.COLUMNS},segment", *rows]) + "\n"
     outcome = pipeline.plan(pipeline.load(small_problem.write(tmp_path, table=table)))
     assert outcome.verified, outcome.issues
-    read = [said(name) for name in re.findall(r"PROC (\w+)\(\)", "".join(outcome.programs.values()))]
+    read = [
+        segment_of_name(name) for name in re.findall(r"PROC (\w+)\(\)", "".join(outcome.programs.values()))
+    ]
     assert [Segment.of(label).folded for label in labels[1:]] == [
         s for s in read if s.kind in ("cut", "weld", "weld_seam")
     ]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner import catalogue
+from planner.catalogue import robots
 from tests import small_problem
 
-CELL = catalogue.data_dir("problems") / "cells" / "irb6640_mill.yaml"
+CELL = robots.data_dir("problems") / "cells" / "irb6640_mill.yaml"
 MILLED = f"""\
 tandem: 1
 name: waves

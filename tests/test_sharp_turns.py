@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import planner
-from planner import catalogue
+from planner.catalogue import robots
 from planner.issues import Severity
 from tests import small_problem
 
-CELLS = catalogue.data_dir("problems") / "cells"
+CELLS = robots.data_dir("problems") / "cells"
 MILLED = """\
 tandem: 1
 name: turns

@@ -12,7 +12,7 @@ import shapely
 import trimesh
 
 from planner import pipeline
-from planner.forming.feature_tree import build
+from planner.forming.features.tree import build
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
 from planner.units import DEG, MM

@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from planner import cli, pipeline, problem_bundle, sshsig, statement
+from planner import pipeline
+from planner.cli import command_line, statement
+from planner.cli.compare import differences
 from planner.files import RESULT, write_folder
 from planner.issues import TandemError
 from planner.problem import Problem
-from planner.problem_compare import differences
+from planner.reading import problem as problem_file
 from tests.verify import bead_job
 
 KEYGEN = shutil.which("ssh-keygen")
@@ -50,7 +52,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bead_job.write(folder, "abb")
     problem = pipeline.load(folder / "problem.yaml")
     write_folder(folder / "out", result(problem) | {"report.html": "<html>", "proof.json": "true"}, RESULT)
-    assert cli.verify(folder / "out", problem=folder / "problem.yaml", sign=key) == cli.DONE
+    assert command_line.verify(folder / "out", problem=folder / "problem.yaml", sign=key) == command_line.DONE
     return folder
 
 
@@ -59,7 +61,7 @@ def result(problem: Problem) -> dict[str, str | bytes]:
     files: dict[str, str | bytes] = {
         f"programs/{name}": text for name, text in pipeline.plan(problem).programs.items()
     }
-    return files | {f"problem/{name}": text for name, text in problem_bundle.bundle(problem).items()}
+    return files | {f"problem/{name}": text for name, text in problem_file.bundle(problem).items()}
 
 
 @pytest.fixture
@@ -88,7 +90,7 @@ def test_ssh_keygen_takes_our_signatures_and_no_others(made: Path, tmp_path: Pat
     assert ssh_keygen(*asked, "tandem", message=content + b" ").returncode != 0
     assert ssh_keygen(*asked, "file", message=content).returncode != 0
     shown = ssh_keygen("-l", "-f", made / "key.pub").stdout.decode()
-    assert sshsig.public_keys(made / "key.pub")[0].fingerprint in shown
+    assert statement.read_public_keys(made / "key.pub")[0].fingerprint in shown
 
 
 @needs_keygen
@@ -101,10 +103,10 @@ def test_signatures_of_ssh_keygen_are_taken(tmp_path: Path, name: str) -> None:
     signed = ssh_keygen("-Y", "sign", "-O", f"hashalg={name}", "-f", key, "-n", "tandem", message)
     assert signed.returncode == 0, signed.stderr
     armoured = Path(f"{message}.sig").read_text()
-    known = sshsig.public_keys(Path(f"{key}.pub"))
-    assert sshsig.signer(message.read_bytes(), armoured, known).who == "me"
+    known = statement.read_public_keys(Path(f"{key}.pub"))
+    assert statement.find_signer(message.read_bytes(), armoured, known).who == "me"
     if name == "sha512":  # Ed25519 signs a text in one way
-        assert sshsig.sign(message.read_bytes(), sshsig.private_key(key)) == armoured
+        assert statement.sign_message(message.read_bytes(), statement.read_private_key(key)) == armoured
 
 
 @needs_keygen
@@ -115,10 +117,12 @@ def test_keys_with_a_passphrase_ask_at_a_terminal_only(
     key = tmp_path / "id"
     assert ssh_keygen("-q", "-t", "ed25519", "-N", "secret", "-f", key).returncode == 0
     with pytest.raises(TandemError, match="no terminal"):
-        sshsig.private_key(key)
+        statement.read_private_key(key)
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(sshsig.getpass, "getpass", lambda _: "secret")
-    assert sshsig.private_key(key).public == sshsig.PublicKey(sshsig.public_keys(Path(f"{key}.pub"))[0].raw)
+    monkeypatch.setattr(statement.getpass, "getpass", lambda _: "secret")
+    assert statement.read_private_key(key).public == statement.PublicKey(
+        statement.read_public_keys(Path(f"{key}.pub"))[0].raw
+    )
 
 
 def test_files_of_allowed_signers(made: Path, tmp_path: Path) -> None:
@@ -130,7 +134,7 @@ def test_files_of_allowed_signers(made: Path, tmp_path: Path) -> None:
         ([*own, "a", "comment"], "a comment"),
     ):
         file.write_text("# keys\n\nssh-rsa AAAAB3NzaC1yc2E= other\n" + " ".join(line) + "\n")
-        (key,) = sshsig.public_keys(file)
+        (key,) = statement.read_public_keys(file)
         assert key.who == who
 
 
@@ -150,23 +154,26 @@ def test_files_without_a_key_of_ours_are_refused(made: Path, tmp_path: Path, lin
     file = tmp_path / "allowed"
     file.write_text(line.replace("KEY", (made / "key.pub").read_text().split()[1]))
     with pytest.raises(TandemError, match=told) as caught:
-        sshsig.public_keys(file)
+        statement.read_public_keys(file)
     assert [issue.code for issue in caught.value.issues] == ["sign.key"]
 
 
 def test_what_is_no_key_is_no_key(made: Path, tmp_path: Path) -> None:
     for path in (made / "key.pub", made / "problem.yaml", tmp_path / "none", tmp_path):
         with pytest.raises(TandemError) as caught:
-            sshsig.private_key(path)
+            statement.read_private_key(path)
         assert [issue.code for issue in caught.value.issues] == ["sign.key"]
-    assert cli.plan(made / "problem.yaml", tmp_path / "out", sign=tmp_path / "none") == cli.BAD_INPUT
+    assert (
+        command_line.plan(made / "problem.yaml", tmp_path / "out", sign=tmp_path / "none")
+        == command_line.BAD_INPUT
+    )
     assert not (tmp_path / "out").exists()
 
 
 def test_without_the_package_the_install_line_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cryptography", None)
     with pytest.raises(TandemError, match=r"pip install 'tandem-planner\[sign\]'") as caught:
-        sshsig.private_key(made / "key")
+        statement.read_private_key(made / "key")
     assert [issue.code for issue in caught.value.issues] == ["sign.extra"]
 
 
@@ -174,11 +181,13 @@ def test_without_the_package_the_install_line_is_told(made: Path, monkeypatch: p
 
 
 def verify(folder: Path, key: str = "key.pub", **more: Path) -> int:
-    return cli.verify(folder / "out", problem=folder / "problem.yaml", signed_by=folder / key, **more)
+    return command_line.verify(
+        folder / "out", problem=folder / "problem.yaml", signed_by=folder / key, **more
+    )
 
 
 def test_a_signed_result_is_found_good(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert verify(made) == cli.DONE
+    assert verify(made) == command_line.DONE
     shown = capsys.readouterr()
     assert "sign.good" in shown.err
     assert "lab@cell" in shown.err
@@ -207,7 +216,7 @@ def test_every_change_of_a_signed_file_is_told(
     name, change = CHANGES[what]
     file = copy / "out" / name
     file.write_text(change(file.read_text()))
-    assert verify(copy) == cli.NOT_PROVEN
+    assert verify(copy) == command_line.NOT_PROVEN
     shown = capsys.readouterr().err
     assert "sign.content" in shown
     assert f"{name} was changed" in shown
@@ -216,7 +225,7 @@ def test_every_change_of_a_signed_file_is_told(
 def test_files_that_come_and_go_are_told(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "out" / "proof.json").unlink()
     (copy / "out" / "programs" / "note.txt").write_text("x")
-    assert verify(copy) == cli.NOT_PROVEN
+    assert verify(copy) == command_line.NOT_PROVEN
     shown = capsys.readouterr().err
     assert "proof.json is missing" in shown
     assert "programs/note.txt was added" in shown
@@ -242,22 +251,22 @@ def test_signatures_that_do_not_hold_are_told(
     else:
         signature.unlink()
         code = "sign.missing"
-    assert verify(copy, key) == cli.NOT_PROVEN
+    assert verify(copy, key) == command_line.NOT_PROVEN
     assert code in capsys.readouterr().err
 
 
 def test_a_result_is_signed_after_a_proof(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other, _ = keys(copy, "other")
-    assert cli.verify(copy / "out", sign=other) == cli.DONE
+    assert command_line.verify(copy / "out", sign=other) == command_line.DONE
     assert "was not compared with a file of yours" in capsys.readouterr().out
-    assert verify(copy, "other.pub") == cli.DONE
+    assert verify(copy, "other.pub") == command_line.DONE
 
 
 def test_what_is_not_proven_is_not_signed(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (copy / "out" / "statement.json.sig").read_bytes()
     file = copy / "out" / "programs" / "T_ROB1" / "TandemCut1_1.mod"
     file.write_text(file.read_text().replace("z3mm", "fine", 9))
-    assert cli.verify(copy / "out", sign=copy / "key") == cli.NOT_PROVEN
+    assert command_line.verify(copy / "out", sign=copy / "key") == command_line.NOT_PROVEN
     assert "sign.unproven" in capsys.readouterr().err
     assert (copy / "out" / "statement.json.sig").read_bytes() == before
 
@@ -265,8 +274,8 @@ def test_what_is_not_proven_is_not_signed(copy: Path, capsys: pytest.CaptureFixt
 @pytest.mark.long
 def test_a_plan_is_signed_as_a_whole(copy: Path) -> None:
     key, _ = keys(copy, "other")
-    assert cli.plan(copy / "problem.yaml", copy / "out", sign=key) == cli.DONE
-    assert verify(copy, "other.pub") == cli.DONE
+    assert command_line.plan(copy / "problem.yaml", copy / "out", sign=key) == command_line.DONE
+    assert verify(copy, "other.pub") == command_line.DONE
     signed = json.loads((copy / "out" / "statement.json").read_text())["files"]
     assert {"report.html", "replay.html", "plan.npz", "plan.json", "proof.json"} <= set(signed)
 
@@ -292,8 +301,8 @@ def test_a_relaxed_problem_in_the_folder_is_shown(copy: Path, capsys: pytest.Cap
     data["operations"][0]["feed_mm_s"] = 41
     (copy / "relaxed.yaml").write_text(yaml.safe_dump(data))
     write_folder(copy / "out", result(pipeline.load(copy / "relaxed.yaml")), RESULT)
-    assert cli.verify(copy / "out") == cli.DONE
-    assert cli.verify(copy / "out", problem=own) == cli.NOT_PROVEN
+    assert command_line.verify(copy / "out") == command_line.DONE
+    assert command_line.verify(copy / "out", problem=own) == command_line.NOT_PROVEN
     shown = capsys.readouterr()
     relaxed, wanted = pipeline.load(copy / "relaxed.yaml").digest, pipeline.load(own).digest
     for text in (relaxed, wanted, "settings.clearance_mm: 0 in", ", 12 in", "operations[0].feed_mm_s: 41 in"):
@@ -308,12 +317,15 @@ def test_a_changed_copy_is_told_though_the_programs_hold(
 ) -> None:
     stored = copy / "out" / "problem" / "problem.yaml"
     stored.write_text(stored.read_text().replace("name: beads", "name: other", 1))
-    assert cli.verify(copy / "out", problem=copy / "problem.yaml") == cli.DONE
+    assert command_line.verify(copy / "out", problem=copy / "problem.yaml") == command_line.DONE
     assert "verify.problem_differs" in capsys.readouterr().err
-    assert cli.verify(copy / "out", problem=copy / "problem.yaml", sign=copy / "key") == cli.NOT_PROVEN
+    assert (
+        command_line.verify(copy / "out", problem=copy / "problem.yaml", sign=copy / "key")
+        == command_line.NOT_PROVEN
+    )
     assert "sign.unproven" in capsys.readouterr().err
     stored.unlink()
-    assert cli.verify(copy / "out", problem=copy / "problem.yaml") == cli.DONE
+    assert command_line.verify(copy / "out", problem=copy / "problem.yaml") == command_line.DONE
     assert "cannot be read" in capsys.readouterr().err
 
 

@@ -12,9 +12,9 @@ import pytest
 import trimesh
 
 import planner
-from planner import pipeline, plan_io
-from planner.catalogue import data_dir, robot
-from planner.cell.robots import forward
+from planner import pipeline, plans
+from planner.catalogue.robots import data_dir, robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import inverse
 from planner.pipeline import Outcome
 from planner.problem import Mesh
@@ -125,7 +125,7 @@ def test_a_sharp_pit_is_proven_but_for_what_no_ball_reaches(tmp_path: Path) -> N
 def test_the_same_problem_gives_the_same_bytes(alone: Outcome) -> None:
     again = planner.plan(alone.problem)
     assert again.programs == alone.programs
-    assert plan_io.dump(again.plan) == plan_io.dump(alone.plan)
+    assert plans.dump(again.plan) == plans.dump(alone.plan)
 
 
 def test_the_folder_alone_can_be_proven_again(alone: Outcome, tmp_path: Path) -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import planner
-from planner import pipeline, plan_io
-from planner.catalogue import data_dir, robot
-from planner.cell.robots import forward
+from planner import pipeline, plans
+from planner.catalogue.robots import data_dir, robot
+from planner.cell.kinematics import forward
+from planner.claims.segments import Segment
 from planner.geometry.rigid import inverse, log_pose
 from planner.pipeline import Outcome
-from planner.segments import Segment
 
 
 @pytest.fixture(scope="module")
@@ -86,12 +86,12 @@ def test_both_arms_share_one_clock_and_never_stop_in_the_foam(outcome: Outcome) 
 def test_the_same_problem_gives_the_same_bytes(outcome: Outcome) -> None:
     again = planner.plan(planner.load("column_capital/faces.yaml"))
     assert again.programs == outcome.programs
-    assert plan_io.dump(again.plan) == plan_io.dump(outcome.plan)
+    assert plans.dump(again.plan) == plans.dump(outcome.plan)
 
 
 def test_the_folder_alone_can_be_proven_again(outcome: Outcome, tmp_path: Path) -> None:
     outcome.save(tmp_path)
-    assert plan_io.load(tmp_path).digest == outcome.plan.digest
+    assert plans.load(tmp_path).digest == outcome.plan.digest
     for name in ("plan.npz", "plan.json", "proof.json"):
         (tmp_path / name).unlink()
     proof = pipeline.verify(pipeline.load_result(tmp_path), pipeline.read_programs(tmp_path))

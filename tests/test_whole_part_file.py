@@ -6,9 +6,10 @@ from __future__ import annotations
 import pytest
 
 import planner
-from planner import part_faces_file, pipeline
+from planner import pipeline
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import TandemError
+from planner.reading import part_surfaces
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +45,13 @@ def test_a_file_that_both_read_alike_is_proven(panel, carried) -> None:
 )
 def test_a_file_that_the_planner_reads_otherwise_is_not_proven(monkeypatch, wrong) -> None:
     """All else follows the wrong reading, so that no other rule sees it."""
-    read = part_faces_file.read_mesh
+    read = part_surfaces.read_mesh
 
     def otherwise(path, unit):
         mesh = read(path, unit)
         return TriangleMesh(wrong(mesh.vertices), mesh.faces)
 
-    monkeypatch.setattr(part_faces_file, "read_mesh", otherwise)
+    monkeypatch.setattr(part_surfaces, "read_mesh", otherwise)
     outcome = planner.plan(planner.load("hypar_panel"))
     assert not outcome.verified
     assert not outcome.programs

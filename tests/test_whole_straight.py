@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner import plan_io
-from planner.catalogue import robot
-from planner.cell.robots import forward
-from planner.claims import CutsSurface
+from planner import plans
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
+from planner.claims.claim import CutsSurface
 from planner.geometry.rigid import inverse, log_pose
 from planner.pipeline import Outcome
 
@@ -83,4 +83,4 @@ def test_the_holder_moves_the_block_by_more_than_its_last_axis(held: Outcome) ->
 def test_the_same_held_job_gives_the_same_bytes(held: Outcome) -> None:
     again = planner.plan(planner.load("shell_piece_held/small.yaml"))
     assert again.programs == held.programs
-    assert plan_io.dump(again.plan) == plan_io.dump(held.plan)
+    assert plans.dump(again.plan) == plans.dump(held.plan)

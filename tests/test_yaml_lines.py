@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from planner import yaml_lines
 from planner.issues import TandemError
+from planner.reading import strict_yaml
 
 
 def refused(path: Path) -> tuple[str, int | None]:
     with pytest.raises(TandemError) as caught:
-        yaml_lines.read(path)
+        strict_yaml.read(path)
     (issue,) = caught.value.issues
     return issue.code, issue.line
 
@@ -21,7 +21,7 @@ def refused(path: Path) -> tuple[str, int | None]:
 def test_lines_of_fields(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     path.write_text("tandem: 1\nstock:\n  size_mm: [1, 2, 3]\noperations:\n  - name: a\n    process: b\n")
-    document = yaml_lines.read(path)
+    document = strict_yaml.read(path)
     assert document.line(("stock", "size_mm")) == 3
     assert document.line(("operations", 0, "process")) == 6
     assert document.line(("operations", 0, "missing")) == 5
@@ -31,7 +31,7 @@ def test_lines_of_fields(tmp_path: Path) -> None:
 def test_a_float_without_a_point_is_a_number(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     path.write_text("a: 1e-3\nb: 2E3\n")
-    assert yaml_lines.read(path).data == {"a": 1e-3, "b": 2000.0}
+    assert strict_yaml.read(path).data == {"a": 1e-3, "b": 2000.0}
 
 
 @pytest.mark.parametrize(
@@ -74,4 +74,4 @@ def test_values_and_depth_are_counted_before_anything_is_built(
     monkeypatch.setattr(yaml, "compose", build)
     (tmp_path / "large.yaml").write_text(text)
     with pytest.raises(TandemError, match=told):
-        yaml_lines.read(tmp_path / "large.yaml")
+        strict_yaml.read(tmp_path / "large.yaml")

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planner import catalogue
-from planner.cell.robots import link_frames
+from planner.catalogue import robots
+from planner.cell.kinematics import link_frames
 from planner.geometry.rigid import from_rpy, to_rpy
 
 COLOURS = {
@@ -81,7 +81,7 @@ class Solid:
 Bodies = dict[str, tuple[list[Solid], list[Solid]]]
 
 
-def bodies(robot: catalogue.RobotData, build: Build) -> Bodies:
+def bodies(robot: robots.RobotData, build: Build) -> Bodies:
     """Visible and collision solids by link, each in its link's upright frame (arm and forearm along +z)."""
     p = robot.opw
     a1, a2, b, c1, c2, c3, c4 = (1e3 * v for v in (p.a1, p.a2, p.b, p.c1, p.c2, p.c3, p.c4))
@@ -240,7 +240,7 @@ def _forearm(build: Build, rest: float) -> tuple[list[Solid], list[Solid]]:
 
 def urdf(name: str) -> str:
     """The text of the robot's URDF."""
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     frames = link_frames(robot, np.zeros(6))
     shapes = bodies(robot, BUILDS[name])
     origin = np.vstack([np.zeros(3), frames[:6, :3, 3]])
@@ -306,7 +306,7 @@ def _numbers(values: object) -> str:
 def main() -> None:
     """Writes all files into the folder given, by default this one."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent
-    for name in catalogue.robot_names():
+    for name in robots.robot_names():
         (folder / f"{name}.urdf").write_text(urdf(name), encoding="utf-8")
 
 

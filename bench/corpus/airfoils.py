@@ -7,9 +7,8 @@ Wing Sections, 6.4 to 6.6. Joukowski and Karman-Trefftz: the conformal maps of a
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from planner.geometry.arrays import FloatArray
 
 
 def stations(count: int) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from bench.corpus import cells, meshes
 from bench.corpus.foams import FAR
 from bench.corpus.job import Data, Draft, Draw, Fault
-from bench.corpus.meshes import FloatArray
+from planner.geometry.arrays import FloatArray
 
 
 def _heights(draw: Draw, kind: str, width: float, length: float) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from bench.corpus import meshes, sheets
 from bench.corpus.foams import FAR
 from bench.corpus.job import Draft, Draw, Fault
-from bench.corpus.meshes import FloatArray
+from planner.geometry.arrays import FloatArray
 
 
 def _part(draft: Draft, mesh: meshes.Mesh, scale: float = 1.0) -> None:

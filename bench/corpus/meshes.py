@@ -6,10 +6,9 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from planner.geometry.arrays import FloatArray, IntArray
+
 Mesh = tuple[FloatArray, IntArray]
 """Vertices (V, 3) [mm] and triangles or quads (F, 3 or 4)."""
 

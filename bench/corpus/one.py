@@ -24,7 +24,8 @@ def used() -> float:
 
 def run(command: str, folder: Path) -> dict[str, Any]:
     """Exit code, issues and verdict of one command, as the command line has them."""
-    from planner import cli, pipeline
+    from planner import pipeline
+    from planner.cli import command_line as cli
     from planner.issues import Severity, TandemError, has_errors
 
     def refused(error: TandemError, code: int) -> dict[str, Any]:

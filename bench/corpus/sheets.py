@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.corpus import meshes
-from bench.corpus.meshes import FloatArray
+from planner.geometry.arrays import FloatArray
 
 Piece = tuple[float, float, float]
 """Length [mm], slope at its beginning and end [deg]."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.corpus import cells, foams, meshes
 from bench.corpus.job import Draft, Draw, Fault
-from bench.corpus.meshes import FloatArray
+from planner.geometry.arrays import FloatArray
 
 
 def _surface(draw: Draw, width: float, length: float, rise: float, kind: str) -> meshes.Mesh:

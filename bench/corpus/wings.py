@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from bench.corpus import airfoils, cells, foams
-from bench.corpus.airfoils import FloatArray
 from bench.corpus.job import Draft, Draw, Fault
+from planner.geometry.arrays import FloatArray
 
 ROUND: Final = 14.0
 """Foam around the panel [mm] on each side."""

@@ -1,7 +1,12 @@
-"""A batch file: one problem, and the fields of it that vary from job to job."""
+"""A batch file: one problem, and the fields of it that vary from job to job.
+
+Fields are named by dotted paths: ``settings.clearance_mm``, ``operations.0.feed_mm_s``,
+``cell.arms.left.tool.radius_mm``; an entry of a list by its number or its name.
+"""
 
 from __future__ import annotations
 
+import copy
 import csv
 import dataclasses
 import io
@@ -14,15 +19,63 @@ from typing import Annotated, Any, Final, Literal, Self
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from planner import pipeline, problem_bundle, yaml_lines
-from planner.batch.fields import change
+from planner import pipeline
 from planner.batch.job import PROBLEM
-from planner.catalogue import bundled
+from planner.catalogue.robots import bundled
 from planner.files import is_file
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
-from planner.schema import FileName
-from planner.yaml_lines import Document
+from planner.reading import problem as problem_file
+from planner.reading import strict_yaml
+from planner.reading.strict_yaml import Document, FileName
+
+
+def changed_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> None:
+    """Set a field of ``data``; mappings that are missing on the way are made, so that the problem's schema
+    says what it does not know. Names of files in the value start at ``folder``.
+
+    Raises ``ValueError``, which names the step, where a list has no such entry, or a value is in the way.
+    """
+    steps = path.split(".")
+    if not all(steps):
+        raise ValueError(f"{path!r} is no path; write names and numbers with single dots between them")
+    node: Any = data
+    for i, step in enumerate(steps[:-1]):
+        key = _key(node, step, ".".join(steps[: i + 1]))
+        if isinstance(node, dict) and node.get(key) is None:
+            node[key] = {}
+        node = node[key]
+    last = _key(node, steps[-1], path)
+    node[last] = _rooted(copy.deepcopy(value), folder, steps[-1])
+
+
+def _key(node: Any, step: str, path: str) -> str | int:
+    """The key of a step in a mapping or list."""
+    if isinstance(node, dict):
+        return step
+    if not isinstance(node, list):
+        raise ValueError(f"{path} is below a single value; end the path there")
+    if step.isdigit():
+        if int(step) >= len(node):
+            raise ValueError(f"{path}: the list has {len(node)} entries, counted from 0; choose one of them")
+        return int(step)
+    named = [i for i, entry in enumerate(node) if isinstance(entry, dict) and entry.get("name") == step]
+    if len(named) != 1:
+        known = ", ".join(str(e["name"]) for e in node if isinstance(e, dict) and "name" in e) or "none"
+        raise ValueError(f"{path}: {len(named)} entries have that name, known are {known}; choose one")
+    return named[0]
+
+
+def _rooted(value: Any, folder: Path, key: str) -> Any:
+    """The value with names of files made absolute."""
+    if key == "file" and isinstance(value, str):
+        return str((folder / value).resolve())
+    if isinstance(value, dict):
+        return {k: _rooted(v, folder, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_rooted(v, folder, "") for v in value]
+    return value
+
 
 BATCH: Final = "batch"
 """The key that every batch file begins with."""
@@ -115,11 +168,11 @@ class Variant:
     def read(self) -> Problem:
         """The problem with the values in it; raises ``TandemError`` with every fault, each named by the batch
         file's line where a varied field is at fault, else by the problem file's."""
-        source = problem_bundle.resolved(self.base.data, self.base.path.parent.resolve())
+        source = problem_file.resolved(self.base.data, self.base.path.parent.resolve())
         issues = []
         for path, value in self.values.items():
             try:
-                change(source, path, value, self.document.path.parent)
+                changed_field(source, path, value, self.document.path.parent)
             except ValueError as error:
                 issues.append(self._issue(path, str(error)))
         if issues:
@@ -154,7 +207,7 @@ class Variant:
 def read_batch(path: Path) -> list[Variant]:
     """The jobs of a batch file, in order; raises ``TandemError`` with every fault and its line
     (``batch.field``, ``batch.csv``, and those of a file that is no YAML)."""
-    document = yaml_lines.read(path)
+    document = strict_yaml.read(path)
     try:
         spec = BatchFile.model_validate(document.data, strict=False)
     except ValidationError as error:
@@ -192,7 +245,7 @@ def _base(spec: BatchFile, document: Document) -> Document:
     beside = document.path.parent / given
     for file in (beside, beside / PROBLEM, bundled(given), bundled(given / PROBLEM)):
         if is_file(file):
-            return yaml_lines.read(file)
+            return strict_yaml.read(file)
     what = f"problem: no file {beside} and no bundled problem of that name; check the path"
     line = document.line(("problem",))
     raise TandemError(Issue("batch.field", what, file=str(document.path), line=line, field="problem"))

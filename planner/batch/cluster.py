@@ -20,9 +20,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from planner.batch.job import Done, Event, Finished, Found, Job, Progress, all_versions, cancelled
-from planner.batch.place import Place, Record
-from planner.batch.process import MODULE
+from planner.batch.job import (
+    Done,
+    Event,
+    Finished,
+    Found,
+    Job,
+    Place,
+    Progress,
+    Record,
+    all_versions,
+    cancelled,
+)
+from planner.batch.workers import MODULE
 from planner.issues import Issue, TandemError
 
 CONNECT_S: Final = 20.0
@@ -128,7 +138,7 @@ class Cluster:
         """As of `planner.batch.workers.Workers`."""
         if job.name in self._sent:
             raise ValueError(f"a job {job.name!r} is under way; wait for its end or name this one otherwise")
-        from planner.batch import remote
+        from planner.batch import cluster_worker
 
         place = Place.claim(folder, record)
         token = f"tandem-{uuid.uuid4().hex}"
@@ -140,19 +150,19 @@ class Cluster:
             "module": self._module,
         }
         arguments = (token, self._topic, dict(job.files), more, self._versions)
-        future = self._client.submit(remote.plan, *arguments, key=token, pure=False)
+        future = self._client.submit(cluster_worker.plan, *arguments, key=token, pure=False)
         self._sent[job.name] = _Sent(job, place, future, token, time.monotonic())
         future.add_done_callback(lambda _: self._heard.put(("ended", (job.name, token))))
 
     def cancel(self, name: str) -> bool:
         """As of `planner.batch.workers.Workers`."""
-        from planner.batch import remote
+        from planner.batch import cluster_worker
 
         sent = self._sent.pop(name, None)
         if sent is None:
             return False
         with contextlib.suppress(OSError, TimeoutError):  # where workers are gone, so is the job
-            self._client.run(remote.cancel, sent.token, on_error="ignore")
+            self._client.run(cluster_worker.cancel, sent.token, on_error="ignore")
         sent.future.cancel(force=True)
         done = Done(name, "cancelled", (cancelled(name),), {}, time.monotonic() - sent.since)
         self._heard.put(("told", Finished(name, done)))

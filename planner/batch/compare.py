@@ -1,21 +1,72 @@
-"""Two plans, or two batches, side by side: figures, segments that changed, issues that came and went."""
+"""Two plans, or two batches, side by side, and the summary of one batch.
+
+Compared are figures, changed segments, issues that came and went. A result folder is read as it was
+saved: the plan, what the proof said of it, and its figures. Rows of the summary serve the table at
+the command line, ``summary.csv`` and one HTML file with thumbnails and a link to each report.
+"""
 
 from __future__ import annotations
 
+import base64
+import csv
 import dataclasses
+import html
+import io
+import json
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
+from PIL import Image
 
-from planner.batch.job import Done
-from planner.batch.place import Record
-from planner.batch.run import RECORDS
-from planner.batch.saved import Saved, read
-from planner.issues import Issue, TandemError
-from planner.plans import OperationPlan
+from planner import plans
+from planner.batch.job import Done, Record
+from planner.batch.run import RECORDS, Row
+from planner.batch.solve import figures
+from planner.issues import Issue, Severity, TandemError, accepted, aggregate
+from planner.plans import OperationPlan, Plan
+from planner.report import markup
+from planner.report.markup import CSS, Raw
 from planner.units import MM
+from planner.verify.result import RuleResult
+
+
+@dataclasses.dataclass(frozen=True)
+class Saved:
+    """A saved plan. ``ok``: its programs were proven; None where the folder has no proof."""
+
+    folder: Path
+    plan: Plan
+    ok: bool | None
+    rules: tuple[RuleResult, ...]
+    issues: tuple[Issue, ...]
+    figures: Mapping[str, float]
+
+
+def read_result(folder: Path) -> Saved:
+    """The result in a folder. Raises ``TandemError`` (``plan.missing_file``, ``plan.damaged``,
+    ``plan.schema``)."""
+    plan = plans.load(folder)
+    path = folder / "proof.json"
+    ok, rules, issues = _proof(path) if path.is_file() else (None, (), ())
+    found = [*plan.issues, *(issue for op in plan.operations for issue in op.issues), *issues]
+    return Saved(folder, plan, ok, rules, aggregate(found), figures(plan, rules))
+
+
+def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue, ...]]:
+    try:
+        data = json.loads(path.read_text("utf-8"))
+        rules = tuple(RuleResult(**rule) for rule in data["rules"])
+        return bool(data["ok"]), rules, tuple(Issue.from_dict(issue) for issue in data["issues"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        what = f"{path.name} is damaged: {type(error).__name__}: {error}"
+        raise TandemError(
+            Issue("plan.damaged", what, file=str(path), hint="plan the problem again")
+        ) from error
+
 
 SAME_S = 1e-9
 """Times that differ by less [s] are the same; so are angles [rad] and lengths [m]."""
@@ -73,7 +124,7 @@ class JobPair:
 
     def figure(self, name: str) -> Pair:
         """One figure of both; ``planning_s`` is the time of planning."""
-        sides = [None if done is None else _figure(done, name) for done in (self.first, self.second)]
+        sides = [None if done is None else _done_figure(done, name) for done in (self.first, self.second)]
         return Pair(name, *sides)
 
     @property
@@ -83,13 +134,13 @@ class JobPair:
         return differing(*found)
 
 
-def plans(first: Path, second: Path) -> Plans:
+def compare_plans(first: Path, second: Path) -> Plans:
     """Two result folders side by side; raises ``TandemError`` with what cannot be read of both."""
     sides: list[Saved] = []
     issues: list[Issue] = []
     for folder in (first, second):
         try:
-            sides.append(read(folder))
+            sides.append(read_result(folder))
         except TandemError as error:
             issues += error.issues
     if issues:
@@ -110,7 +161,7 @@ def is_batch(folder: Path) -> bool:
     return (folder / RECORDS).is_dir()
 
 
-def batches(first: Path, second: Path) -> list[JobPair]:
+def compare_batches(first: Path, second: Path) -> list[JobPair]:
     """The jobs of two batches by name, those of the first in their order, then what only the second has.
 
     Raises ``TandemError`` (``plan.missing_file``) for a folder that holds no batch.
@@ -143,7 +194,7 @@ def _records(folder: Path) -> Iterator[Done]:
             yield read_one[0]
 
 
-def _figure(done: Done, name: str) -> float | None:
+def _done_figure(done: Done, name: str) -> float | None:
     return done.seconds if name == "planning_s" else done.metrics.get(name)
 
 
@@ -213,3 +264,203 @@ def _seconds(operation: OperationPlan | None, run: slice | None) -> float | None
 
 def _largest(values: np.ndarray) -> float:
     return float(np.max(np.abs(values))) if values.size else 0.0
+
+
+FIGURES: Final[dict[str, str]] = {
+    "targets": "targets",
+    "cycle_s": "cycle s",
+    "clearance_mm": "clearance mm",
+    "joint_limits_deg": "to limits deg",
+    "joint_speed_percent": "joint speed %",
+    "singularity_deg": "singularity deg",
+    "surface_percent": "surface %",
+    "path_cost": "path cost",
+}
+"""Figures of a job that every summary shows, and what they are called."""
+STATES: Final[dict[str, str]] = {
+    "verified": "verified",
+    "unproven": "not proven",
+    "infeasible": "no plan",
+    "bad_input": "bad input",
+    "crashed": "crashed",
+    "timeout": "time-out",
+    "memory": "memory",
+    "cancelled": "cancelled",
+}
+
+
+def varied(rows: Iterable[Row]) -> list[str]:
+    """Paths of all fields that batch files varied, in order of first appearance."""
+    return list(dict.fromkeys(path for row in rows for path in row.item.varied))
+
+
+def value_text(value: object) -> str:
+    """A varied value as short text."""
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+
+
+def worst(done: Done) -> Issue | None:
+    """The issue that says most about a job: the first error, else the first warning."""
+    for severity in (Severity.ERROR, Severity.WARNING):
+        for issue in done.issues:
+            if issue.severity is severity:
+                return issue
+    return None
+
+
+def counted(row: Row) -> str:
+    """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
+    accepts."""
+    told = []
+    for severity in Severity:
+        count = sum(issue.severity is severity for issue in row.done.issues)
+        if count:
+            told.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
+    taken = accepted(row.done.issues)
+    told += [f"accepted: {' '.join(taken)}"] if taken else []
+    return ", ".join(told)
+
+
+def figure_text(name: str, value: float | None) -> str:
+    """A figure as people read it; nothing where it is not known."""
+    if value is None:
+        return ""
+    return f"{value:.0f}" if name == "targets" else f"{value:.4g}"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, those that the
+    problem accepts, varied fields, figures, planning time [s], first error or warning."""
+    paths = varied(rows)
+    stream = io.StringIO()
+    writer = csv.writer(stream)
+    heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
+    writer.writerow(heads)
+    for row in rows:
+        codes = " ".join(dict.fromkeys(issue.code for issue in row.done.issues))
+        values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
+        figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
+        said = worst(row.done)
+        message = said.message if said is not None else ""
+        taken = " ".join(accepted(row.done.issues))
+        cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
+        writer.writerow([_harmless(cell) for cell in (*cells, f"{row.done.seconds:.3f}", message)])
+    return stream.getvalue()
+
+
+def _full(value: float | None) -> str:
+    return "" if value is None else str(int(value)) if value.is_integer() else repr(value)
+
+
+def _harmless(cell: str) -> str:
+    """A cell that no spreadsheet takes for a formula; numbers stay as they are."""
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}" if cell[:1] in ("=", "+", "-", "@", "\t") else cell
+    return cell
+
+
+THUMBNAIL: Final = (200, 120)
+"""Largest width and height of a thumbnail [pixels]."""
+MAX_REPORT: Final = 50_000_000
+MAX_PIXELS: Final = 40_000_000
+_PICTURE = re.compile(r'<img alt="the cell" src="data:image/png;base64,([A-Za-z0-9+/=]+)"')
+KIND: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
+OWN: Final = (
+    "main{max-width:1500px}td img{display:block;width:128px;border-radius:6px;background:#fff}"
+    "td a{color:var(--accent)}td:first-child{width:140px}td .soft{font-size:12px;overflow-wrap:anywhere}"
+    "tr.has>td{border-bottom:0}tr.said>td{padding-top:0}"
+)
+
+
+def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
+    """The page; ``out`` is the folder of the results, which links and thumbnails come from, and ``seconds``
+    [s] what the whole batch took this time."""
+    paths = varied(rows)
+    known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
+    varied_heads = [Raw(html.escape(path).replace(".", ".<wbr>")) for path in paths]
+    figure_heads = [FIGURES[name] for name in known]
+    heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
+    body = "".join(_lines(row, paths, known, out, len(heads)) for row in rows)
+    counts: Counter[str] = Counter(row.done.state for row in rows)
+    tiles = "".join(
+        _tile(str(counts[state]), name, state != "verified")
+        for state, name in STATES.items()
+        if counts[state]
+    )
+    kept = sum(row.kept for row in rows)
+    told = f"{len(rows)} problems in {seconds:.0f} s" + (f", {kept} kept from earlier runs" if kept else "")
+    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{told}</p>"
+    inner = f'{head}<div class="tiles">{tiles}</div>{markup.section("jobs", "Results", _table(heads, body))}'
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{CSS}{OWN}</style></head>'
+        f"<body><main>{inner}</main></body></html>\n"
+    )
+
+
+def thumbnail(report: Path) -> bytes | None:
+    """The cell's picture in a report as a small PNG; None where it has none that can be read."""
+    try:
+        if report.stat().st_size > MAX_REPORT:
+            return None
+        found = _PICTURE.search(report.read_text("utf-8"))
+        if found is None:
+            return None
+        with Image.open(io.BytesIO(base64.b64decode(found[1])), formats=["PNG"]) as picture:
+            if picture.width * picture.height > MAX_PIXELS:
+                return None
+            small = picture.convert("RGBA")
+            small.thumbnail(THUMBNAIL)
+    except (OSError, ValueError):
+        return None
+    stream = io.BytesIO()
+    small.save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, width: int) -> str:
+    """A job's row of the table, and one more for its issues where it has any."""
+    report = f"{row.item.name}/report.html"
+    small = thumbnail(out / report)
+    shown = ""
+    if small is not None:
+        data = base64.b64encode(small).decode()
+        shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
+    state = row.done.state
+    tag = f'<span class="tag {KIND.get(state, "bad")}">{STATES[state]}</span>'
+    linked = (out / report).is_file()
+    name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
+    name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
+    values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
+    figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in known]
+    cells = [Raw(shown), Raw(name), Raw(tag), *values, *figures, row.done.seconds]
+    kind = ' class="has"' if row.done.issues else ""
+    line = f"<tr{kind}>{''.join(_cell(cell) for cell in cells)}</tr>"
+    said = worst(row.done)
+    if not row.done.issues:
+        return line
+    text = html.escape(counted(row))
+    if said is not None:
+        text += f": <code>{said.code}</code> {html.escape(said.message)}"
+    return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
+
+
+def _figure_cell(name: str, value: float | None) -> object:
+    return "" if value is None else int(value) if name == "targets" else value
+
+
+def _cell(cell: object) -> str:
+    kind = ' class="n"' if isinstance(cell, int | float) else ""
+    return f"<td{kind}>{markup.text(cell)}</td>"
+
+
+def _table(heads: Sequence[str], body: str) -> Raw:
+    head = "".join(f"<th>{markup.text(name)}</th>" for name in heads)
+    inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
+    return Raw(f'<div class="scroll"><table>{inner}</table></div>')
+
+
+def _tile(figure: str, name: str, bad: bool) -> str:
+    return f'<div class="tile{" bad" if bad else ""}"><b>{figure}</b><span>{name}</span></div>'

@@ -66,9 +66,9 @@ def _say(answers: TextIO, kind: str, content: object) -> None:
 def _planning() -> Solve:
     """All that planning needs; importing it takes longer than many a job."""
     from planner.batch.solve import solve
-    from planner.cell import kept
+    from planner.cell import plant
 
-    models = kept.keep()
+    models = plant.keep_models()
 
     def with_kept_models(
         name: str, source: Path, result: Path, origins: Mapping[str, str], tell: Tell, hear: Hear

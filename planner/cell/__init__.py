@@ -1,0 +1,1 @@
+"""The cell in Drake: robots, tools, bodies, their distances; stands beside the flow."""

@@ -1,24 +1,160 @@
-"""The solids of a cell's bodies as Drake holds them, and where the bodies are, in NumPy and batched."""
+"""The solids of a cell's bodies: as Drake holds them, where they are, how far points are from them.
+
+Places and signed distances to convex solids, exact inside and outside, are worked out in NumPy,
+batched. Which pairs of bodies are not held apart, and why, is decided once when a cell is built,
+and shown in the report.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.geometry import Box, Capsule, Cylinder, SceneGraphInspector
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    InMemoryMesh,
+    Mesh,
+    SceneGraphInspector,
+    Sphere,
+)
+from pydrake.geometry import Shape as DrakeShape
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
+from pydrake.planning import SceneGraphCollisionChecker
+from scipy.spatial import ConvexHull
 
-from planner.catalogue import RobotData
-from planner.cell.distance import Solid
-from planner.cell.robots import link_frames
-from planner.geometry.rigid import from_parts
-from planner.geometry.shapes import Shape
+from planner.catalogue.robots import RobotData
+from planner.cell.kinematics import link_frames
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape, from_parts
 from planner.problem import Cell, Stock
 from planner.tooling import working_solid
 
-FloatArray = NDArray[np.float64]
+
+def drake_shape(shape: Shape, solid: bool) -> DrakeShape:
+    """Drake's shape; a mesh becomes its convex hull when ``solid`` (for collision), else the mesh itself
+    (to be seen).
+
+    Raises ``ValueError`` for a mesh without vertices.
+    """
+    if shape.kind == "box":
+        return Box(*shape.size)
+    if shape.kind == "cylinder":
+        return Cylinder(*shape.size)
+    if shape.kind == "capsule":
+        return Capsule(*shape.size)
+    if shape.kind == "sphere":
+        return Sphere(*shape.size)
+    if shape.vertices is None or shape.faces is None:
+        raise ValueError("a mesh shape needs vertices and faces")
+    text = _obj(shape.vertices, shape.faces)
+    memory = InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "mesh.obj"))
+    return Convex(memory) if solid else Mesh(memory)
+
+
+def _obj(vertices: np.ndarray, faces: np.ndarray) -> str:
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+@dataclasses.dataclass(frozen=True)
+class LeastClearance:
+    """Least distances ``distance`` (B,) [m], negative inside, and the ``pair`` of bodies of each.
+
+    Where nothing is within the reach that was asked for, the distance is that reach and the pair is ("", "").
+    """
+
+    distance: FloatArray
+    pair: tuple[tuple[str, str], ...]
+
+    def worst(self) -> int:
+        """Index of the least distance."""
+        return int(np.argmin(self.distance))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solid:
+    """A collision solid of a body: ``shape.pose`` is in the body's frame; a mesh stands for its convex
+    hull."""
+
+    body: str
+    shape: Shape
+
+    @functools.cached_property
+    def hull(self) -> tuple[FloatArray, FloatArray]:
+        """Half spaces (F, 4), normal and offset, and triangles (F, 3, 3) of a mesh's hull in the shape's
+        frame."""
+        if self.shape.vertices is None:
+            raise ValueError(f"a {self.shape.kind} has no hull")
+        hull = ConvexHull(self.shape.vertices)
+        return hull.equations, hull.points[hull.simplices]
+
+
+def extent(solid: Solid) -> FloatArray:
+    """Edge lengths (3,) [m] of a box about the origin of the shape's frame that holds the solid."""
+    shape = solid.shape
+    if shape.vertices is not None:
+        return np.asarray(2.0 * np.abs(shape.vertices).max(axis=0))
+    if shape.kind == "box":
+        return np.asarray(shape.size)
+    long = shape.size[1] if len(shape.size) > 1 else 0.0
+    caps = 0.0 if shape.kind == "cylinder" else 2.0 * shape.size[0]
+    return np.array([2.0 * shape.size[0], 2.0 * shape.size[0], long + caps])
+
+
+def signed_distance(solid: Solid, points: FloatArray) -> FloatArray:
+    """Distances (...,) [m] of points (..., 3) in the shape's frame to its surface, negative inside."""
+    kind, size = solid.shape.kind, solid.shape.size
+    if kind == "sphere":
+        return np.asarray(np.linalg.norm(points, axis=-1) - size[0])
+    if kind == "capsule":
+        rest = np.maximum(np.abs(points[..., 2]) - 0.5 * size[1], 0.0)
+        return np.asarray(np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + rest**2) - size[0])
+    if kind == "cylinder":
+        side = np.hypot(points[..., 0], points[..., 1]) - size[0]
+        cap = np.abs(points[..., 2]) - 0.5 * size[1]
+        outside = np.hypot(np.maximum(side, 0.0), np.maximum(cap, 0.0))
+        return np.asarray(outside + np.minimum(np.maximum(side, cap), 0.0))
+    if kind == "box":
+        over = np.abs(points) - 0.5 * np.asarray(size)
+        outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
+    return _hull_distance(solid, points)
+
+
+def _hull_distance(solid: Solid, points: FloatArray) -> FloatArray:
+    planes, triangles = solid.hull
+    flat = points.reshape(-1, 3)
+    out = (flat @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+    outside = np.flatnonzero(out > 0.0)
+    for part in np.array_split(outside, max(1, len(outside) * len(triangles) // 200_000)):
+        out[part] = _triangle_distance(flat[part, None], triangles[None]).min(axis=1)
+    return np.asarray(out.reshape(points.shape[:-1]))
+
+
+def _triangle_distance(p: FloatArray, triangle: FloatArray) -> FloatArray:
+    """Distances of points (..., 3) to triangles (..., 3, 3): to the plane where the foot is inside, else to
+    the edges."""
+    a, b, c = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
+    normal = np.cross(b - a, c - a)
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    height = np.sum((p - a) * normal, axis=-1)
+    inside = np.ones(height.shape, dtype=bool)
+    edges = np.full(height.shape, np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, ray = end - start, p - start
+        inside &= np.sum(np.cross(edge, ray) * normal, axis=-1) >= 0.0
+        t = np.clip(np.sum(ray * edge, axis=-1) / np.sum(edge * edge, axis=-1), 0.0, 1.0)
+        edges = np.minimum(edges, np.linalg.norm(ray - t[..., None] * edge, axis=-1))
+    return np.asarray(np.where(inside, np.abs(height), edges))
 
 
 def own_shapes(cell: Cell, stock: Stock) -> dict[str, tuple[Shape, ...]]:
@@ -84,3 +220,98 @@ def body_poses(arm: str, robot: RobotData, base: FloatArray, q: FloatArray) -> d
     out[f"{arm}/tool"] = frames[:, 6]
     out[f"{arm}/base_link"] = base[None]
     return out
+
+
+FilteredPair = tuple[str, str, str]
+
+RANDOM_POSTURES: Final = 200
+NEAR_SHARE: Final = 0.95
+NEAR_DISTANCE: Final = 0.012
+"""Bodies of one arm within this distance [m] in nearly all postures tell nothing when they are near."""
+
+LINK_CHAIN: Final = ("base_link", *(f"link_{i}" for i in range(1, 7)), "tool")
+EDGE_FILTERED: Final = {
+    "tool": "the edge belongs to the tool",
+    "link_6": "the edge is fixed to the flange",
+    "link_5": "kept apart by the robot's own build",
+}
+HELD_FILTERED: Final = {
+    "tool": "the block is held by the tool",
+    "link_6": "the block is fixed to the flange",
+    "link_5": "of one arm and always near each other",
+}
+"""Why an arm's own edge, and a block that it holds, are not held apart from these bodies of the arm."""
+
+BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
+"""Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""
+
+
+def filter_pairs(
+    checker: SceneGraphCollisionChecker,
+    names: Mapping[int, str],
+    limits: tuple[FloatArray, FloatArray],
+    holder: str | None = None,
+) -> tuple[FilteredPair, ...]:
+    """Filters pairs of one arm in the checker and returns all filtered pairs with reasons, sorted.
+
+    Neighbours and the pairs of BUILT_APART, EDGE and HELD are filtered by structure; ``holder`` is the arm
+    that holds the stock, if any. Other pairs of one arm are filtered when they come within 12 mm in more than
+    95 % of 200 random postures (seeded) within the limits (nq,), (nq,).
+    """
+    shaped = {index for index in names if _has_solids(checker, index)}
+    out: list[FilteredPair] = []
+    for a in sorted(shaped):
+        for b in sorted(shaped):
+            if a < b and (reason := _structural(names[a], names[b], holder)):
+                out.append((names[a], names[b], reason))
+                if "fixed to the world" not in reason:
+                    checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
+    near = _always_near(checker, names, limits)
+    for a, b in near:
+        checker.SetCollisionFilteredBetween(BodyIndex(a), BodyIndex(b), True)
+        out.append((names[a], names[b], "of one arm and always near each other"))
+    return tuple(sorted(out))
+
+
+def _has_solids(checker: Any, index: int) -> bool:
+    return bool(checker.plant().GetCollisionGeometriesForBody(checker.plant().get_body(BodyIndex(index))))
+
+
+def fixed(name: str, holder: str | None) -> bool:
+    """Whether a body stands in the world; ``holder`` is the arm that holds the stock, if any."""
+    if name == "stock" and holder is not None:
+        return False
+    return "/" not in name or name.endswith("/base_link")
+
+
+def _structural(a: str, b: str, holder: str | None) -> str | None:
+    if fixed(a, holder) and fixed(b, holder):
+        return "both fixed to the world"
+    (arm_a, _, link_a), (arm_b, _, link_b) = a.partition("/"), b.partition("/")
+    if holder is not None and "stock" in (a, b):
+        arm, link = (arm_a, link_a) if b == "stock" else (arm_b, link_b)
+        return HELD_FILTERED.get(link) if arm == holder else None
+    if not link_a or not link_b or arm_a != arm_b:
+        return None
+    if "edge" in (link_a, link_b):
+        return EDGE_FILTERED.get(link_a if link_b == "edge" else link_b)
+    pair = (LINK_CHAIN.index(link_a), LINK_CHAIN.index(link_b))
+    if pair in BUILT_APART:
+        return "kept apart by the robot's own build"
+    return "neighbours in the chain" if abs(pair[0] - pair[1]) == 1 else None
+
+
+def _always_near(
+    checker: SceneGraphCollisionChecker, names: Mapping[int, str], limits: tuple[FloatArray, FloatArray]
+) -> list[tuple[int, int]]:
+    rng = np.random.default_rng(20)
+    lower, upper = limits
+    counts: dict[tuple[int, int], int] = {}
+    for q in rng.uniform(lower, upper, size=(RANDOM_POSTURES, len(lower))):
+        found = checker.CalcRobotClearance(q, NEAR_DISTANCE)
+        pairs = zip(found.robot_indices(), found.other_indices(), found.distances(), strict=True)
+        near = {(min(int(a), int(b)), max(int(a), int(b))) for a, b, d in pairs if d < NEAR_DISTANCE}
+        for pair in near:
+            if names[pair[0]].partition("/")[0] == names[pair[1]].partition("/")[0]:
+                counts[pair] = counts.get(pair, 0) + 1
+    return sorted(pair for pair, count in counts.items() if count > NEAR_SHARE * RANDOM_POSTURES)

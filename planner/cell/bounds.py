@@ -12,21 +12,17 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.cell.distance import Solid, extent
-from planner.cell.filters import fixed as is_fixed
+from planner.cell.bodies import Solid, extent
+from planner.cell.bodies import fixed as is_fixed
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths
 from planner.geometry.rigid import from_parts
-from planner.geometry.vectors import dots, lengths
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-
-SAMPLES: Final = 5
+AXIS_SAMPLES: Final = 5
 """Points on a capsule's axis whose distances to a box bound that of the whole axis."""
-GROUP: Final = 32
+ROWS_AT_ONCE: Final = 32
 """Rows that are held against a box at once at first."""
-FINE: Final = 2e-5
+AXIS_RESOLUTION: Final = 2e-5
 """Length [m] of axis within which the place nearest to a box is found."""
 
 
@@ -45,7 +41,7 @@ class Bounds:
 
     solids: tuple[Solid, ...]
     bodies: tuple[str, ...]
-    part: IntArray
+    part: IndexArray
     centre: FloatArray
     axis: FloatArray
     outer: tuple[FloatArray, FloatArray]
@@ -54,9 +50,9 @@ class Bounds:
     support: FloatArray
     boxes: tuple[Solid, ...]
     half: FloatArray
-    exact: NDArray[np.bool_]
-    pairs: IntArray
-    box_pairs: IntArray
+    exact: BoolArray
+    pairs: IndexArray
+    box_pairs: IndexArray
 
     def among(self, ignore: frozenset[frozenset[str]]) -> Bounds:
         """The same without the pairs of bodies in ``ignore``."""
@@ -115,8 +111,8 @@ class Bounds:
         return lower, upper
 
     def _near(
-        self, centre: FloatArray, limit: float, rows: NDArray[np.bool_]
-    ) -> tuple[IntArray, IntArray, IntArray]:
+        self, centre: FloatArray, limit: float, rows: BoolArray
+    ) -> tuple[IndexArray, IndexArray, IndexArray]:
         """Row and both capsules of the pairs whose bounding spheres come within ``limit``, in the rows
         named."""
         reach = self.outer[0] + self.outer[1]
@@ -145,15 +141,15 @@ class Bounds:
         reach = self.outer[0] + self.outer[1]
         held = np.zeros((len(reach), count), dtype=bool)
         held[self.box_pairs[:, 0], self.box_pairs[:, 1]] = True
-        first = np.arange(0, len(centre), GROUP)
+        first = np.arange(0, len(centre), ROWS_AT_ONCE)
         low, high = (end.reduceat(centre, first, axis=0) for end in (np.minimum, np.maximum))
         middle = (0.5 * (low + high)).reshape(-1, 3)
         apart = _box((middle - place[:, None]) @ turn, self.half[:, None]).T.reshape(*low.shape[:2], count)
         room = reach + 0.5 * np.linalg.norm(high - low, axis=2) + limit
         # a group with a row that is not finite has no distances, and may be near everything
         group, solid, box = np.nonzero(held & ~(apart >= room[..., None]))
-        row = (first[group][:, None] + np.arange(GROUP)).ravel()
-        solid, box = np.repeat(solid, GROUP), np.repeat(box, GROUP)
+        row = (first[group][:, None] + np.arange(ROWS_AT_ONCE)).ravel()
+        solid, box = np.repeat(solid, ROWS_AT_ONCE), np.repeat(box, ROWS_AT_ONCE)
         there = row < len(centre)
         row, solid, box = row[there], solid[there], box[there]
         local = np.einsum("mc,mcd->md", centre[row, solid] - place[box], turn[box])
@@ -175,7 +171,7 @@ class Bounds:
         least = near.apart - size - radius
         near = near.some(np.flatnonzero((least <= most[near.row]) & (least < limit)))
         value = self._on_axis(near, self.outer[0])
-        step = 2.0 * self.outer[0][near.solid] / (SAMPLES - 1)
+        step = 2.0 * self.outer[0][near.solid] / (AXIS_SAMPLES - 1)
         least, radius = value.min(axis=1), self.outer[1][near.solid]
         between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
         low = np.minimum(between.min(axis=1), least) - radius
@@ -185,11 +181,12 @@ class Bounds:
         np.minimum.at(lower, near.row, low)
 
     def _to_box(self, near: _NearBox) -> FloatArray:
-        """Distances (M,) of outer capsules to boxes, too small by half of ``FINE`` at most: along an axis the
-        distance to a box is convex, so that its slope tells on which side of a point it is least."""
+        """Distances (M,) of outer capsules to boxes, too small by half of ``AXIS_RESOLUTION`` at most:
+        along an axis the distance to a box is convex, so that its slope tells on which side of a point it is
+        least."""
         high = self.outer[0][near.solid]
         low = -high
-        for _ in range(int(np.ceil(np.log2(max(2.0 * float(high.max(initial=0.0)) / FINE, 1.0))))):
+        for _ in range(int(np.ceil(np.log2(max(2.0 * float(high.max(initial=0.0)) / AXIS_RESOLUTION, 1.0))))):
             middle = 0.5 * (low + high)
             falls = _slope(near.place + middle[:, None] * near.along, near.along, near.half) < 0.0
             low, high = np.where(falls, middle, low), np.where(falls, high, middle)
@@ -199,7 +196,7 @@ class Bounds:
     def _on_axis(self, near: _NearBox, length: FloatArray) -> FloatArray:
         """Distances (M, SAMPLES) to the boxes of points along the axes, out to the half lengths ``length``
         (S,)."""
-        t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, SAMPLES)
+        t = length[near.solid][:, None] * np.linspace(-1.0, 1.0, AXIS_SAMPLES)
         return _box(near.place[:, None] + t[..., None] * near.along[:, None], near.half[:, None])
 
 
@@ -208,15 +205,15 @@ class _NearBox:
     """Capsules near boxes: row, solid and box (M,), centre and axis (M, 3) in the box's frame, its half size
     (M, 3), and the distance (M,) of the centre."""
 
-    row: IntArray
-    solid: IntArray
-    box: IntArray
+    row: IndexArray
+    solid: IndexArray
+    box: IndexArray
     place: FloatArray
     along: FloatArray
     half: FloatArray
     apart: FloatArray
 
-    def some(self, chosen: IntArray) -> _NearBox:
+    def some(self, chosen: IndexArray) -> _NearBox:
         """Some of them."""
         return _NearBox(*(getattr(self, field.name)[chosen] for field in dataclasses.fields(self)))
 

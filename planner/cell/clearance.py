@@ -1,8 +1,8 @@
-"""Whether bodies of a cell keep apart, by how much, and how that changes with the joints. Batched over
-configurations.
+"""Whether bodies of a cell keep apart, by how much, and how that changes with the joints. Batched.
 
-Arms that are not named in ``q`` stay at home. Pairs that :attr:`CellModel.pairs_filtered` lists are not
-looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those.
+Arms that are not named in ``q`` stay at home. Pairs that :attr:`CellModel.pairs_filtered` lists are
+not looked at, which include pairs of fixed bodies: :func:`overlaps` looks at those. `edge` measures
+from a flexible edge (a wire) that joins the tools to every body of the cell.
 """
 
 from __future__ import annotations
@@ -11,36 +11,147 @@ import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.cell.distance import LeastClearance
-from planner.cell.edge import edge
+from planner.cell.bodies import LeastClearance, Solid, extent, signed_distance
 from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+
+Against = Literal["all", "no_stock"]
+
+GOLDEN_RATIO: Final = (np.sqrt(5.0) - 1.0) / 2.0
+GOLDEN_STEPS: Final = 36
+"""Golden-section steps: an interval of 50 mm shrinks to below 2 nm."""
+
+
+def edge(
+    model: CellModel,
+    q: Mapping[str, FloatArray],
+    points: FloatArray,
+    radius: float,
+    skip_ends: float,
+    against: Against = "all",
+) -> LeastClearance:
+    """Least distance (B,) [m] of the edge's surface to any body, over chains of points (B, P, 3) in the
+    world.
+
+    The chain runs straight from point to point and has the half thickness ``radius``. Its first end belongs
+    to the first arm named in ``q``, its last one to the last; parts within the arc length ``skip_ends`` [m]
+    of an end are not held against that arm's tool and link_6. "no_stock" leaves the stock out. The pair is
+    ("edge", body).
+
+    The distance to a convex solid is a convex function along a straight piece, so the least one between two
+    points is found by golden section wherever the ends do not rule it out.
+    """
+    arms = tuple(q)
+    poses = model.poses(q)
+    chains = {"": _Chain(points, np.zeros(points.shape[:2], dtype=bool))}
+    if arms:
+        chains[arms[0]] = _clip(points, skip_ends, last=False)
+        chains[arms[-1]] = _clip(points, skip_ends, last=True) if len(arms) > 1 else chains[arms[0]]
+    solids = [s for s in model.solids if s.body != "stock" or against == "all"]
+    best = np.full(len(points), np.inf)
+    who = np.zeros(len(points), dtype=np.intp)
+    rough = []
+    for k, solid in enumerate(solids):
+        arm, _, link = solid.body.partition("/")
+        chain = chains.get(arm if link in ("tool", "link_6") else "", chains[""])
+        frame = poses[solid.body] @ solid.shape.pose
+        local = (chain.points - frame[..., None, :3, 3]) @ frame[..., :3, :3]
+        value = _at_points(solid, local, chain, best)
+        rough.append((local, chain, value))
+        _keep(best, who, value.min(axis=1), k)
+    for k, (solid, (local, chain, value)) in enumerate(zip(solids, rough, strict=True)):
+        low = 0.5 * (value[:, :-1] + value[:, 1:] - chain.steps)
+        row, piece = np.nonzero(low < best[:, None])
+        if len(row):
+            found = best.copy()
+            np.minimum.at(found, row, _least_on(solid, local[row, piece], local[row, piece + 1]))
+            _keep(best, who, found, k)
+    pairs = (("edge", solids[k].body) if np.isfinite(b) else ("", "") for k, b in zip(who, best, strict=True))
+    return LeastClearance(best - radius, tuple(pairs))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Chain:
+    """Points (B, P, 3) and which of them are left out (B, P)."""
+
+    points: FloatArray
+    skip: BoolArray
+
+    @functools.cached_property
+    def steps(self) -> FloatArray:
+        return np.asarray(np.linalg.norm(np.diff(self.points, axis=1), axis=-1))
+
+
+def _clip(points: FloatArray, length: float, last: bool) -> _Chain:
+    """The chain without the arc length ``length`` at one end: the point before the cut moves onto the cut."""
+    chain = points[:, ::-1] if last else points
+    steps = np.linalg.norm(np.diff(chain, axis=1), axis=-1)
+    arc = np.concatenate([np.zeros((len(chain), 1)), np.cumsum(steps, axis=1)], axis=1)
+    skip = arc < length
+    moved = chain.copy()
+    row = np.flatnonzero(skip.any(axis=1) & ~skip.all(axis=1))
+    at = skip[row].sum(axis=1) - 1
+    part = (length - arc[row, at]) / steps[row, at]
+    moved[row, at] += part[:, None] * (chain[row, at + 1] - chain[row, at])
+    skip[row, at] = False
+    return _Chain(moved[:, ::-1], skip[:, ::-1]) if last else _Chain(moved, skip)
+
+
+def _keep(best: FloatArray, who: IndexArray, value: FloatArray, k: int) -> None:
+    closer = value < best
+    best[closer], who[closer] = value[closer], k
+
+
+def _at_points(solid: Solid, local: FloatArray, chain: _Chain, best: FloatArray) -> FloatArray:
+    """Distances (B, P) at the points, infinite where a bounding sphere shows that they cannot matter."""
+    rough = np.linalg.norm(local, axis=-1) - 0.5 * float(np.linalg.norm(extent(solid)))
+    near = ~chain.skip & (rough < (best + chain.steps.max(axis=1, initial=0.0))[:, None])
+    value = np.full(local.shape[:2], np.inf)
+    value[near] = signed_distance(solid, local[near])
+    return value
+
+
+def _least_on(solid: Solid, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Least distance (M,) on straight pieces from ``start`` to ``end`` (M, 3), by golden section."""
+    low, high = np.zeros(len(start)), np.ones(len(start))
+
+    def at(t: FloatArray) -> FloatArray:
+        return signed_distance(solid, start + t[:, None] * (end - start))
+
+    inner, outer = high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)
+    left, right = at(inner), at(outer)
+    for _ in range(GOLDEN_STEPS):
+        down = left < right
+        low, high = np.where(down, low, inner), np.where(down, outer, high)
+        inner, outer = high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)
+        left, right = at(inner), at(outer)
+    return np.minimum(left, right)
+
 
 __all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "least", "overlaps"]
 
-FloatArray = NDArray[np.float64]
 Pairs = frozenset[frozenset[str]]
 
-FEW: Final = 16
+FEW_CONFIGURATIONS: Final = 16
 """Below so many configurations asking Drake at once is faster than the bounds."""
 
 NUDGE: Final = 1e-6
-NUDGES: Final = 8
+NUDGE_TRIALS: Final = 8
 """A configuration that Drake's solver cannot tell about is moved by up to NUDGE [rad], in so many trials."""
 
-CHUNK: Final = 1024
-TOUCH: Final = 1e-4
+CONFIGURATIONS_AT_ONCE: Final = 1024
+BOUND_ERROR: Final = 1e-4
 """Bounds settle a distance only where they differ from the padding by more than this [m], above the
 solvers' errors."""
 
 
 def free(
     model: CellModel, q: Mapping[str, FloatArray], padding: float, ignore: Pairs = frozenset()
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Whether every pair of bodies, except those in ``ignore``, is farther apart than ``padding`` [m], as
     (B,).
 
@@ -48,8 +159,8 @@ def free(
     """
     rows = model.stack(q)
     good = np.asarray(np.isfinite(rows).all(axis=1))
-    if len(rows) >= FEW:
-        lower, upper = _bounds(model, rows, padding, ignore, padding - TOUCH)
+    if len(rows) >= FEW_CONFIGURATIONS:
+        lower, upper = _bounds(model, rows, padding, ignore, padding - BOUND_ERROR)
         settled = good & (lower > padding)
         unsettled = good & (lower <= padding) & (upper > padding)
         return np.asarray(settled | _asked(model, rows, unsettled, padding, ignore))
@@ -64,9 +175,7 @@ def at_least(
     return np.asarray(np.minimum(lower, reach))
 
 
-def _asked(
-    model: CellModel, rows: FloatArray, which: NDArray[np.bool_], padding: float, ignore: Pairs
-) -> NDArray[np.bool_]:
+def _asked(model: CellModel, rows: FloatArray, which: BoolArray, padding: float, ignore: Pairs) -> BoolArray:
     """Drake's verdict (B,) on the rows that ``which`` names; False for the others."""
     good = which.copy()
     checker = model.checker
@@ -94,11 +203,11 @@ def _bounds(
     upper ones are unless ``both`` are asked for."""
     bounds = model.bounds.among(ignore)
     lower, upper = np.empty(len(rows)), np.empty(len(rows))
-    for start in range(0, len(rows), CHUNK):
-        part = slice(start, start + CHUNK)
+    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
+        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
         q = {arm: rows[part, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
-        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * TOUCH, settled, both)
-    return lower - TOUCH, upper + TOUCH
+        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * BOUND_ERROR, settled, both)
+    return lower - BOUND_ERROR, upper + BOUND_ERROR
 
 
 def least(
@@ -112,7 +221,7 @@ def least(
     finite = np.isfinite(rows).all(axis=1)
     distance = np.where(finite, reach, np.nan)
     lower, upper = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
-    if len(rows) >= FEW:
+    if len(rows) >= FEW_CONFIGURATIONS:
         lower, upper = _bounds(model, rows, reach, ignore)
     pairs = [("", "")] * len(rows)
     with _ignored(model, ignore):
@@ -144,7 +253,7 @@ class Near:
 
     distance: FloatArray
     gradient: FloatArray
-    bodies: NDArray[np.intp]
+    bodies: IndexArray
 
 
 def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()) -> list[Near]:
@@ -199,9 +308,9 @@ def _steady(ask: Callable[[FloatArray], Any], row: FloatArray) -> Any:
 
     Its solver for two boxes gives up, with a ``RuntimeError``, where faces or edges lie exactly in one plane.
     """
-    for trial in range(NUDGES):
+    for trial in range(NUDGE_TRIALS):
         try:
-            return ask(row + trial * NUDGE / NUDGES * np.cos(np.arange(len(row)) + trial))
+            return ask(row + trial * NUDGE / NUDGE_TRIALS * np.cos(np.arange(len(row)) + trial))
         except RuntimeError:
             continue
     return ask(row + NUDGE * np.sin(np.arange(len(row))))

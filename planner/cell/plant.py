@@ -1,14 +1,20 @@
-"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs of bodies are held
-apart."""
+"""One Drake diagram of a cell: robots, tools, stock, support, obstacles, and which pairs keep apart.
+
+A process can keep its models from one problem to the next, while cell and stock stay the same. Off
+unless :func:`keep_models` is called, as worker processes do. Within a job nothing is shared:
+planner, proof and report have models of their own, as ever; the next job finds each where the last
+one left it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
@@ -16,21 +22,115 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, FixedOffsetFrame, RigidBody, SpatialInertia
 from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
-from planner import catalogue
-from planner.catalogue import RobotData
-from planner.cell import kept, standing
-from planner.cell.bodies import body_poses, collect, own_shapes
+from planner.catalogue import robots as catalogue
+from planner.catalogue.robots import RobotData
+from planner.cell import support
+from planner.cell.bodies import (
+    FilteredPair,
+    Solid,
+    body_poses,
+    collect,
+    drake_shape,
+    filter_pairs,
+    own_shapes,
+)
 from planner.cell.bounds import Bounds, prepare
-from planner.cell.distance import Solid
-from planner.cell.filters import FilteredPair, filter_pairs
-from planner.cell.robots import forward
-from planner.cell.solids import drake_shape
-from planner.geometry.shapes import Shape
+from planner.cell.kinematics import forward
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape
 from planner.issues import Issue, TandemError
 from planner.problem import Cell, Stock
 from planner.tooling import working_solid
 
-FloatArray = NDArray[np.float64]
+Model = TypeVar("Model")
+MOST_MODELS: Final = 8
+"""So many models are kept, those last used."""
+
+
+class ModelCache(Generic[Model]):
+    """At most ``count`` models by the content of what they were built from."""
+
+    def __init__(self, count: int = MOST_MODELS) -> None:
+        self._count = count
+        self._models: OrderedDict[tuple[str, int], Model] = OrderedDict()
+        self._asked: dict[str, int] = {}
+        self.reused = 0
+
+    def next_job(self) -> None:
+        """What was handed out is free again."""
+        self._asked.clear()
+
+    def get(self, content: object, make: Callable[[], Model]) -> Model:
+        """A model of ``content`` that this job does not have yet: one that is kept, or a new one."""
+        key = content_digest(content)
+        number = self._asked.get(key, 0)
+        self._asked[key] = number + 1
+        model = self._models.pop((key, number), None)
+        self.reused += model is not None
+        if model is None:
+            model = make()
+        self._models[(key, number)] = model
+        while len(self._models) > self._count:
+            self._models.popitem(last=False)
+        return model
+
+
+_kept: ModelCache[Any] | None = None
+
+
+def keep_models(count: int = MOST_MODELS) -> ModelCache[Any]:
+    """From now on models are kept in this process; call ``next_job`` of what comes back between jobs."""
+    global _kept
+    _kept = ModelCache(count)
+    return _kept
+
+
+def forget_models() -> None:
+    """From now on every model is built anew."""
+    global _kept
+    _kept = None
+
+
+def kept_model(content: object, make: Callable[[], Model]) -> Model:
+    """A kept model of ``content``, or a new one where none is kept."""
+    if _kept is None:
+        return make()
+    model: Model = _kept.get(content, make)
+    return model
+
+
+def content_digest(value: object) -> str:
+    """SHA-256 of plain values, arrays and dataclasses of them; raises ``TypeError`` for anything else."""
+    state = hashlib.sha256()
+    _feed(state, value)
+    return state.hexdigest()
+
+
+def _feed(state: Any, value: object) -> None:
+    if value is None or isinstance(value, str | int | float | bool):
+        state.update(f"{type(value).__name__} {value!r}\n".encode())
+    elif isinstance(value, np.ndarray | np.generic):
+        array = np.ascontiguousarray(value)
+        state.update(f"array {array.dtype.str} {array.shape}\n".encode())
+        state.update(array.tobytes())
+    elif dataclasses.is_dataclass(value):
+        state.update(f"{type(value).__name__} (\n".encode())
+        for field in dataclasses.fields(value):
+            state.update(f"{field.name}: ".encode())
+            _feed(state, getattr(value, field.name))
+        state.update(b")\n")
+    elif isinstance(value, Mapping):
+        state.update(f"mapping {len(value)}\n".encode())
+        for key, item in value.items():
+            _feed(state, key)
+            _feed(state, item)
+    elif isinstance(value, list | tuple):
+        state.update(f"{type(value).__name__} {len(value)}\n".encode())
+        for item in value:
+            _feed(state, item)
+    else:
+        raise TypeError(f"a {type(value).__name__} has no digest; give plain values, arrays and dataclasses")
+
 
 STOCK_COLOUR = np.array([0.93, 0.95, 0.90, 0.55])
 SUPPORT_COLOUR = np.array([0.45, 0.47, 0.50, 1.0])
@@ -204,12 +304,12 @@ def build(
     A held stock is fixed to its holder's tool. With ``meshcat`` a visualizer of the visible shapes is part of
     the diagram. Raises :class:`TandemError` for an unknown robot and for names of bodies that clash
     (``cell.body_name``), ``KeyError`` for an unknown holder, ``ValueError`` for a held stock on a support.
-    Worker processes get one that an earlier job left (`planner.cell.kept`).
+    Worker processes get one that an earlier job left (`planner.cell.plant`).
     """
     if meshcat is not None:
         return _new(cell, stock, stock_pose, bases, meshcat)
     content = (cell, stock, np.asarray(stock_pose, dtype=np.float64), bases)
-    return kept.get(content, lambda: _new(cell, stock, stock_pose, bases, None))
+    return kept_model(content, lambda: _new(cell, stock, stock_pose, bases, None))
 
 
 def _new(
@@ -220,7 +320,7 @@ def _new(
     meshcat: Any,
 ) -> CellModel:
     _check_names(cell)
-    stock = standing.with_support(cell, stock, np.asarray(stock_pose))
+    stock = support.with_support(cell, stock, np.asarray(stock_pose))
     if stock.held_by is not None and stock.support:
         raise ValueError("a held stock has no support")
     placed = {arm.name: np.asarray((bases or {}).get(arm.name, arm.base)) for arm in cell.arms}

@@ -1,6 +1,10 @@
-"""A ball on a face: where its centre is when it touches at a wanted place and cuts in nowhere.
+"""A ball on a face, and the values that forming's modules hand on: passes, contact paths, tool paths.
 
-All here is for a ball above a face whose normals point up; for a ball below, mirror the face in z first.
+Where a ball's centre is when it touches at a wanted place and cuts in nowhere: asked of a `Face`,
+for a ball above a face whose normals point up. For a ball below, mirror the face in z first.
+
+`Pass` is the surface of a pass, `ContactPath` the path of the contact on it, `ToolPath` where both
+tools are.
 """
 
 from __future__ import annotations
@@ -11,17 +15,19 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.geometry.closest import closest_on_triangles, corner_normals, small_pieces
-from planner.geometry.mesh import TriangleMesh, face_normals
-from planner.geometry.vectors import dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.mesh import (
+    TriangleMesh,
+    closest_on_triangles,
+    corner_normals,
+    face_normals,
+    small_pieces,
+)
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
+MIRROR: Final = np.array([1.0, 1.0, -1.0])
+"""What turns points and directions of a face below the sheet over: times this, they are above."""
 CREASE: Final = math.radians(20.0)
 """Faces that turn by more than this over an edge meet in a crease; by less, they stand for a smooth face."""
 TOUCH: Final = 1e-6
@@ -258,3 +264,64 @@ def _first_least(group: IntArray, value: FloatArray) -> IntArray:
     first = np.ones(len(order), dtype=np.bool_)
     first[1:] = ordered[1:] != ordered[:-1]
     return np.asarray(order[first])
+
+
+@dataclasses.dataclass(frozen=True)
+class Pass:
+    """One pass over one feature: the surface that the forming tool touches, as it is to be at the end of the
+    pass, in the sheet's frame where the pass forms it (translated, if its strategy says so).
+
+    ``vertices`` (V, 3) [m], ``faces`` (F, 3) with normals up (+z), whichever side forms. ``side``: +1 where
+    the tool above the sheet forms (downwards), -1 where the one below forms (upwards). ``thickness`` (V,) [m]
+    of the sheet along the normal after the pass. ``start``, ``end`` [m]: levels z of the flat around the
+    feature and of its farthest place, on that face. ``region`` (K, 2) [m]: closed outline at the start.
+    """
+
+    name: str
+    feature: int
+    number: int
+    side: int
+    vertices: FloatArray
+    faces: IntArray
+    thickness: FloatArray
+    start: float
+    end: float
+    region: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class ContactPath:
+    """The path of the contact on the face of a pass, N points in the order of forming.
+
+    ``point`` (N, 3) [m] on the face; ``normal`` (N, 3), unit, up (+z) whichever side forms; ``centre`` (N, 3)
+    [m] of the forming ball, clear of the whole face and in contact with it at ``point``; ``angle`` (N,) [rad]
+    of the wall; ``loop`` (N,) number of the loop, from 0; ``working`` (N,): the move TO the point forms,
+    which a step over to the next loop in the air does not.
+    """
+
+    point: FloatArray
+    normal: FloatArray
+    centre: FloatArray
+    angle: FloatArray
+    loop: IntArray
+    working: BoolArray
+
+
+@dataclasses.dataclass(frozen=True)
+class ToolPath:
+    """Where both tools are at N targets of one pass.
+
+    ``former`` (N, 3) [m] centre of the forming ball. ``support`` (N, 3) [m]: centre of the other tool's ball
+    or disk, or None where one tool works alone. ``gap`` (N,) [m] wanted between both tools' surfaces, NaN
+    where none is stated. ``axis`` and ``support_axis`` (N, 3): unit vectors from the tools to the sheet.
+    ``contact`` is the contact's path at the same targets. ``loose`` (N,): more targets were wanted on the way
+    to this one, but did not help; None where nothing is.
+    """
+
+    former: FloatArray
+    axis: FloatArray
+    support: FloatArray | None
+    support_axis: FloatArray | None
+    gap: FloatArray
+    contact: ContactPath
+    loose: BoolArray | None = None

@@ -1,0 +1,1 @@
+"""Curves, surfaces and meshes; knows no robot and no process."""

@@ -1,7 +1,8 @@
-"""Ruled surfaces as rows of rulings: thinning and thickening, triangles, outward normals, facts about them.
+"""Ruled surfaces as rows of rulings: thinning and thickening, triangles, outward normals, facts.
 
-Between rulings i and i + 1 the surface is the bilinear patch of their four ends, which is what a straight
-wire sweeps whose ends both go straight and evenly.
+Between rulings i and i + 1 the surface is the bilinear patch of their four ends, which is what a
+straight wire sweeps whose ends both go straight and evenly. Also the ruled surface that joins the
+edges of a part's front and back face, and the boundaries of meshes that it is made of.
 """
 
 from __future__ import annotations
@@ -11,18 +12,19 @@ import itertools
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.curves import CORNER_ANGLE, polyline, turns
+from planner.geometry.matching import aligned, join
+from planner.geometry.mesh import TriangleMesh
+from planner.issues import Issue, Severity
 from planner.problem import Mesh, Ruled
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-_ALONG: Final = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+_SHARES_ALONG: Final = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Places along a ruling at which deviations are looked at."""
 _ROWS: Final = 64
 """Most rows of triangles along a ruling."""
-_STILL: Final = 1e-9
+_STILL_DISTANCE: Final = 1e-9
 """An end that moves by less [m] from one ruling to the next stands still."""
 
 
@@ -86,7 +88,7 @@ def _thin(start: FloatArray, end: FloatArray, chord: float, step: float) -> Floa
     if len(start) > 2:
         bend = np.zeros(len(start))
         unit = np.diff(lines, axis=0) / np.maximum(length, 1e-15)[:, :, None]
-        moving = (length[1:] > _STILL) & (length[:-1] > _STILL)
+        moving = (length[1:] > _STILL_DISTANCE) & (length[:-1] > _STILL_DISTANCE)
         turn = np.linalg.norm(np.diff(unit, axis=0), axis=2) * moving
         # the chord of a bow of turn t over the way w has the sagitta t w / 8
         bend[1:-1] = (turn / np.maximum(0.5 * (length[1:] + length[:-1]), 1e-15)).max(axis=1)
@@ -95,7 +97,7 @@ def _thin(start: FloatArray, end: FloatArray, chord: float, step: float) -> Floa
     spent = np.concatenate([[0.0], np.cumsum(density * travel)])
     whole = np.concatenate([[0.0], np.cumsum(travel)])
     cells = max(1, int(np.ceil(spent[-1] - 1e-9)))
-    sight = points(Ruled("", start, end, np.zeros(len(start), dtype=np.bool_)), _ALONG)
+    sight = points(Ruled("", start, end, np.zeros(len(start), dtype=np.bool_)), _SHARES_ALONG)
     while True:
         place = np.interp(np.linspace(0.0, spent[-1], cells + 1), spent, np.arange(len(spent)))
         way = np.diff(np.interp(place, np.arange(len(whole)), whole)).max()
@@ -142,7 +144,7 @@ def tessellate(ruled: Ruled, chord: float = 1e-5) -> Mesh:
     faces = np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
     p, q, r = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(q - p, r - p), axis=1)
-    return Mesh(vertices, faces[area > _STILL * _STILL].astype(np.int64))
+    return Mesh(vertices, faces[area > _STILL_DISTANCE * _STILL_DISTANCE].astype(np.int64))
 
 
 def outward(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
@@ -188,11 +190,11 @@ def _tangents(lines: FloatArray) -> FloatArray:
     """Tangents (M, 2, 3), unit or zero, of both ends along a smooth piece (M, 2, 3)."""
     way = np.diff(lines, axis=0)
     length = np.linalg.norm(way, axis=2, keepdims=True)
-    unit = np.where(length > _STILL, way / np.maximum(length, _STILL), 0.0)
-    length = np.where(length > _STILL, length, 0.0)
+    unit = np.where(length > _STILL_DISTANCE, way / np.maximum(length, _STILL_DISTANCE), 0.0)
+    length = np.where(length > _STILL_DISTANCE, length, 0.0)
     out = np.concatenate([unit[:1], unit])
     if len(way) > 1:
-        h, g, total = length[:-1], length[1:], np.maximum(length[:-1] + length[1:], _STILL)
+        h, g, total = length[:-1], length[1:], np.maximum(length[:-1] + length[1:], _STILL_DISTANCE)
         bend = (unit[1:] - unit[:-1]) * ((h > 0.0) & (g > 0.0))
         still = np.where(h > 0.0, unit[:-1], unit[1:])
         out[1:-1] = np.where((h > 0.0) & (g > 0.0), unit[:-1] + bend * (h / total), still)
@@ -206,7 +208,67 @@ def _normals(tangent: FloatArray, lines: FloatArray) -> FloatArray:
     direction = (lines[:, 1] - lines[:, 0])[:, None]
     cross = np.cross(tangent, direction)
     size = np.linalg.norm(cross, axis=2, keepdims=True)
-    length = np.maximum(np.linalg.norm(direction, axis=2, keepdims=True), _STILL)
+    length = np.maximum(np.linalg.norm(direction, axis=2, keepdims=True), _STILL_DISTANCE)
     good = size > 1e-6 * length
     normal = np.where(good, cross / np.maximum(size, 1e-300), 0.0)
     return np.asarray(np.where(good, normal, normal[:, ::-1]))
+
+
+EDGES_NAME: Final = "edges"
+_CHORD: Final = 1e-5
+
+
+def boundaries(mesh: TriangleMesh) -> list[IntArray]:
+    """Vertex indices (n,) of every boundary ring, longest first, counterclockwise seen from outside."""
+    faces = mesh.faces
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    count = len(mesh.vertices)
+    key, back = directed @ np.array([count, 1]), directed @ np.array([1, count])
+    rim = directed[~np.isin(key, back)]
+    follow = dict(rim.tolist())
+    rings = []
+    while follow:
+        first, at = follow.popitem()
+        loop = [first]
+        while at != first and at in follow:
+            loop.append(at)
+            at = follow.pop(at)
+        rings.append(np.array(loop, dtype=np.int64))
+    return sorted(rings, key=lambda ring: -_length(mesh.vertices[ring]))
+
+
+def edge_surface(front: TriangleMesh, back: TriangleMesh, same: bool) -> Ruled | Issue:
+    """The closed surface from the front's boundary to the back's, named ``edges``, within 0.01 mm.
+
+    ``same``: the back is the front moved, vertex by vertex; otherwise the boundaries are matched by arc
+    length between their corners. Where that cannot be, a note says why; nothing but a cut of the edges needs
+    them.
+    """
+    rings = boundaries(front), boundaries(back)
+    for name, mine in zip(("front", "back"), rings, strict=True):
+        if len(mine) != 1:
+            why = f"the {name} face has {len(mine)} boundaries, 1 is wanted"
+            return _without(why, "close its holes and leave other pieces out")
+    # seen from the front clockwise, so that this direction x the rulings, to the back, points outwards
+    first = rings[0][0][::-1]
+    if same:
+        start, end = front.vertices[first], back.vertices[first]
+        corner = (turns(start, True) > CORNER_ANGLE) | (turns(end, True) > CORNER_ANGLE)
+        return resample(Ruled(EDGES_NAME, start, end, corner, closed=True), _CHORD, 1.0)
+    guide = polyline(front.vertices[first], closed=True)
+    other = polyline(back.vertices[rings[1][0]], closed=True)
+    counts = int(guide.corner.sum()), int(other.corner.sum())
+    if counts[0] != counts[1]:
+        why = f"the front's boundary has {counts[0]} corners and the back's {counts[1]}"
+        return _without(why, "give both as many corners")
+    guide, other, _ = aligned(guide, other, "arc_length")
+    return resample(join(EDGES_NAME, guide, other), _CHORD, 1.0)
+
+
+def _without(why: str, do: str) -> Issue:
+    what = f"{why}, so the part has no ruled edges that a straight wire could cut; {do} if it should"
+    return Issue("part.edges", what, Severity.NOTE, field="part.back")
+
+
+def _length(points: FloatArray) -> float:
+    return float(np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1).sum())

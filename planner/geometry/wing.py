@@ -1,23 +1,190 @@
-"""A wing panel: two airfoil sections in space, joined by rulings.
+"""Airfoil sections and the wing panel between two of them; NACA formulas and coordinate files.
 
-Its frame: x from the leading to the trailing edge, y from root to tip, z up; the root's leading edge is at
-the origin. Sections stand in planes of constant y. The tip is turned about its quarter-chord point.
+A section is a row of points (N, 2) per chord, x from the leading to the trailing edge: from the
+trailing edge over the upper side to the leading edge and along the lower side back. A blunt
+trailing edge stays open between its last and its first point.
+
+NACA families of 4 and 5 digits: E. N. Jacobs, K. E. Ward and R. M. Pinkerton, NACA Report 460
+(1933), four digits; E. N. Jacobs and R. M. Pinkerton, NACA Report 537 (1935), five digits with
+simple and reflexed camber lines; I. H. Abbott and A. E. von Doenhoff, Theory of Wing Sections
+(Dover, 1959), 6.4 to 6.6; constants of the camber lines as in C. L. Ladson and C. W. Brooks, NASA
+TM X-3284 (1975).
+
+Files, as in the UIUC airfoil coordinates database, are checked and put in order. Selig: a name,
+then x y from the trailing edge over the upper side to the leading edge and back below. Lednicer: a
+name, the numbers of points of both sides, then the upper side and the lower side, each from the
+leading to the trailing edge.
+
+A panel's frame: x from the leading to the trailing edge, y from root to tip, z up; the root's
+leading edge is at the origin. Sections stand in planes of constant y and are joined by rulings. The
+tip is turned about its quarter-chord point.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from shapely.geometry import LineString
 
-from planner.geometry.airfoil import SHARP, section_guide, thickened
-from planner.geometry.guides import Guide, turned
+from planner.files import is_file
+from planner.geometry.arrays import FloatArray
+from planner.geometry.curves import Guide, turned
 from planner.geometry.matching import Match, join
 from planner.geometry.rulings import resample
+from planner.issues import Issue, Severity, TandemError
 from planner.problem import Ruled
 
-FloatArray = NDArray[np.float64]
+THICKNESS_COEFFICIENTS: Final = (0.2969, -0.1260, -0.3516, 0.2843, -0.1015)
+"""Coefficients of x^0.5, x, x^2, x^3, x^4 of the half thickness of a section 20 % thick."""
+SIMPLE_CAMBER: Final = {
+    "210": (0.0580, 361.400),
+    "220": (0.1260, 51.640),
+    "230": (0.2025, 15.957),
+    "240": (0.2900, 6.643),
+    "250": (0.3910, 3.230),
+}
+"""Camber lines of five digits for a design lift coefficient of 0.3: (m, k1)."""
+REFLEXED_CAMBER: Final = {
+    "221": (0.1300, 51.990, 0.000764),
+    "231": (0.2170, 15.793, 0.00677),
+    "241": (0.3180, 6.520, 0.0303),
+    "251": (0.4410, 3.191, 0.1355),
+}
+"""Reflexed camber lines for a design lift coefficient of 0.3: (m, k1, k2 / k1)."""
+SHARP_EDGE: Final = 1e-6
+"""A trailing edge thinner than this [m] is sharp."""
+
+
+def naca(digits: str, count: int = 160) -> FloatArray:
+    """Points (2 count + 1, 2) of a NACA section of 4 or 5 digits, close together at both edges.
+
+    Thickness stands at right angles to the camber line. The trailing edge is as blunt as the formula makes it
+    (0.0021 of the chord at a thickness of 0.10). Raises ``TandemError`` with ``part.naca``.
+    """
+    if not digits.isdigit() or len(digits) not in (4, 5):
+        raise _refuse_digits(digits, "sections of 4 or 5 digits are known, as 2412 or 23112")
+    thickness = int(digits[-2:]) / 100.0
+    if not 0.01 <= thickness <= 0.40:
+        raise _refuse_digits(digits, f"a thickness of {thickness:.0%} of the chord; 1 to 40 % are allowed")
+    x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, count + 1)))
+    height, slope = _camber_4(digits, x) if len(digits) == 4 else _camber_5(digits, x)
+    powers = np.stack([np.sqrt(x), x, x**2, x**3, x**4])
+    half = 5.0 * thickness * (np.array(THICKNESS_COEFFICIENTS) @ powers)
+    angle = np.arctan(slope)
+    away = half[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    middle = np.stack([x, height], axis=1)
+    return np.concatenate([(middle + away)[::-1], (middle - away)[1:]])
+
+
+def _camber_4(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    m, p = int(digits[0]) / 100.0, int(digits[1]) / 10.0
+    if m == 0.0:
+        return np.zeros_like(x), np.zeros_like(x)
+    if p == 0.0:
+        raise _refuse_digits(digits, "camber without its place; the second digit says where it is, in tenths")
+    rest = np.where(x < p, p * p, (1.0 - p) ** 2)
+    height = m / rest * np.where(x < p, 2 * p * x - x * x, 1 - 2 * p + 2 * p * x - x * x)
+    return height, 2.0 * m / rest * (p - x)
+
+
+def _camber_5(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    line = f"2{digits[1:3]}"
+    lift = 0.15 * int(digits[0]) / 0.3  # of the tabulated camber lines, which are for 0.3
+    if int(digits[0]) == 0 or line not in SIMPLE_CAMBER | REFLEXED_CAMBER:
+        known = ", ".join(sorted(SIMPLE_CAMBER | REFLEXED_CAMBER))
+        raise _refuse_digits(
+            digits, f"no such camber line; of five digits {known} are known (first digit 1 to 9)"
+        )
+    if line in SIMPLE_CAMBER:
+        m, k = SIMPLE_CAMBER[line]
+        front = x**3 - 3 * m * x**2 + m * m * (3 - m) * x
+        height = np.where(x < m, front, m**3 * (1 - x))
+        slope = np.where(x < m, 3 * x**2 - 6 * m * x + m * m * (3 - m), -(m**3))
+    else:
+        m, k, ratio = REFLEXED_CAMBER[line]
+        line_down = ratio * (1 - m) ** 3 + m**3
+        factor = np.where(x < m, 1.0, ratio)
+        height = factor * (x - m) ** 3 - line_down * x + m**3
+        slope = 3 * factor * (x - m) ** 2 - line_down
+    return lift * k / 6.0 * height, lift * k / 6.0 * slope
+
+
+def thickened(points: FloatArray, least: float) -> FloatArray:
+    """The section with a trailing edge at least ``least`` chords thick: upper and lower side are moved apart
+    in proportion to x, so that the leading edge stays as it is.
+    """
+    gap = float(np.linalg.norm(points[0] - points[-1]))
+    if gap >= least:
+        return points
+    top = np.arange(len(points)) <= leading_point(points)
+    share = np.clip(points[:, 0], 0.0, 1.0)
+    away = 0.5 * (least - gap) * share * np.where(top, 1.0, -1.0)
+    return points + np.stack([np.zeros(len(points)), away], axis=1)
+
+
+def leading_point(points: FloatArray) -> int:
+    """Index of the point farthest from the middle of the trailing edge."""
+    return int(np.argmax(np.linalg.norm(points - 0.5 * (points[0] + points[-1]), axis=1)))
+
+
+def section_guide(points: FloatArray, chord: float, tolerance: float, blunt: bool) -> Guide:
+    """A section of ``chord`` [m] as a closed guide in the plane z = 0, within ``tolerance`` [m] of the cubic
+    spline through its points.
+
+    It starts at the trailing edge, goes over the upper side and has anchors at the leading edge, which is the
+    farthest from the trailing edge, and at the trailing edge, which is a corner: two corners with a straight
+    side where ``blunt``, which may be of no length.
+    """
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    curve = CubicSpline(way, points * chord, axis=0)
+    tail = 0.5 * (points[0] + points[-1]) * chord
+    near = leading_point(points)
+    span = way[max(0, near - 1)], way[min(len(way) - 1, near + 1)]
+    nose = float(
+        minimize_scalar(
+            lambda s: -float(np.sum((curve(s) - tail) ** 2)),
+            bounds=span,
+            method="bounded",
+            options={"xatol": 1e-10},
+        ).x
+    )
+    upper, lower = (_fine(curve, a, b, tolerance) for a, b in ((0.0, nose), (nose, way[-1])))
+    place = np.concatenate([upper, lower[1:]])
+    flat = curve(place)
+    if not blunt:
+        flat[0] = tail
+        place, flat = place[:-1], flat[:-1]
+    count = len(place)
+    corner, anchor = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    corner[0] = True
+    corner[-1] = blunt
+    anchor[len(upper) - 1] = True
+    spread = np.concatenate([flat, np.zeros((count, 1))], axis=1)
+    parameter = np.arange(count) / count
+    return Guide(spread, corner, parameter, closed=True, anchor=anchor)
+
+
+def _fine(curve: CubicSpline, start: float, stop: float, tolerance: float) -> FloatArray:
+    """Places between which the curve is within ``tolerance`` of its chords, ends included."""
+    place = np.linspace(start, stop, 17)
+    for _ in range(12):
+        middle = 0.5 * (place[1:] + place[:-1])
+        ends = curve(place)
+        off = np.linalg.norm(curve(middle) - 0.5 * (ends[1:] + ends[:-1]), axis=1)
+        if off.max() <= tolerance:
+            break
+        place = np.sort(np.concatenate([place, middle[off > tolerance]]))
+    return place
+
+
+def _refuse_digits(digits: str, what: str) -> TandemError:
+    return TandemError(Issue("part.naca", f"NACA {digits}: {what}; correct the digits", field="part.wing"))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +206,7 @@ class Panel:
     trailing_edge: float = 0.0
 
 
-def skin(panel: Panel, match: Match = "arc_length", tolerance: float = 2e-5) -> Ruled:
+def wing_surface(panel: Panel, match: Match = "arc_length", tolerance: float = 2e-5) -> Ruled:
     """The panel's closed skin from root to tip, within ``tolerance`` [m] of splines through the sections.
 
     Leading edges are joined, and trailing edges at the upper and at the lower side, where the skin has a
@@ -53,7 +220,7 @@ def skin(panel: Panel, match: Match = "arc_length", tolerance: float = 2e-5) -> 
         for points, (_, chord) in zip(thick, sections, strict=True)
     ]
     for points, (_, chord) in zip(thick, sections, strict=True):
-        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP))
+        guides.append(section_guide(points, chord, 0.2 * tolerance, max(gaps) > SHARP_EDGE))
     root, tip = guides
     quarter = np.array([0.25 * panel.root_chord, 0.0])
     across = quarter + np.array([np.tan(panel.sweep), np.tan(panel.dihedral)]) * panel.span
@@ -69,3 +236,180 @@ def _placed(guide: Guide, chord: float, quarter: FloatArray, twist: float, y: fl
     c, s = np.cos(twist), np.sin(twist)
     placed = np.stack([quarter[0] + c * x - s * z, np.full(len(x), y), quarter[1] + s * x + c * z], axis=1)
     return dataclasses.replace(guide, points=placed)
+
+
+FEWEST_POINTS: Final = 15
+"""Fewest points of a section; with less a spline through them says little of the nose."""
+MOST_POINTS: Final = 5000
+WIDEST_TRAILING_EDGE: Final = 0.10
+"""Widest trailing edge, per chord; a larger gap means that points are missing."""
+_MOST_BYTES: Final = 2_000_000
+_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+_PAIR: Final = re.compile(rf"^\s*\(?\s*({_NUMBER})[\s,;]+({_NUMBER})\s*\)?\s*$")
+
+
+def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
+    """Points (N, 2) per chord, from the trailing edge over the upper side and back, and notes of what was put
+    right: its order, a chord that is not 1 long, points that were given twice.
+
+    ``field`` is the field of the problem file that names the file. Raises ``TandemError`` with
+    ``problem.missing_file``, ``problem.too_large``, ``part.airfoil_format``, ``part.airfoil_order``,
+    ``part.airfoil_open``, ``part.airfoil_points`` or ``part.airfoil_crossing``.
+    """
+    if not is_file(path):
+        raise _refuse_file("problem.missing_file", path, field, "there is no such file; check the path")
+    if path.stat().st_size > _MOST_BYTES:
+        raise _refuse_file(
+            "problem.too_large", path, field, "more than 2 MB; an airfoil has some hundred points"
+        )
+    notes: list[Issue] = []
+    rows = _numbers(path, field)
+    points = _sides(rows, path, field)
+    repeated = np.concatenate([[False], np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-9])
+    if repeated.any():
+        points = points[~repeated]
+        notes.append(_note(path, field, f"left out {int(repeated.sum())} points that repeat the one before"))
+    if not FEWEST_POINTS <= len(points) <= MOST_POINTS:
+        what = f"has {len(points)} points, {FEWEST_POINTS} to {MOST_POINTS} are wanted; "
+        what += "take another file of the same section"
+        raise _refuse_file("part.airfoil_points", path, field, what)
+    points = _ordered(points, path, field, notes)
+    _whole(points, path, field)
+    return _unit_chord(points, path, field, notes), notes
+
+
+def _numbers(path: Path, field: str) -> FloatArray:
+    lines = path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
+    found: list[tuple[float, float]] = []
+    remark: tuple[int, str] | None = None
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        pair = _PAIR.match(line)
+        if pair is None:
+            if found and remark is None:
+                remark = number, line.strip()[:40]
+            continue  # a name above the points or remarks below them, however many lines long
+        if remark is not None:
+            what = f"line {remark[0]} has no x and y ({remark[1]!r}); remove or correct it"
+            raise _refuse_file("part.airfoil_format", path, field, what)
+        found.append((_float(pair.group(1)), _float(pair.group(2))))
+    if not found:
+        what = "has no points; wanted are a name and lines of x y in Selig's or Lednicer's format"
+        raise _refuse_file("part.airfoil_format", path, field, what)
+    rows = np.array(found)
+    if not np.isfinite(rows).all():
+        raise _refuse_file(
+            "part.airfoil_format", path, field, "has numbers too large to read; repair the file"
+        )
+    return rows
+
+
+def _float(text: str) -> float:
+    return float(text.replace("d", "e").replace("D", "e"))
+
+
+def _sides(rows: FloatArray, path: Path, field: str) -> FloatArray:
+    """The points in one row; Lednicer's two sides are joined at the leading edge."""
+    counts = np.round(rows[0])
+    if not (np.abs(rows[0] - counts) < 1e-6).all() or (counts < 3).any():
+        return rows
+    upper, lower = int(counts[0]), int(counts[1])
+    if len(rows) - 1 != upper + lower:
+        what = f"says {upper} + {lower} points (Lednicer's format) and has {len(rows) - 1}; correct it"
+        raise _refuse_file("part.airfoil_format", path, field, what)
+    top, bottom = rows[1 : 1 + upper], rows[1 + upper :]
+    for side, name in ((top, "upper"), (bottom, "lower")):
+        if side[0, 0] > side[-1, 0]:
+            what = f"its {name} side runs from the trailing edge; Lednicer's format wants both from the nose"
+            raise _refuse_file("part.airfoil_order", path, field, what)
+    if np.linalg.norm(top[0] - bottom[0]) < 1e-9:
+        bottom = bottom[1:]
+    return np.concatenate([top[::-1], bottom])
+
+
+def _ordered(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> FloatArray:
+    """The points from the trailing edge over the top and back below."""
+    chord = float(np.ptp(points[:, 0]))
+    if chord <= 0.0:
+        raise _refuse_file(
+            "part.airfoil_format", path, field, "all x are equal; an airfoil has x along its chord"
+        )
+    step = np.diff(points[:, 0])
+    step = step[np.abs(step) > 1e-3 * chord]
+    back_and_forth = int((np.diff(np.sign(step)) != 0).sum())
+    if back_and_forth > 2:
+        what = (
+            f"x turns back {back_and_forth} times along its points; the order must be from the trailing edge "
+            "over the top and back below (Selig), so sort the points"
+        )
+        raise _refuse_file("part.airfoil_order", path, field, what)
+    front = points[:, 0].min() + 0.5 * chord
+    if points[0, 0] < front and points[-1, 0] < front:
+        rear = int(np.argmax(points[:, 0]))
+        turned = np.concatenate([points[rear:], points[:rear]])
+        if np.linalg.norm(turned[len(points) - rear] - turned[len(points) - rear - 1]) < 1e-9 * chord:
+            turned = np.delete(turned, len(points) - rear, axis=0)
+        points = turned
+        notes.append(_note(path, field, "began at the leading edge; its points were put in Selig's order"))
+    nose = leading_point(points)
+    if nose in (0, len(points) - 1) or points[0, 0] < front or points[-1, 0] < front:
+        what = "runs along one side only; give both, from the trailing edge over the top and back below"
+        raise _refuse_file("part.airfoil_open", path, field, what)
+    if _area(points) < 0.0:
+        points = points[::-1]
+        notes.append(_note(path, field, "ran along the lower side first; its points were turned round"))
+    return points
+
+
+def _whole(points: FloatArray, path: Path, field: str) -> None:
+    chord = float(np.ptp(points[:, 0]))
+    gap = points[0] - points[-1]
+    if abs(gap[0]) > 0.02 * chord or np.linalg.norm(gap) > WIDEST_TRAILING_EDGE * chord:
+        what = (
+            f"has no trailing edge: its sides end at x = {points[0, 0]:g} and {points[-1, 0]:g}, "
+            f"{np.linalg.norm(gap) / chord:.1%} of the chord apart, up to {WIDEST_TRAILING_EDGE:.0%} of it "
+            "upright is taken as a blunt one; add the missing points"
+        )
+        raise _refuse_file("part.airfoil_open", path, field, what)
+    line = LineString(points)
+    if not line.is_simple:
+        where = _crossing(points)
+        what = f"crosses itself near x = {where[0]:.4g}, y = {where[1]:.4g}; correct the points there"
+        raise _refuse_file("part.airfoil_crossing", path, field, what)
+
+
+def _crossing(points: FloatArray) -> FloatArray:
+    """A point (2,) in which a polyline meets itself."""
+    a, b = points[:-1], points[1:]
+    for i in range(len(a) - 2):
+        other = LineString(points[i + 2 :])
+        meet = LineString([a[i], b[i]]).intersection(other)
+        if not meet.is_empty:
+            return np.array(meet.representative_point().coords[0])
+    return np.asarray(points[0])
+
+
+def _unit_chord(points: FloatArray, path: Path, field: str, notes: list[Issue]) -> FloatArray:
+    """The section with its foremost point at x = 0 and its trailing edge at x = 1, not turned."""
+    nose, tail = float(points[:, 0].min()), 0.5 * float(points[0, 0] + points[-1, 0])
+    chord = tail - nose
+    if abs(chord - 1.0) <= 2e-3 and abs(nose) <= 2e-3:
+        return points
+    notes.append(
+        _note(path, field, f"has a chord from x = {nose:.4g} to {tail:.4g}; it was brought to 0 to 1")
+    )
+    return np.asarray((points - np.array([nose, 0.0])) / chord)
+
+
+def _area(points: FloatArray) -> float:
+    x, y = points.T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _note(path: Path, field: str, what: str) -> Issue:
+    return Issue("part.airfoil_note", f"{path.name} {what}", Severity.NOTE, file=str(path), field=field)
+
+
+def _refuse_file(code: str, path: Path, field: str, what: str) -> TandemError:
+    return TandemError(Issue(code, f"{path.name}: {what}", file=str(path), field=field))

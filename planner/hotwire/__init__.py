@@ -1,1 +1,1 @@
-"""The hot wire: shapes of the elastic wire, its fitting, its stability and its data."""
+"""The hot wire: bent and straight cuts, the wire's shapes, the kerf."""

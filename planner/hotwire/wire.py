@@ -7,9 +7,9 @@ import dataclasses
 import math
 from typing import Literal
 
-from planner.hotwire.stability import Section, round_section, strip
+from planner.catalogue.materials import WireMaterial, wire_material
+from planner.hotwire.elastica.clamped import Section, round_section, strip
 from planner.issues import Issue, TandemError
-from planner.materials import WireMaterial, wire_material
 from planner.units import GRAVITY, MM
 
 

@@ -1,24 +1,72 @@
 """Where a cylindrical flank has to stand to make a ruled surface.
 
-Along a ruling of a developable surface the normal is one and the same, and a cylinder touches the whole of
-it. A twisted ruling it can only touch in part. Here the cylinder touches both guides, each from outside at
-the distance of its radius (as in the two-guide positioning that Redonnet, Rubio and Dessein describe in
-"Side milling of ruled surfaces", Int. J. Adv. Manuf. Technol. 14, 1998; worked out anew). One freedom is
-left: how far the place on the upper guide is ahead of that on the lower one. It is chosen so that the
-largest distance of the cylinder from the surface between the guides is least.
+Along a ruling of a developable surface the normal is one and the same, and a cylinder touches the
+whole of it. A twisted ruling it can only touch in part. Here the cylinder touches both guides, each
+from outside at the distance of its radius (as in the two-guide positioning that Redonnet, Rubio and
+Dessein describe in "Side milling of ruled surfaces", Int. J. Adv. Manuf. Technol. 14, 1998; worked
+out anew). One freedom is left: how far the place on the upper guide is ahead of that on the lower
+one. It is chosen so that the largest distance of the cylinder from the surface between the guides
+is least.
+
+Rulings come as a flank cutter passes them (`strips`): tip guide and top guide in the order of the
+cut, with tangents and outward normals, one smooth piece at a time.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from planner.milling.rulings import Strip
+from planner.geometry.arrays import FloatArray, IntArray, unit
+from planner.geometry.rulings import resample, runs
+from planner.problem import Ruled
 
-FloatArray = NDArray[np.float64]
+
+@dataclasses.dataclass(frozen=True)
+class Strip:
+    """A smooth piece: ruling i from ``low[i]``, at the tip, to ``high[i]`` (M, 3) [m].
+
+    ``out`` is +1 where the outward normal is tangent x (high - low), else -1. A ``ring`` is a whole closed
+    surface without corners: its last ruling is its first one again.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    out: float
+    ring: bool = False
+
+    def tangents(self) -> tuple[FloatArray, FloatArray]:
+        """Unit tangents (M, 3) of both guides; where one stands still, that of the other."""
+        low, high = (np.gradient(side, axis=0) for side in (self.low, self.high))
+        sizes = [np.linalg.norm(t, axis=1, keepdims=True) for t in (low, high)]
+        still = 1e-3 * np.maximum(*sizes)
+        low, high = np.where(sizes[0] > still, low, high), np.where(sizes[1] > still, high, low)
+        return unit(low), unit(high)
+
+    def normals(self) -> tuple[FloatArray, FloatArray]:
+        """Outward unit normals (M, 3) of the surface at both guides."""
+        along = self.high - self.low
+        first, second = self.tangents()
+        return unit(self.out * np.cross(first, along)), unit(self.out * np.cross(second, along))
+
+    def reversed(self) -> Strip:
+        """The same piece the other way."""
+        return Strip(self.low[::-1], self.high[::-1], -self.out, self.ring)
+
+
+def strips(ruled: Ruled, tip_at_start: bool, chord: float, step: float) -> list[Strip]:
+    """The smooth pieces of a ruled surface along its guides, rulings at most ``step`` [m] apart."""
+    fine = resample(ruled, chord, step)
+    ring = fine.closed and not fine.corner.any()
+    out = []
+    for rows in runs(fine):
+        start, end = fine.start[rows], fine.end[rows]
+        out.append(Strip(start, end, 1.0, ring) if tip_at_start else Strip(end, start, -1.0, ring))
+    return out
+
 
 LEVELS: Final = np.array([0.1, 0.25, 0.4, 0.6, 0.75, 0.9])
 """Places along a ruling, from the tip guide to the other, at which the cylinder is held against the
@@ -107,19 +155,19 @@ def _ahead(strip: Strip, radius: float, ring: bool) -> FloatArray:
 
 
 def _touching(
-    strip: Strip, radius: float, rows: NDArray[np.int64], ahead: FloatArray
+    strip: Strip, radius: float, rows: IntArray, ahead: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The axes (N, 3) of cylinders that touch the lower guide at rulings ``rows`` and the upper one ``ahead``
     (N,) rulings farther on."""
     first, second = strip.tangents()
     below, tangent = strip.low[rows], first[rows]
     at = np.clip(rows + ahead, 0, len(strip.low) - 1)
-    above, along = _at(strip.high, at), _unit(_at(second, at))
-    way = _unit(above - below)
+    above, along = _at(strip.high, at), unit(_at(second, at))
+    way = unit(above - below)
     for _ in range(ROUNDS):
-        low = below + radius * _unit(strip.out * np.cross(tangent, way))
-        high = above + radius * _unit(strip.out * np.cross(along, way))
-        fresh = _unit(high - low)
+        low = below + radius * unit(strip.out * np.cross(tangent, way))
+        high = above + radius * unit(strip.out * np.cross(along, way))
+        fresh = unit(high - low)
         moved = float(np.abs(fresh - way).max(initial=0.0))
         way = fresh
         if moved < SETTLED:
@@ -131,7 +179,7 @@ def _off(strip: Strip, radius: float, low: FloatArray, high: FloatArray, about: 
     """How far (N, K) [m] the surface's lines at the levels stay off cylinders near rulings ``about`` (N,)."""
     centre = np.clip(np.round(about).astype(np.int64), 0, len(strip.low) - 1)
     rows = np.clip(centre[:, None] + np.arange(-WINDOW, WINDOW + 1), 0, len(strip.low) - 1)
-    way = _unit(high - low)
+    way = unit(high - low)
     out = np.empty((len(low), len(LEVELS)))
     for k, share in enumerate(LEVELS):
         line = (1.0 - share) * strip.low + share * strip.high
@@ -161,7 +209,3 @@ def _at(rows: FloatArray, place: FloatArray) -> FloatArray:
     first = np.clip(place.astype(np.int64), 0, len(rows) - 2)
     share = (place - first)[:, None]
     return np.asarray((1.0 - share) * rows[first] + share * rows[first + 1])
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

@@ -1,4 +1,7 @@
-"""One flank cut: from a ruled surface of the part to roughing passes and the finishing pass."""
+"""One flank cut: from a ruled surface of the part to roughing passes and the finishing pass.
+
+Ways in and out of the cut: straight on until the cutter is off the block, and round convex corners.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,86 @@ import itertools
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.geometry.arrays import FloatArray, unit
 from planner.issues import Issue, Severity, TandemError, has_errors
 from planner.milling import flank
-from planner.milling.leads import beyond, off_block, round_corner
+from planner.milling.flank import Strip, strips
 from planner.milling.operation import FlankCut, Milling
-from planner.milling.rulings import Strip, strips
-from planner.milling.thin import thinned
-from planner.milling.values import Run, plain_path
+from planner.milling.tool_path import Run, plain_path, thinned
 from planner.problem import Part, Ruled
 from planner.tooling import Cutter
 from planner.units import DEG, MM
 
-FloatArray = NDArray[np.float64]
+CORNER_STEP: Final = np.deg2rad(5.0)
+"""Turn of the cutter about a corner from target to target."""
+PIECES: Final = 6
+"""Targets of a way in or out on which the tool still turns."""
+LEAD_TURN: Final = np.deg2rad(10.0)
+"""How far a tool turns on along a way in or out at most."""
+FARTHEST: Final = 5.0
+"""A way that is not off the block after so much [m] never is."""
 
-FINE: Final = 1.0 / 10.0
+
+def off_block(ends: FloatArray, way: FloatArray, box: FloatArray, clear: float) -> float:
+    """How far [m] a cutter has to go along the unit vector ``way`` (3,) until all its ``ends`` (K, 3) are
+    ``clear`` [m] beyond one side of the block ``box`` (2, 3)."""
+    best = FARTHEST
+    for axis in range(3):
+        if way[axis] > 1e-6:
+            best = min(best, (box[1, axis] + clear - float(ends[:, axis].min())) / way[axis])
+        elif way[axis] < -1e-6:
+            best = min(best, (float(ends[:, axis].max()) - box[0, axis] + clear) / -way[axis])
+    return max(best, 0.0)
+
+
+def beyond(
+    low: FloatArray, high: FloatArray, low_way: FloatArray, high_way: FloatArray, length: float
+) -> tuple[FloatArray, FloatArray]:
+    """Axes (K, 3) each, on from an axis ``low`` to ``high`` (3,) whose ends move by ``low_way`` and
+    ``high_way`` (3,) at once, by ``length`` [m]: first as the surface would go on, so that the tool
+    does not stop turning at once, then more and more straight."""
+    scale = max(float(np.linalg.norm(low_way)), float(np.linalg.norm(high_way)), 1e-12)
+    straight = 0.5 * (low_way + high_way) / scale
+    turn = 0.5 * (high_way - low_way) / scale
+    whole = length / max(float(np.linalg.norm(straight)), 0.1)
+    rate = float(np.linalg.norm(turn)) * 2.0 / max(float(np.linalg.norm(high - low)), 1e-9)
+    during = min(whole, 2.0 * LEAD_TURN / max(rate, 1e-9))
+    at = np.unique(np.append(np.linspace(0.0, during, PIECES + 1), whole))[:, None]
+    slowing = np.where(at < during, at - at * at / (2.0 * during), 0.5 * during)
+    return low + at * straight - slowing * turn, high + at * straight + slowing * turn
+
+
+def round_corner(
+    foot: tuple[FloatArray, FloatArray],
+    before: tuple[FloatArray, FloatArray],
+    after: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Axes (K, 3) each between ``before`` and ``after`` [(3,), (3,)], at the same distances from the corner's
+    ruling ``foot`` [(3,), (3,)], both ends left out."""
+    sides = []
+    turns = []
+    for at, one, two in zip(foot, before, after, strict=True):
+        a, b = one - at, two - at
+        turns.append(
+            float(
+                np.arccos(
+                    np.clip(a @ b / max(float(np.linalg.norm(a)) * float(np.linalg.norm(b)), 1e-18), -1, 1)
+                )
+            )
+        )
+    count = max(int(np.ceil(max(turns) / CORNER_STEP)), 1)
+    share = np.arange(1, count)[:, None] / count
+    for at, one, two, turn in zip(foot, before, after, turns, strict=True):
+        a, b = one - at, two - at
+        if turn < 1e-9:
+            sides.append(at + (1.0 - share) * a + share * b)
+        else:
+            sides.append(at + (np.sin((1.0 - share) * turn) * a + np.sin(share * turn) * b) / np.sin(turn))
+    return sides[0], sides[1]
+
+
+RULING_SPACING: Final = 1.0 / 10.0
 """Distance of the rulings at which the cutter is placed, over its radius."""
 MOST: Final = 6000
 CHORD: Final = 0.1
@@ -38,7 +105,7 @@ TRIES: Final = 4
 NEARER: Final = 0.97
 SLIM: Final = 0.5 * MM
 """Cutters of smaller radius are not advised."""
-UNEQUAL: Final = 2.0
+LENGTH_RATIO: Final = 2.0
 """Guides one of which is longer than the other by this factor are told: its end moves so much faster."""
 
 
@@ -153,16 +220,20 @@ def check(op: Milling, cut: FlankCut, ruled: Ruled, cutter: Cutter) -> list[Issu
         sum(_length(side) for side in sides) for sides in zip(*((s.low, s.high) for s in pieces), strict=True)
     ]
     ratio = max(lengths) / max(min(lengths), 1e-9)
-    if ratio > UNEQUAL:
+    if ratio > LENGTH_RATIO:
         long = int(lengths[1] > lengths[0])
         names = ("start", "end") if cut.tip == "start" else ("end", "start")
         what = f"flank {cut.flank}: its guides are {lengths[0] / MM:.0f} and "
         what += f"{lengths[1] / MM:.0f} mm long, so that "
         what += f"one end of the flank moves {ratio:.1f} times as fast as the other; the feed "
         what += f"holds for the faster. Where the slower burns or rubs, shorten the guide {names[long]} to "
-        what += f"{np.floor(UNEQUAL * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the surface"
+        what += (
+            f"{np.floor(LENGTH_RATIO * min(lengths) / MM * 10.0) / 10.0:.1f} mm or less, or part the surface"
+        )
         out.append(
-            Issue("milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=UNEQUAL)
+            Issue(
+                "milling.guide_lengths", what, Severity.WARNING, field=field, value=ratio, limit=LENGTH_RATIO
+            )
         )
     high = max(float(np.linalg.norm(strip.high - strip.low, axis=1).max()) for strip in pieces)
     need = high + under(cut, cutter)
@@ -211,7 +282,7 @@ def _pieces(op: Milling, cut: FlankCut, ruled: Ruled, radius: float) -> list[Str
     whole = sum(
         float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum()) for side in (ruled.start, ruled.end)
     )
-    step = max(radius * FINE, 0.5 * whole / MOST)
+    step = max(radius * RULING_SPACING, 0.5 * whole / MOST)
     pieces = strips(ruled, cut.tip == "start", 0.02 * op.shape_tol_mm * MM, step)
     if cut.direction == "against" or (
         cut.direction in ("climb", "conventional") and cut.direction != _way(pieces[0])
@@ -238,7 +309,7 @@ def _run(
     out = _lead(cut, low, high, (-1, -2), lift, cutter, box)
     base = np.concatenate([into[0][::-1], low, out[0]])
     top = np.concatenate([into[1][::-1], high, out[1]])
-    axis = _unit(top - base)
+    axis = unit(top - base)
     first = len(into[0])
     path = plain_path(base + lift * axis, axis, (cut.feed_mm_s or op.feed_mm_s) * MM)
     reach = float(np.linalg.norm(on.high - on.low, axis=1).max()) - lift
@@ -260,7 +331,7 @@ def _lead(
     way = low_way + high_way
     way /= max(float(np.linalg.norm(way)), 1e-12)
     if cut.lead_mm is None:
-        far = np.stack([low[k] + min(lift, 0.0) * _unit(high[k] - low[k]), high[k]])
+        far = np.stack([low[k] + min(lift, 0.0) * unit(high[k] - low[k]), high[k]])
         length = off_block(far, way, box, cutter.radius + CLEAR)
     else:
         length = cut.lead_mm * MM
@@ -277,7 +348,3 @@ def _up(length: float) -> float:
 
 def _length(side: FloatArray) -> float:
     return float(np.linalg.norm(np.diff(side, axis=0), axis=1).sum())
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-15))

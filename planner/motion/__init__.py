@@ -1,0 +1,1 @@
+"""From targets to joint paths on one clock; knows no process."""

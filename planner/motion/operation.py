@@ -9,24 +9,24 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.issues import Issue, Severity, TandemError, aggregate
-from planner.motion import aim, corridor, diagnose, entry, halts, least_feed, rounding, thinning, transit
-from planner.motion.avoid import Avoid
-from planner.motion.joints import Dense, clear, dense, tcp_ways
-from planner.motion.paths import find
+from planner.motion import diagnosis, transit
 from planner.motion.scene import Scene
-from planner.motion.search import Found, speed_limits
-from planner.motion.timing import Clock, Limits, TimingError, least_times
-from planner.motion.trajopt import Improved, improve, path_cost
+from planner.motion.search import path_search
+from planner.motion.search.ladder_search import Found, speed_limits
+from planner.motion.search.path_search import find_path
+from planner.motion.trajectory import joint_path, least_feed, thinning, trajopt
+from planner.motion.trajectory.hinges import Avoid
+from planner.motion.trajectory.joint_path import Dense, clear, dense, tcp_ways
+from planner.motion.trajectory.timing import Clock, Limits, TimingError, least_times
+from planner.motion.trajectory.trajopt import Improved, improve, path_cost
 from planner.plans import OperationPlan
 from planner.problem import Cell, Settings
 from planner.targets import Targets
 from planner.units import DEG, MM
-
-FloatArray = NDArray[np.float64]
 
 CLEARANCE_WEIGHT = 0.5
 CORRIDORS = ((4, np.pi), (8, 0.3), (16, 0.2), (32, 0.1), (64, 0.1), (10**6, 0.06), (0, 0.06))
@@ -36,7 +36,7 @@ one is kept where others were too near [rad]."""
 RIM = 24
 """Targets on either side of those over which a better path goes from the one that is kept to its own."""
 
-REPORTED_REACH = 0.2
+REPORTED_DISTANCE_M = 0.2
 JOININGS = 3
 """So often short moves are joined, each time by the clock that the last time led to."""
 
@@ -60,23 +60,27 @@ def plan_operation(
     """
     scene = Scene.of(cell, targets.arms, stock_pose, settings, model, bases)
     watch = _Watch()
-    entry.require_home(scene, targets)
-    targets = aim.resolved(scene, targets)
+    transit.require_home(scene, targets)
+    targets = path_search.with_aims(scene, targets)
     targets, found = _path(scene, targets, watch)
     better, kept = _improve(scene, targets, found, watch)
     samples = dense(scene, targets, found.path.branch, better.q)
     if not kept:
-        diagnose.require_moves(scene, targets, found.path.branch, samples)
+        diagnosis.require_moves(scene, targets, found.path.branch, samples)
     wanted, timed = targets, _clock(scene, targets, samples)
     wanted, better, timed = _joined(scene, wanted, found, better, samples, timed)
     targets, ticks, deviation = timed
     least_feed.require(scene, targets, samples, ticks.time)
     slow = _slow(targets, ticks.time) if targets.run_up is None else []
-    issues = [*slow, *halts.told(wanted, targets), *thinning.told(targets, better.values, ticks.time)]
+    issues = [
+        *slow,
+        *least_feed.stop_notes(wanted, targets),
+        *thinning.short_move_notes(targets, better.values, ticks.time),
+    ]
     if not kept:
         issues.append(_not_kept(scene))
     watch.lap("timing")
-    ways, leaves = entry.both_ways(scene, targets, better.q)
+    ways, leaves = transit.both_ways(scene, targets, better.q)
     watch.lap("entry")
     metrics = {
         "stages": watch.laps,
@@ -97,7 +101,7 @@ def plan_operation(
         **_margins(scene, targets, better.q),
     }
     watch.lap("margins")
-    shown = aim.exhibit(scene, targets, better.q)
+    shown = path_search.aim_exhibit(scene, targets, better.q)
     watch.lap("aim")
     return OperationPlan(
         name=name,
@@ -126,18 +130,18 @@ class _Watch:
 
 def _path(scene: Scene, targets: Targets, watch: _Watch) -> tuple[Targets, Found]:
     """The ladder's path, transit moves mended where they collide."""
-    grid, found = find(scene, targets)
+    grid, found = find_path(scene, targets)
     watch.lap("ladder")
     if not isinstance(found, Found):
-        raise TandemError(diagnose.no_path(scene, targets, grid, found))
+        raise TandemError(diagnosis.no_path(scene, targets, grid, found))
     mended = transit.mend(scene, targets, found)
     watch.lap("transit")
     if mended is None:
         return targets, found
-    grid, again = find(scene, mended)
+    grid, again = find_path(scene, mended)
     watch.lap("ladder")
     if not isinstance(again, Found):
-        raise TandemError(diagnose.no_path(scene, mended, grid, again))
+        raise TandemError(diagnosis.no_path(scene, mended, grid, again))
     return mended, again
 
 
@@ -148,7 +152,7 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
     closer to that there, over a longer and longer stretch, at last all along; the rest stays as it is.
     """
     plain = path_cost(scene, targets, found.values, found.q)
-    start = corridor.unwrapped(targets, found.values)
+    start = trajopt.unwrapped(targets, found.values)
     rows = np.zeros(targets.count, dtype=np.bool_)
     avoid = None
     if scene.model is not None:
@@ -165,18 +169,18 @@ def _improve(scene: Scene, targets: Targets, found: Found, watch: _Watch) -> tup
             watch.lap("trajopt")
             cost = path_cost(scene, targets, better.values, better.q)
             return dataclasses.replace(better, cost=cost, cost_before=plain, iterations=iterations), True
-        rows |= corridor.around(targets.count, bad, reach)
-        moved = corridor.around(targets.count, bad, reach + RIM)
+        rows |= trajopt.targets_around(targets.count, bad, reach)
+        moved = trajopt.targets_around(targets.count, bad, reach + RIM)
         back = moved & rows
         values = np.where(back[:, None], start, better.values)
         q = {arm: np.where(back[:, None], found.q[arm], better.q[arm]) for arm in targets.arms}
-        within = corridor.narrowed(targets, start, rows, width)
-        within = corridor.narrowed(within, values, ~moved, 0.0)
+        within = trajopt.narrowed_freedoms(targets, start, rows, width)
+        within = trajopt.narrowed_freedoms(within, values, ~moved, 0.0)
     watch.lap("trajopt")
     return Improved(found.values, found.q, plain, plain, 0), False
 
 
-def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _bad_moves(scene: Scene, targets: Targets, samples: Dense, moved: BoolArray) -> IndexArray:
     """Targets to which moves leave reach or come too near to something, of those ``moved`` (N,) and next to
     them."""
     look = moved | np.append(False, moved[:-1])
@@ -223,9 +227,9 @@ def _clock(
     least = least_times(targets.travel, targets.feed, lengths, settings.tcp_speed)
     least = least if slowed is None else slowed(targets, least)
     try:
-        rounded = functools.partial(rounding.shares, scene, targets, samples)
+        rounded = functools.partial(joint_path.corner_shares, scene, targets, samples)
         limits = Limits(speed, settings.acceleration_fraction * strength, least, rounded(least))
-        targets, path, ticks = halts.clocked(scene, targets, samples, limits, rounded)
+        targets, path, ticks = least_feed.clocked_with_stops(scene, targets, samples, limits, rounded)
     except TimingError as failure:
         message = f"no clock was found for the moves up to target {targets.name(failure.index)}"
         hint = "a joint may jump there: look at the branch and the margins, or move the stock"
@@ -279,7 +283,7 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        distance, pair, index = scene.nearest(targets, q, REPORTED_REACH)
+        distance, pair, index = scene.nearest(targets, q, REPORTED_DISTANCE_M)
         out["clearance_mm"] = distance / MM
         out["clearance_pair"] = list(pair)
         out["clearance_index"] = index

@@ -15,52 +15,58 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.cell import clearance, standing
+from planner.cell import clearance, support
 from planner.cell.plant import CellModel
+from planner.geometry.arrays import FloatArray, IndexArray
 from planner.geometry.rigid import exp_rotation, from_parts
-from planner.motion.chain import Chain
-from planner.motion.few import Few, few_of, shifts
+from planner.motion.arm_kinematics import Chain
 from planner.motion.scene import Scene
+from planner.motion.search.subsampling import Few, few_of, shifts
 from planner.problem import Cell, Settings, Stock
 from planner.targets import Targets
 from planner.units import DEG
 
-FloatArray = NDArray[np.float64]
-
-FIRST: Final = 384
+FIRST_CANDIDATES: Final = 384
 GENERATIONS: Final = 7
 PARENTS: Final = 8
 CHILDREN: Final = 10
-LAST: Final = 60
+MOST_CHECKED_PLACES: Final = 60
 """Places that are looked at for collisions at most; the search ends with so many that are free:"""
 
-WANTED: Final = 6
+MOST_FREE_PLACES: Final = 6
 COARSE_TARGETS: Final = 10
 FINE_TARGETS: Final = 20
-HALF: Final = 0.5 * np.pi
+QUARTER_TURN: Final = 0.5 * np.pi
 UPRIGHT: Final = np.array(
-    [[0, 0, 0], [HALF, 0, 0], [-HALF, 0, 0], [0, HALF, 0], [0, -HALF, 0], [np.pi, 0, 0]], dtype=np.float64
+    [
+        [0, 0, 0],
+        [QUARTER_TURN, 0, 0],
+        [-QUARTER_TURN, 0, 0],
+        [0, QUARTER_TURN, 0],
+        [0, -QUARTER_TURN, 0],
+        [np.pi, 0, 0],
+    ],
+    dtype=np.float64,
 )
 """Turns [rad] that bring each of a held block's six sides up."""
 
-ENOUGH: Final = np.deg2rad(40.0)
+ENOUGH_MARGIN_RAD: Final = np.deg2rad(40.0)
 """Margins wider than this count no more."""
 
-ROUND: Final = 0.005
+ROUND_POSITION_M: Final = 0.005
 """[m] round figures of a place: positions are multiples of this,"""
 
-TURN: Final = np.deg2rad(15.0)
+ROUND_TURN_RAD: Final = np.deg2rad(15.0)
 """turns [rad] of this; turns by quarters to a base go before them."""
 
-ROUNDED: Final = ((HALF, 0.98), (TURN, 0.985))
+ROUND_TURN_SHARES: Final = ((QUARTER_TURN, 0.98), (ROUND_TURN_RAD, 0.985))
 """Steps of turns with the share of the best margin for which places with them are taken."""
 
-ROUNDS: Final = 3
+ROUND_GENERATIONS: Final = 3
 ROUND_CHILDREN: Final = 6
 
-APART: Final = 0.08
+LEAST_APART_M: Final = 0.08
 """Places that are tried one after the other differ by at least this much [m, or rad of yaw times 0.3 m]."""
 
 
@@ -119,9 +125,9 @@ class Search:
         self._own = 7 if self._leans else 4
         self._start = start
         stands = not self._fixed and stock.held_by is None and stock.sheet is None
-        self._levels = standing.levels(cell, stock) if stands else np.zeros(0)
+        self._levels = support.levels(cell, stock) if stands else np.zeros(0)
         self._borne = stands and bool(stock.support) and not in_air
-        self._ground = standing.Ground.of(cell)
+        self._ground = support.Ground.of(cell)
         # nothing is stated: it stands on what is below it, where there is anything but the floor
         bare = stands and not stock.support and stock.pedestal is None and not in_air
         self._drops = bare and self._ground.bears
@@ -161,7 +167,7 @@ class Search:
             points, scores = np.concatenate([points, children]), np.concatenate([scores, offered])
         groups = [(np.concatenate(seen), np.concatenate(known), 1.0)]
         if not self._fixed and self._stock.held_by is None:
-            groups += [(*self._rounded(*groups[0][:2], step), worth) for step, worth in ROUNDED]
+            groups += [(*self._rounded(*groups[0][:2], step), worth) for step, worth in ROUND_TURN_SHARES]
         every, all_scores = np.concatenate([g[0] for g in groups]), np.concatenate([g[1] for g in groups])
         places: list[tuple[float, Place]] = []
         first = 0
@@ -177,8 +183,8 @@ class Search:
         places.sort(key=lambda item: item[0])
         ordered = [place for _, place in places]
         if models:
-            free = (place for place in ordered[: 2 * LAST] if self._stands_free(models, place))
-            ordered = list(itertools.islice(free, WANTED))
+            free = (place for place in ordered[: 2 * MOST_CHECKED_PLACES] if self._stands_free(models, place))
+            ordered = list(itertools.islice(free, MOST_FREE_PLACES))
         positions = np.array([self._stock_pose(v)[:3, 3] for v in every])
         return ordered, Trace(positions, all_scores)
 
@@ -188,7 +194,7 @@ class Search:
         points = self._snapped(points[np.argsort(-scores, kind="stable")[:PARENTS]], step)
         scores = self._score(points, self._coarse)
         seen, known = [points], [scores]
-        for generation in range(ROUNDS):
+        for generation in range(ROUND_GENERATIONS):
             best = np.argsort(-scores, kind="stable")[:PARENTS]
             size = 0.3 * self._spread() * 0.5**generation
             steps = self._rng.normal(size=(len(best), ROUND_CHILDREN, points.shape[1])) * size
@@ -211,16 +217,18 @@ class Search:
         out[:, 3] = ahead + np.round((points[:, 3] - ahead) / step) * step
         for k in range(len(self._movable)):
             at = self._own + 3 * k
-            out[:, at : at + 2] = np.round(points[:, at : at + 2] / ROUND) * ROUND
+            out[:, at : at + 2] = np.round(points[:, at : at + 2] / ROUND_POSITION_M) * ROUND_POSITION_M
             out[:, at + 2] = np.round(points[:, at + 2] / step) * step
         for row in out:
             pose = self._stock_pose(row)
             corner = (pose @ np.append(self._stock.lower, 1.0))[:3]
             seen = axes.T @ (corner[:2] - base[:2, 3])
-            row[:2] += axes @ (np.round(seen / ROUND) * ROUND - seen)
-            under = float(standing.underside(self._stock, pose[None])[0]) - self._ground.floor
+            row[:2] += axes @ (np.round(seen / ROUND_POSITION_M) * ROUND_POSITION_M - seen)
+            under = float(support.underside(self._stock, pose[None])[0]) - self._ground.floor
             row[2] = pose[2, 3] + (
-                0.0 if len(self._levels) or self._drops else np.round(under / ROUND) * ROUND - under
+                0.0
+                if len(self._levels) or self._drops
+                else np.round(under / ROUND_POSITION_M) * ROUND_POSITION_M - under
             )
         return out
 
@@ -228,7 +236,7 @@ class Search:
         """Random places within the arms' reach, some with the block's edges along the world's axes."""
         centre = np.mean([arm.base[:3, 3] for arm in self._cell.arms], axis=0)
         reach = max(Chain.of(arm).robot.reach for arm in self._cell.arms)
-        count = FIRST
+        count = FIRST_CANDIDATES
         if self._fixed:
             columns = [np.zeros((count, 4))]
         else:
@@ -268,7 +276,7 @@ class Search:
         if len(self._levels):
             place[2, 3] = self._levels[int(np.argmin(np.abs(self._levels - point[2])))]
         if self._drops:
-            place[2, 3] -= standing.air(self._ground, self._stock, place[None])[0]
+            place[2, 3] -= support.air(self._ground, self._stock, place[None])[0]
         return place
 
     def _bases(self, point: FloatArray) -> dict[str, FloatArray]:
@@ -294,7 +302,7 @@ class Search:
             scores = [margin(f, stock, bases, self._settings) for f in few]
             out[first : first + 64] = np.min(scores, axis=0)
             if self._borne:  # a support that does not reach the floor bears nothing
-                off = standing.air(self._ground, self._stock, stock[:, 0]) - standing.FEET
+                off = support.air(self._ground, self._stock, stock[:, 0]) - support.FOOT_HEIGHT
                 some = out[first : first + 64]
                 out[first : first + 64] = np.where(off > 1e-9, np.minimum(some, -1.0 - off), some)
         return out
@@ -305,9 +313,9 @@ class Search:
         lean = [0.3] * (self._own - 4)
         weight = np.array([1.0, 1.0, 1.0, 0.3] + lean + [1.0, 1.0, 0.3] * len(self._movable))
         for k in np.argsort(-scores, kind="stable"):
-            if len(out) == LAST or scores[k] <= 0.0:
+            if len(out) == MOST_CHECKED_PLACES or scores[k] <= 0.0:
                 break
-            if all(np.abs((points[k] - points[j]) * weight).max() > APART for j in out):
+            if all(np.abs((points[k] - points[j]) * weight).max() > LEAST_APART_M for j in out):
                 out.append(int(k))
         return out
 
@@ -317,7 +325,9 @@ class Search:
         placed = {id(m): m.with_stock(place.stock).with_bases(place.bases) for m, _ in jobs}
         if any(clearance.overlaps(m) for m in placed.values()):
             return False
-        if any(standing.made_in(m.cell, m.stock, place.stock)[1] > standing.FEET for m in placed.values()):
+        if any(
+            support.made_in(m.cell, m.stock, place.stock)[1] > support.FOOT_HEIGHT for m in placed.values()
+        ):
             return False
         return all(self._few_free(placed[id(model)], place, few) for model, few in jobs)
 
@@ -369,7 +379,7 @@ def margins_at(
         q = chain.inverse(pose)
         limit = np.max(chain.limit_margins(q, chain.turns), axis=0) - settings.joint_margin
         single = chain.singularity_margin(q) - settings.singularity_margin
-        value = np.minimum(np.minimum(limit, single), ENOUGH)
+        value = np.minimum(np.minimum(limit, single), ENOUGH_MARGIN_RAD)
         beyond = -1.0 - reach_gap(chain, pose)[..., None]
         out[arm] = np.where(np.isfinite(value), value, beyond)[:, back]
         joints[arm] = q[:, back]
@@ -388,12 +398,12 @@ def reach_gap(chain: Chain, pose: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(gap, 0.0))
 
 
-def best_branches(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> NDArray[np.intp]:
+def best_branches(margins: Mapping[str, FloatArray], index: IndexArray) -> IndexArray:
     """Flat index (K,) of the best choice of branches."""
     return np.asarray(_combined(margins, index).argmax(axis=1))
 
 
-def _combined(margins: Mapping[str, FloatArray], index: NDArray[np.intp]) -> FloatArray:
+def _combined(margins: Mapping[str, FloatArray], index: IndexArray) -> FloatArray:
     """Score (K, 8 ** arms) of each choice of branches: least over targets of the best sample, and a little of
     the mean."""
     total: FloatArray | None = None

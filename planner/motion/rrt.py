@@ -11,20 +11,20 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Free = Callable[[FloatArray], NDArray[np.bool_]]
-Sure = Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
+from planner.geometry.arrays import BoolArray, FloatArray
 
-REACH = 8
+Free = Callable[[FloatArray], BoolArray]
+Sure = Callable[[FloatArray, FloatArray], BoolArray]
+
+MOST_GROWTH_STEPS = 8
 """A tree grows by at most this many steps at a time."""
 
-ROUNDS = 3000
-CORNERS = 6
+MOST_ROUNDS = 3000
+MOST_ORDERED_COORDINATES = 6
 """With more coordinates than this there are too many orders in which they may go."""
 
-SHORTCUTS = 40
+SHORTCUT_TRIES = 40
 
 
 def connect(
@@ -35,7 +35,7 @@ def connect(
     upper: FloatArray,
     step: float,
     seed: int,
-    rounds: int = ROUNDS,
+    rounds: int = MOST_ROUNDS,
 ) -> FloatArray | None:
     """Waypoints (M, D) from ``start`` to ``goal`` (D,), both included, straight lines between them being
     free.
@@ -74,7 +74,7 @@ def _around_corner(start: FloatArray, goal: FloatArray, free: Free, step: float)
     """A free way on which some coordinates go after the others, a short one; None if there is none."""
     far = np.abs(goal - start)
     live = np.flatnonzero(far > step)
-    if len(live) < 2 or len(live) > CORNERS:
+    if len(live) < 2 or len(live) > MOST_ORDERED_COORDINATES:
         return None
     later = np.array(list(itertools.product((False, True), repeat=len(live))))[1:-1]
     corners = np.repeat(goal[None], len(later), axis=0)
@@ -122,7 +122,7 @@ class _Tree:
         if away[near] < 1e-12:
             return near
         base = self.points[near]
-        share = min(1.0, REACH * step / float(away[near]))
+        share = min(1.0, MOST_GROWTH_STEPS * step / float(away[near]))
         count = max(1, int(np.ceil(share * away[near] / step)))
         line = base + share * (np.arange(1, count + 1) / count)[:, None] * (toward - base)
         if share == 1.0:
@@ -151,7 +151,7 @@ def _line_free(a: FloatArray, b: FloatArray, free: Free, step: float) -> bool:
 
 def _shorten(way: FloatArray, free: Free, step: float, rng: np.random.Generator) -> FloatArray:
     points = list(way)
-    for _ in range(SHORTCUTS):
+    for _ in range(SHORTCUT_TRIES):
         if len(points) < 3:
             break
         i, j = sorted(rng.choice(len(points), 2, replace=False))

@@ -7,21 +7,17 @@ import functools
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.cell import clearance
-from planner.cell.clearance import LeastClearance, Pairs
-from planner.cell.edge import Against
-from planner.cell.edge import edge as edge_clearance
+from planner.cell.clearance import Against, LeastClearance, Pairs
+from planner.cell.clearance import edge as edge_clearance
 from planner.cell.plant import CellModel
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import interpolate, inverse, transform
-from planner.motion.chain import Chain
+from planner.motion.arm_kinematics import Chain
 from planner.problem import Cell, Settings
 from planner.targets import Targets
 from planner.tooling import FormingTool, working_solid
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
 
 SKIP_ENDS = 0.05
 """Arc length [m] at either end of the flexible edge that is not held against the tool which holds it."""
@@ -33,7 +29,7 @@ HELD = "held:"
 """Work frames that another arm's tool carries are named by this and that arm."""
 
 
-LOOKS = 64
+DISTANCE_BATCH = 64
 """Targets that are asked for their least distance at a time, nearest bounds first."""
 
 
@@ -120,7 +116,7 @@ class Scene:
         index: IndexArray,
         move: IndexArray | None = None,
         ignored: Pairs = frozenset(),
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """(B,) whether joints {arm: (B, 6)} at targets ``index`` (B,) keep the wanted clearance, edges
         included.
 
@@ -166,8 +162,8 @@ class Scene:
             part = {arm: v[rows] for arm, v in q.items()}
             lower = clearance.at_least(self.model, part, reach, ignore)
             order = np.argsort(lower, kind="stable")
-            for start in range(0, len(order), LOOKS):
-                some = order[start : start + LOOKS]
+            for start in range(0, len(order), DISTANCE_BATCH):
+                some = order[start : start + DISTANCE_BATCH]
                 some = some[lower[some] < best]
                 if not len(some):
                     break
@@ -209,7 +205,7 @@ class Scene:
         if points is None or targets.edge is None or self.model is None:
             return distance, pairs
         cuts = cutting(targets)[index]
-        choices: tuple[tuple[Against, NDArray[np.intp]], ...] = (
+        choices: tuple[tuple[Against, IndexArray], ...] = (
             ("no_stock", np.flatnonzero(cuts)),
             ("all", np.flatnonzero(~cuts)),
         )
@@ -232,6 +228,6 @@ def holders(targets: Targets) -> list[tuple[str, str | None]]:
     return sorted(pairs, key=lambda pair: pair[1] is not None)
 
 
-def cutting(targets: Targets) -> NDArray[np.bool_]:
+def cutting(targets: Targets) -> BoolArray:
     """(N,) whether an edge works the stock on the move to each target."""
     return np.array([segment.works for segment in targets.segment], dtype=bool)

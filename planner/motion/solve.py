@@ -1,4 +1,8 @@
-"""Motion of a whole problem: a place for the stock where none is given, then the plan of every operation."""
+"""Motion of a whole problem: a place for the stock where none is given, then every operation.
+
+Where the controller goes by spline blocks (``controller: {path: spline}``), the plan leaves room
+for them: the curve between two targets is known within bounds only, and the proof takes these off.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +12,71 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.cell import clearance, plant, standing
+from planner.cell import clearance, plant, support
 from planner.cell.plant import CellModel
+from planner.claims.claim import FeedWindow
+from planner.files import versions
+from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, Remedy, TandemError, aggregate
-from planner.motion import diagnose, entry, remedy
+from planner.motion import diagnosis, remedies, transit
 from planner.motion.operation import plan_operation
-from planner.motion.paths import find
 from planner.motion.placement import Place, Search, Trace
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked
-from planner.motion.spline_room import with_room
+from planner.motion.search.ladder_search import Blocked
+from planner.motion.search.path_search import find_path
 from planner.plans import OperationPlan, Plan
 from planner.problem import Cell, Problem, Settings, Setup
 from planner.targets import Targets
 from planner.units import MM
-from planner.versions import versions
 
-FloatArray = NDArray[np.float64]
+SPLINE_CLEARANCE_M: Final = 4e-3
+"""Bodies keep so much farther [m] apart."""
+SPLINE_MARGIN_RAD: Final = float(np.deg2rad(0.2))
+"""Axes keep so much farther [rad] off their limits and off singular postures."""
+SPLINE_SLOWING_FACTOR: Final = 1.15
+"""Tools go so many times as slow as allowed: they may be faster between two targets."""
+SPLINE_RAMP_FACTOR: Final = 1.25
+"""The same of the first two and the last two moves from stop to stop, besides: ramps end faster."""
+
+
+def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tuple[Targets, ...]]:
+    """The problem and its targets with room for the curves of spline blocks; as they are without such."""
+    if problem.cell.controller.path != "spline":
+        return problem, tuple(targets)
+    own = problem.settings
+    settings = dataclasses.replace(
+        own,
+        clearance=own.clearance + SPLINE_CLEARANCE_M,
+        joint_margin=own.joint_margin + SPLINE_MARGIN_RAD,
+        singularity_margin=own.singularity_margin + SPLINE_MARGIN_RAD,
+        tcp_speed=own.tcp_speed / SPLINE_SLOWING_FACTOR,
+    )
+    slower = tuple(
+        dataclasses.replace(
+            t,
+            feed=t.feed
+            / np.where(_near_stops(t), SPLINE_SLOWING_FACTOR * SPLINE_RAMP_FACTOR, SPLINE_SLOWING_FACTOR),
+        )
+        if any(isinstance(claim, FeedWindow) for claim in t.claims)
+        else t
+        for t in targets
+    )
+    return dataclasses.replace(problem, settings=settings), slower
+
+
+def _near_stops(targets: Targets) -> BoolArray:
+    """Moves to targets (N,) that are one of two before or behind a stop."""
+    stop = targets.stop.copy()
+    stop[[0, -1]] = True
+    out = stop.copy()
+    out[:-1] |= stop[1:]
+    for k in (1, 2):
+        out[k:] |= stop[:-k]
+    return out
+
+
 Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
@@ -63,7 +112,7 @@ def _advised(
             return False
         return True
 
-    return remedy.advised(problem, targets, operation, issues, plans)
+    return remedies.advised(problem, targets, operation, issues, plans)
 
 
 def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: list[int]) -> Plan:
@@ -245,7 +294,7 @@ def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
-            entry.require_home(scene, job)
+            transit.require_home(scene, job)
 
 
 def _look(problem: Problem, stand: Stand, at: list[int]) -> tuple[Place | None, list[Issue]]:
@@ -298,7 +347,7 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, stand.place, problem.settings, model)
             try:
-                entry.require_home(scene, job)
+                transit.require_home(scene, job)
             except TandemError as error:
                 out += error.issues
     return list(aggregate(out))
@@ -307,14 +356,14 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
 def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:
     """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE`, after which the
     block stands in nothing and is borne as it was; None where there is none within 20 of them."""
-    borne = {issue.code for issue in standing.stood(setup)}
+    borne = {issue.code for issue in support.stood(setup)}
     for size in ASIDE * np.arange(1, 21):
         for way in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
             at = from_parts(place[:3, :3], place[:3, 3] + way)
             moved = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=at))
             if (
                 not clearance.overlaps(model.with_stock(at))
-                and {i.code for i in standing.stood(moved)} <= borne
+                and {i.code for i in support.stood(moved)} <= borne
             ):
                 return np.asarray(way)
     return None
@@ -335,16 +384,16 @@ def _no_path(
             scene = Scene.of(setup.cell, job.arms, place.stock, problem.settings, placed, place.bases)
             at[0] = at[0] if out else index
             try:
-                entry.require_home(scene, job)
+                transit.require_home(scene, job)
             except TandemError as error:  # as the plan does, which asks for this first
                 out += error.issues
                 continue
-            grid, found = find(scene, job)
+            grid, found = find_path(scene, job)
             if isinstance(found, Blocked):
-                out += diagnose.no_path(scene, job, grid, found)
+                out += diagnosis.no_path(scene, job, grid, found)
                 continue
             try:
-                entry.require_home(scene, job)
+                transit.require_home(scene, job)
             except TandemError as error:
                 out += error.issues
     return out

@@ -1,4 +1,8 @@
-"""From a plan to the steps of each task: who moves when, where tasks meet, which targets are moved to."""
+"""From a plan to the steps of each task: who moves when, where tasks meet, and what arms carry.
+
+Which targets are moved to is settled here, too. What an arm carries is the block that its tool
+holds, as the controller must know it.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +11,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from planner import corners
-from planner.catalogue import robot
+from planner.catalogue.robots import robot
+from planner.claims import corner_rounding
+from planner.claims.claim import HoldsStock
+from planner.claims.dialogue import Handshake
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.rigid import to_quaternion
-from planner.handshake import Handshake
 from planner.issues import Issue, TandemError
 from planner.plans import OperationPlan, Plan
-from planner.post import handshake_drift
-from planner.post.handshake import meeting_rows, refusals, stretched
-from planner.post.loads import carries
+from planner.post import handshake as handshake_drift
+from planner.post.handshake import handshake_refusals, meeting_rows, stretched
 from planner.post.program import (
     POSITION_DECIMALS,
     QUATERNION_DECIMALS,
     TIME_DECIMALS,
-    BoolArray,
     Carry,
     Do,
-    FloatArray,
-    IntArray,
     Job,
     Joints,
+    Load,
     Meet,
     OperationProgram,
     Run,
@@ -37,8 +41,51 @@ from planner.post.program import (
     Track,
 )
 from planner.problem import Arm, Problem, Settings, Setup
-from planner.segments import Segment
 from planner.targets import Action, Targets
+
+LEAST_MASS = 0.001
+"""Least mass [kg] of a load in RAPID."""
+
+
+def carries(plan: Plan, problem: Problem) -> dict[int, dict[str, Carry]]:
+    """{index of an operation: {arm: what it carries from there on}}, where that changes.
+
+    Raises :class:`TandemError` (``post.load``) where a block is held and no claim says how heavy it is.
+    """
+    out: dict[int, dict[str, Carry]] = {}
+    before: str | None = None
+    for setup in problem.setups:
+        if setup.operations[0] >= len(plan.operations):
+            break
+        holder = setup.stock.held_by
+        change = {before: Carry(None)} if before is not None and before != holder else {}
+        if holder is not None:
+            change[holder] = Carry(_load(plan, setup, holder))
+        out[setup.operations[0]] = change
+        before = holder
+    return out
+
+
+def _load(plan: Plan, setup: Setup, holder: str) -> Load:
+    """The block of a setup in the holder's TCP frame, a solid box of one density."""
+    claims = [
+        claim
+        for index in setup.operations
+        if index < len(plan.operations)
+        for claim in plan.operations[index].targets.claims
+        if isinstance(claim, HoldsStock) and claim.arm == holder
+    ]
+    if not claims or not claims[0].mass >= LEAST_MASS:
+        got = f"{claims[0].mass:g} kg" if claims else "no claim of its weight"
+        message = f"setup {setup.number}: arm {holder} holds the block, with {got}; it needs {LEAST_MASS} kg"
+        hint = (
+            "give a larger block, or one of a denser foam" if claims else "name the block's foam (stock.foam)"
+        )
+        raise TandemError(Issue("post.load", message, arm=holder, hint=f"{hint}, and plan again"))
+    claim, size = claims[0], setup.stock.upper - setup.stock.lower
+    inertia = claim.mass / 12.0 * (np.sum(size**2) - size**2)
+    return Load(setup.number, claim.mass, claim.cog, claim.grip[:3, :3], inertia)
+
 
 MAX_TASKS = 2
 SAME_JOINTS = 1e-6
@@ -65,7 +112,7 @@ def build(plan: Plan, problem: Problem) -> Job:
         raise TandemError(Issue("post.plan", message, hint="plan this problem again"))
     handshake = controller.handshake if controller.sync == "handshake" and len(arms) > 1 else None
     if handshake is not None:
-        refused = refusals(problem, [operation.targets for operation in plan.operations])
+        refused = handshake_refusals(problem, [operation.targets for operation in plan.operations])
         if refused:
             raise TandemError(refused)
     builder = _Builder([arm.name for arm in arms], handshake, problem.settings)
@@ -379,12 +426,12 @@ def _track(
     distance = np.linalg.norm(position[keep] - position[keep - 1], axis=1)
     stations = np.concatenate([[0], keep])
     segments = [plan.targets.segment[i] for i in keep]
-    room = corners.room(
+    room = corner_rounding.room(
         position[stations],
         quaternion[stations],
         duration,
         stop,
-        corners.levers(plan.targets, arm.name, arm.tool),
-        corners.deviations(plan.targets, segments),
+        corner_rounding.levers(plan.targets, arm.name, arm.tool),
+        corner_rounding.deviations(plan.targets, segments),
     )
     return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

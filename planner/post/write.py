@@ -1,17 +1,193 @@
-"""The door of this package: a plan and its problem in, program files out."""
+"""The door of this package: a plan and its problem in, program files out; what no program can say.
+
+Each arm gets the language of its controller. Beside the programs go files for the controllers: for
+power that they switch, and for wires by which two of them know of each other. Refused before
+anything is planned: cells whose controllers cannot do the job together, signals without numbers,
+and names of segments that programs cannot carry.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Mapping, Sequence
+from typing import Final
 
+from planner.catalogue.robots import robot
+from planner.claims.claim import Claim
+from planner.claims.forming import SinksHolder
+from planner.claims.segments import Segment
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.post import controller, handshake_drift, krl, krl_notes, krl_spline, languages, names, rapid
-from planner.post.handshake import refusals as refused
+from planner.post import handshake
+from planner.post.handshake import handshake_refusals
+from planner.post.krl import controller_files as krl_files
+from planner.post.krl import program as krl_program
+from planner.post.krl import spline_blocks
 from planner.post.program import Job
+from planner.post.rapid import controller_files as rapid_files
+from planner.post.rapid import program as rapid_program
+from planner.post.rapid.syntax import alike, procedure
 from planner.post.steps import build
-from planner.problem import Problem
+from planner.problem import Arm, Problem
 from planner.targets import Targets
+
+FOLDER: Final = "controller"
+LINE_END: Final = "\r\n"
+
+
+def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
+    """Files by relative name, such as ``controller/T_ROB1/EIO.cfg``, in a folder for each controller: by its
+    first task, or by its arm where each arm has one. One controller has none where nothing is powered; two
+    have them always, for the wires by which each knows that the other one runs."""
+    controller = problem.cell.controller
+    pulsed = {
+        claim.signal
+        for operation in plan.operations
+        for claim in operation.targets.claims
+        if isinstance(claim, SinksHolder)
+    }
+    alone = controller.sync == "handshake"
+    arms = [task.arm.name for task in job.tasks]
+    wires = controller.handshake.wired_running(arms) if job.handshake is not None else ()
+    out: dict[str, str] = {}
+    for task in job.tasks:
+        signals = sorted((s for s in job.switched(task) if s not in pulsed), key=str.lower)
+        if not signals and not wires:
+            continue
+        name = task.arm.name
+        if task.robot.family == "KUKA":
+            made, folder = krl_files.files(controller, name, signals, wires), name
+        elif alone:
+            made, folder = rapid_files.files(controller, [task.task], signals, name, wires), name
+        elif task.number == 1:
+            tasks = [other.task for other in job.tasks]
+            made, folder = rapid_files.files(controller, tasks, signals, name), task.task
+        else:
+            continue  # files of the first task are for all of one controller
+        out |= {f"{FOLDER}/{folder}/{name}": text.replace("\n", LINE_END) for name, text in made.items()}
+    return out
+
+
+_ALONE: Final = "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+
+
+def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
+    """The arms that take part in any operation, in the cell's order."""
+    names = {arm for targets in made for arm in targets.arms}
+    return [arm for arm in problem.cell.arms if arm.name in names]
+
+
+def speaks_krl(arm: Arm) -> bool:
+    """Whether an arm's controller is KUKA's."""
+    return robot(arm.robot).family == "KUKA"
+
+
+def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
+    """Why the controllers of this cell cannot do this job, however it is planned: KUKA arms on a controller
+    for both (``post.controller``), signals that KRL has no number for (``post.signal``)."""
+    arms = used(problem, made)
+    together = len(arms) > 1
+    if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
+        names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
+        hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
+        return (Issue("post.controller", f"{names} cannot move together: {_ALONE}", hint=hint),)
+    issues = []
+    for arm in filter(speaks_krl, arms):
+        wanted = _signals(problem, made, arm, together)
+        missing = [signal for signal in wanted if problem.cell.controller.number(arm.name, signal) is None]
+        if missing:
+            got = (
+                f"arm {arm.name} ({arm.robot}) is to use {', '.join(missing)}, which KRL knows by number only"
+            )
+            hint = f"state the numbers: controller: {{io: {{{arm.name}: {{{missing[0]}: 1}}}}}}, as they are"
+            issues.append(
+                Issue("post.signal", got, field=f"controller.io.{arm.name}", arm=arm.name, hint=hint)
+            )
+    return tuple(issues)
+
+
+def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool) -> list[str]:
+    """Signals that an arm's program and its submit interpreter use: of the actions that it leads, and of its
+    handshake."""
+    order = [item.name for item in problem.cell.arms]
+    out = [
+        action.signal
+        for targets in made
+        if min(targets.arms, key=order.index) == arm.name
+        for action in targets.actions
+        if action.kind in ("on", "off")
+    ]
+    if together:
+        own = problem.cell.controller.handshake.of(arm.name)
+        out += [own.output, own.input, own.running, own.partner_running, own.move_enable]
+    return list(dict.fromkeys(out))
+
+
+_OWN: Final = re.compile(
+    r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
+    r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
+)
+"""Names of other things in RAPID programs."""
+
+
+def name_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
+    """Segments that programs cannot tell apart, that two operations of one setup have in common though
+    something is claimed of them, and names that RAPID does not take (all ``post.name``). ``made``: the
+    targets of each operation."""
+    rapid = not all(map(speaks_krl, used(problem, made)))
+    out: list[Issue] = []
+    known: dict[str, Segment] = {}
+    for number, targets in enumerate(made):
+        field = f"operations.{number}"
+        for segment in dict.fromkeys(targets.segment):
+            other = known.setdefault(segment.key, segment)
+            if other != segment:
+                out.append(dataclasses.replace(alike(other, segment), field=field))
+            elif rapid:
+                out += _refused(segment, field)
+    return (*out, *_shared(problem, made))
+
+
+def _refused(segment: Segment, field: str) -> tuple[Issue, ...]:
+    try:
+        name = procedure(segment)
+    except TandemError as error:
+        return tuple(dataclasses.replace(issue, field=field) for issue in error.issues)
+    if _OWN.fullmatch(name.lower()) is None:
+        return ()
+    what = f"segment {str(segment)!r} would be called {name}, as other things in RAPID programs are"
+    return (Issue("post.name", what, field=field, hint="give it another kind or name"),)
+
+
+def _shared(problem: Problem, made: Sequence[Targets]) -> list[Issue]:
+    """Segments of two operations of one setup, which the proof would hold against the claims of both."""
+    out: list[Issue] = []
+    setups = [problem.setup_of(number).number for number in range(len(made))]
+    for number, targets in enumerate(made):
+        for before in range(number):
+            if setups[before] != setups[number]:
+                continue
+            keys = {segment.key: segment for segment in dict.fromkeys(targets.segment)}
+            claimed = _claimed(targets.claims) | _claimed(made[before].claims)
+            both = [key for key in dict.fromkeys(s.key for s in made[before].segment) if key in keys]
+            own = [keys[key] for key in both if key in claimed or keys[key].works]  # G-code is claimed whole
+            if own:
+                shown = str(own[0].at(""))
+                names = [problem.operations[index].name for index in (before, number)]
+                what = f"operations {names[0]!r} and {names[1]!r} both have the segment {shown!r}"
+                hint = "do it once, give one of them another name, or give the second a setup of its own"
+                out.append(Issue("post.name", what, field=f"operations.{number}", hint=hint))
+    return out
+
+
+def _claimed(claims: Sequence[Claim]) -> set[str]:
+    """Keys of the segments of which something is claimed."""
+    out: set[str] = set()
+    for claim in claims:
+        own = getattr(claim, "segments", None) or (getattr(claim, "segment", None),)
+        out |= {segment.key for segment in own if isinstance(segment, Segment)}
+    return out
 
 
 def programs(plan: Plan, problem: Problem, margins: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -29,10 +205,10 @@ def refusals(problem: Problem, targets: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why no program can be written for these targets, one an operation, however they are planned."""
     alone = problem.cell.controller.sync == "handshake"
     return (
-        *languages.refusals(problem, targets),
-        *krl_spline.refusals(problem, targets),
-        *names.refusals(problem, targets),
-        *(refused(problem, targets) if alone else ()),
+        *controller_refusals(problem, targets),
+        *spline_blocks.spline_refusals(problem, targets),
+        *name_refusals(problem, targets),
+        *(handshake_refusals(problem, targets) if alone else ()),
     )
 
 
@@ -42,16 +218,16 @@ def notes(plan: Plan, problem: Problem) -> tuple[Issue, ...]:
 
     Raises as :func:`programs` does.
     """
-    krl_spoken = any(map(languages.speaks_krl, problem.cell.arms))
+    krl_spoken = any(map(speaks_krl, problem.cell.arms))
     if problem.cell.controller.sync != "handshake" and not krl_spoken:
         return ()
     job = _job(plan, problem)
     files = _texts(job, plan, problem, {}) if krl_spoken else {}
-    return (*handshake_drift.issues(job), *krl_notes.notes(job, plan, problem, files))
+    return (*handshake.drift_issues(job), *krl_files.notes(job, plan, problem, files))
 
 
 def _job(plan: Plan, problem: Problem) -> Job:
-    issues = languages.refusals(problem, [operation.targets for operation in plan.operations])
+    issues = controller_refusals(problem, [operation.targets for operation in plan.operations])
     if issues:
         raise TandemError(issues)
     return build(plan, problem)
@@ -59,6 +235,6 @@ def _job(plan: Plan, problem: Problem) -> Job:
 
 def _texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
     families = {task.robot.family for task in job.tasks}
-    out = rapid.texts(job, plan, problem, margins) if "ABB" in families else {}
-    out |= krl.texts(job, plan, problem, margins) if "KUKA" in families else {}
-    return out | controller.texts(job, plan, problem)
+    out = rapid_program.texts(job, plan, problem, margins) if "ABB" in families else {}
+    out |= krl_program.texts(job, plan, problem, margins) if "KUKA" in families else {}
+    return out | controller_texts(job, plan, problem)

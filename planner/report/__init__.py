@@ -1,0 +1,1 @@
+"""What people look at: report, setup sheet, replay."""

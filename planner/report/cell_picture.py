@@ -1,4 +1,7 @@
-"""Pictures of a cell: arms, tools, block and wire at one moment of a setup, rendered without a display."""
+"""Pictures of a cell: arms, tools, block and wire at one moment, rendered without a display.
+
+Shown is one moment of each setup, in the midst of its longest work.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,18 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.problem import Mesh, Setup
-from planner.report import raster, solids
-from planner.report.raster import Camera, Thing
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import FloatArray, IndexArray
+from planner.geometry.rigid import transform
+from planner.plans import OperationPlan, Plan
+from planner.problem import Mesh, Problem, Setup
+from planner.report import cell_picture, raster, scene
+from planner.report.raster import Camera, Solid, Thing
+from planner.report.replay import TRIMMED_DEPTH_M
 from planner.report.scene import Scene, mounted, stand
-from planner.report.solids import Solid
 
-FloatArray = NDArray[np.float64]
 WIRE: Final = (1.0, 0.30, 0.06)
 PART: Final = (0.16, 0.56, 0.62)
 BLOCK: Final = (0.86, 0.90, 0.84)
@@ -67,15 +72,15 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
             opaque.append(Thing(solid[id(piece)], paint, 1.0 if hot else 0.0, piece.closed))
     for meshes, paint in ((moment.part, PART), (moment.cut, CUT)):
         for mesh in meshes:
-            shown = solids.mesh(mesh.vertices, mesh.faces, smooth=True).moved(poses["stock"][0])
+            shown = raster.mesh(mesh.vertices, mesh.faces, smooth=True).moved(poses["stock"][0])
             opaque.append(Thing(shown, paint, 0.0, closed=False))
-    opaque += [Thing(solids.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
+    opaque += [Thing(raster.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
     if moment.wire is not None:
-        opaque.append(Thing(solids.tube(moment.wire, 0.0032), WIRE, 1.0))
+        opaque.append(Thing(raster.tube(moment.wire, 0.0032), WIRE, 1.0))
     fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
     subject = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
     camera = raster.frame(np.concatenate(subject), _direction(scene, moment.place), 2 * width, 2 * height)
-    image = raster.draw(camera, opaque)
+    image = raster.rendered(camera, opaque)
     color, alpha = image.color, np.isfinite(image.depth).astype(np.float64)
     color, alpha = _veil(camera, block, image.depth, color, alpha)
     color, alpha = _ground(camera, [*opaque, *block], color, alpha)
@@ -121,7 +126,7 @@ def _veil(
     if not block:
         return color, alpha
     window = camera.window(np.concatenate([thing.solid.vertices for thing in block]))
-    image = raster.draw(window, block)
+    image = raster.rendered(window, block)
     part = np.s_[window.top : window.top + window.height, window.left : window.left + window.width]
     strength = np.where(image.color.sum(axis=-1) < 1.25, 0.75, 0.42) * (image.depth < depth[part])
     color[part], alpha[part] = _over(image.color, strength, color[part], alpha[part])
@@ -189,3 +194,85 @@ def _halved(image: FloatArray) -> FloatArray:
     """Means of four pixels each."""
     above, below = image[0::2], image[1::2]
     return np.asarray(0.25 * ((above[:, 0::2] + above[:, 1::2]) + (below[:, 0::2] + below[:, 1::2])))
+
+
+SHOWN_CUT_SHARE = 0.62
+"""How much of the longest cut is done in the picture."""
+
+
+def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tuple[tuple[str, Picture], ...]:
+    """Titles and pictures of the setups; without a plan the first one, with all arms at home.
+
+    ``model``: the cell, for its robots and fixed bodies; its stock pose is where the block then stands.
+    """
+    seen = scene.extract(model)
+    setups = problem.setups
+    if plan is None or not plan.operations:
+        shown = _standing(problem, setups[0], model.stock_pose)
+        return (("", cell_picture.picture(seen, shown)),)
+    out = []
+    for setup, place in zip(setups, plan.places, strict=True):
+        names = ", ".join(plan.operations[i].name for i in setup.operations)
+        title = f"Setup {setup.number}: {names}" if len(setups) > 1 else ""
+        out.append((title, cell_picture.picture(seen, _moment(problem, plan, setup, place))))
+    return tuple(out)
+
+
+def _standing(problem: Problem, setup: Setup, place: FloatArray) -> Moment:
+    home = {arm.name: np.asarray(arm.home) for arm in setup.cell.arms}
+    return Moment(setup, place, home, part=[mesh for _, mesh in raster.part_meshes(problem.part)])
+
+
+def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Moment:
+    """The midst of the setup's longest cut, or all arms at home if nothing is cut."""
+    still = _standing(problem, setup, place)
+    cuts = [(len(rows), -i, rows) for i in setup.operations for rows in _cuts(plan.operations[i])]
+    if not cuts:
+        return still
+    _, minus, rows = max(cuts, key=lambda cut: cut[:2])
+    operation = plan.operations[-minus]
+    here = int(rows[int(SHOWN_CUT_SHARE * (len(rows) - 1))])
+    q = {**still.q, **{arm: operation.q[arm][here] for arm in operation.q}}
+    done = _done(problem, plan, -minus, here, setup)
+    edge, frame = operation.targets.edge, operation.targets.frame[operation.targets.arms[0]]
+    wires: list[FloatArray] = []
+    if edge is not None and frame in ("stock", "world"):
+        before = [int(i) for i in rows if i < here][:: max(1, here // 9)]
+        wires = [transform(place if frame == "stock" else np.eye(4), edge.points[i]) for i in (*before, here)]
+    wire = wires[-1] if wires else None
+    return dataclasses.replace(still, q=q, wire=wire, earlier=wires[:-1], cut=done)
+
+
+def _cuts(operation: OperationPlan) -> list[IndexArray]:
+    """Rows of each run of one segment of work."""
+    segments = operation.targets.segment
+    cut = np.array([segment.works for segment in segments])
+    starts = np.flatnonzero(
+        cut & np.array([i == 0 or segments[i] != segments[i - 1] for i in range(len(segments))])
+    )
+    return [
+        np.arange(a, next((i for i in range(a, len(segments)) if segments[i] != segments[a]), len(segments)))
+        for a in starts
+    ]
+
+
+def _done(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> list[Mesh]:
+    """What straight wires have cut up to target ``here`` of operation ``last``, within the block as shown."""
+    out = []
+    for index in range(last + 1):
+        operation, setup = plan.operations[index], problem.setup_of(index)
+        arm = scene.cutter(setup, operation.targets.arms)
+        if arm is None or operation.targets.edge is not None:
+            continue
+        left = 0.0 if raster.same_size(setup.stock, shown.stock) else TRIMMED_DEPTH_M
+        place = plan.places[setup.number - 1]
+        for rows in _cuts(operation):
+            rows = np.append(max(rows[0] - 1, 0), rows)
+            rows = rows if index < last else rows[rows <= here]
+            if len(rows) < 2:
+                continue
+            q = {name: joints[rows] for name, joints in operation.q.items()}
+            points = scene.wire_in_block(setup, arm, place, plan.bases, q)
+            mesh = raster.swept_surface(points, shown.stock.lower + left, shown.stock.upper - left)
+            out += [] if mesh is None else [mesh]
+    return out

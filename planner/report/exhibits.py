@@ -2,15 +2,18 @@
 
 An exhibit is a mapping of arrays and plain data with ``kind`` and ``title`` (``note`` optional):
 
-``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` alike, optional;
-              ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn in space within the
-              block, and laid over one another in their planes.
-``paths``     ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in their order.
+``sections``  ``curves`` (S, P, 3) or a sequence of (P, 3) [m] in the stock frame; ``wanted`` alike,
+              optional; ``value`` (S,), ``value_name``, ``unit`` optional: colours the curves. Drawn
+              in space within the block, and laid over one another in their planes.
+``paths``     ``curves``: sequence of (P, 3) [m] in the stock frame, drawn in space, coloured in
+              their order.
 ``curve``     ``x`` (N,), ``x_label``, ``y_label``; ``series``: sequence of {``name``, ``y`` (N,),
-              ``x`` if its own}; optional ``limits``: sequence of {``name``, ``value``}, ``equal``: one scale.
+              ``x`` if its own}; optional ``limits``: sequence of {``name``, ``value``}, ``equal``:
+              one scale.
 ``table``     ``columns``: names; ``rows``: sequence of sequences.
 ``facts``     ``items``: sequence of (name, value) or (name, value, unit).
-``setup``     as ``facts``, but shown in the setup sheet: what an operator mounts, cuts, sets or measures.
+``setup``     as ``facts``, but shown in the setup sheet: what an operator mounts, cuts, sets or
+              measures.
 ``heatmap``   ``points`` (M, 3) [m] and ``value`` (M,), ``unit``; ``limit`` optional: the colours
               then diverge from 0 up to it.
 ``mesh``      ``vertices`` (V, 3) [m], ``faces`` (F, 3): a shaded picture.
@@ -27,13 +30,138 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity
-from planner.report import charts, heatmap, markup, raster, sections, solids
+from planner.report import charts, markup, raster
 from planner.report.markup import Raw
 
-FloatArray = NDArray[np.float64]
+_MOST = 60
+
+
+def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> str:
+    """An SVG of curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
+    corner are ``block`` (2, 3)."""
+    size = block[1] - block[0]
+    toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
+    z = toward / np.linalg.norm(toward)
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    axes = np.stack([x, np.cross(z, x)], axis=1)
+    corners = np.array(
+        [[block[i, 0], block[j, 1], block[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
+    flat = [curve @ axes for curve in curves]
+    everything = np.concatenate([*flat, corners @ axes])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    scale = min(500.0 / (high[0] - low[0]), 300.0 / (high[1] - low[1]))
+    drawn = (high - low) * scale + 24.0
+    parts = [f'<svg class="plot" viewBox="0 0 {drawn[0]:.0f} {drawn[1]:.0f}" style="max-height:340px">']
+    hidden = int(np.argmax(corners @ z))
+    for a in range(8):
+        for b in range(a + 1, 8):
+            if np.count_nonzero(np.abs(corners[a] - corners[b]) > 1e-12) == 1:
+                p, q = ((corners[[a, b]] @ axes) - low) * scale + 12.0
+                back = " back" if hidden in (a, b) else ""
+                parts.append(
+                    f'<line class="edge{back}" x1="{p[0]:.1f}" y1="{p[1]:.1f}" '
+                    f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
+                )
+    colors = _colours(value)
+    for i in _thin(len(curves)):
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
+        parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{points}"/>')
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: FloatArray) -> str:
+    """An SVG of the curves in their own planes [mm], chord along x, middle of the chord at 0.
+
+    A curve's plane holds its chord and lies across the way from section to section.
+    """
+    middles = np.array([c.mean(axis=0) for c in curves])
+    sweep = np.gradient(middles, axis=0) if len(curves) > 1 else np.array([[0.0, 0.0, 1.0]])
+    frames: list[tuple[FloatArray, FloatArray]] = []
+    for i, curve in enumerate(curves):
+        origin, axes = _plane(curve, sweep[i])
+        turned = bool(frames) and float(axes[:, 1] @ frames[-1][1][:, 1]) < 0.0
+        frames.append((origin, axes * [1.0, -1.0] if turned else axes))
+    pairs = zip(curves, frames, strict=True)
+    width, rise = np.ptp(np.concatenate([(c - origin) @ axes for c, (origin, axes) in pairs]), axis=0)
+    times = next((k for k in (1, 2, 5, 10) if rise * k > 0.22 * width), 10)
+    stretch = np.array([1e3, 1e3 * times])
+    drawn: list[tuple[FloatArray, str]] = []
+    colors = _colours(value)
+    for i in _thin(len(curves)):
+        origin, axes = frames[i]
+        drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
+        if len(wanted) == len(curves):
+            drawn.append((((wanted[i] - origin) @ axes) * stretch, "stroke:var(--soft);stroke-dasharray:2 3"))
+    everything = np.concatenate([d for d, _ in drawn])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    pad = 0.05 * max(high - low)
+    low, high = low - pad, high + pad
+    scale = min(470.0 / (high[0] - low[0]), 290.0 / (high[1] - low[1]))
+    height = (high[1] - low[1]) * scale
+    parts = [f'<svg class="plot" viewBox="0 0 540 {height + 40:.0f}">']
+    for v in charts.ticks(low[0], high[0], 6):
+        x = 52 + (v - low[0]) * scale
+        parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="4" y2="{height + 4:.1f}"/>')
+        parts.append(
+            f'<text class="xtick" x="{x:.1f}" y="{height + 20:.1f}">{markup.number(float(v))}</text>'
+        )
+    for v in times * charts.ticks(low[1] / times, high[1] / times, int(np.clip(height / 40, 2, 6))):
+        y = 4 + (high[1] - v) * scale
+        right = 52 + (high[0] - low[0]) * scale
+        parts.append(f'<line class="grid" x1="52" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text class="ytick" x="46" y="{y + 4:.1f}">{markup.number(float(v) / times)}</text>')
+    words = "mm" if times == 1 else f"mm; heights drawn {times} times"
+    for path, style in drawn:
+        uv = np.stack([52 + (path[:, 0] - low[0]) * scale, 4 + (high[1] - path[:, 1]) * scale], axis=1)
+        points = " ".join(f"{u:.1f},{v:.1f}" for u, v in uv)
+        parts.append(f'<polyline class="thin" style="{style}" points="{points}"/>')
+    parts.append(
+        f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" '
+        f'y="{height + 36:.0f}">{words}</text>'
+    )
+    return "".join(parts) + "</svg>"
+
+
+def colour_key(value: FloatArray, name: str) -> str:
+    """A bar that says which colour stands for which value."""
+    image = markup.png(np.tile(charts.sequential(np.linspace(0.18, 0.92, 160))[None], (2, 1, 1)))
+    low, high = (markup.number(float(v), 3) for v in (value.min(), value.max()))
+    return (
+        '<svg class="plot" viewBox="0 0 540 22"><text class="ytick" x="150" y="12">'
+        f'{low}</text><image href="{image}" x="158" y="4" width="224" height="8" preserveAspectRatio="none"/>'
+        f'<text x="390" y="12">{high} · {markup.text(name)}</text></svg>'
+    )
+
+
+def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Middle of the chord (3,) and axes (3, 2) along the chord and across it in the section's plane."""
+    chord = curve[-1] - curve[0]
+    if np.linalg.norm(chord) < 1e-9:
+        chord = curve[len(curve) // 2] - curve[0]
+    x = chord / np.linalg.norm(chord)
+    y = np.cross(sweep, x)
+    if np.linalg.norm(y) < 1e-9 * max(float(np.linalg.norm(sweep)), 1e-12) or not np.linalg.norm(sweep):
+        y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
+    y = y / np.linalg.norm(y)
+    if y[np.argmax(np.abs(y))] < 0:
+        y = -y
+    return 0.5 * (curve[0] + curve[-1]), np.stack([x, y], axis=1)
+
+
+def _thin(count: int) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST))})
+
+
+def _colours(value: FloatArray) -> list[str]:
+    span = float(np.ptp(value)) or 1.0
+    rgb = charts.sequential(0.18 + 0.74 * (value - value.min()) / span) * 255.0
+    return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]
 
 
 _HALF = 6
@@ -90,7 +218,7 @@ def _items(items: Sequence[Any]) -> list[tuple[Any, Any]]:
 def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
     order = np.arange(len(curves), dtype=np.float64)
-    drawn = sections.in_space(curves, order, block) + sections.colour_key(order, "in order")
+    drawn = in_space(curves, order, block) + colour_key(order, "in order")
     return markup.figure(exhibit["title"], drawn, exhibit.get("note", ""))
 
 
@@ -100,9 +228,9 @@ def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     value = exhibit.get("value")
     value = np.arange(len(curves), dtype=np.float64) if value is None else np.asarray(value, dtype=np.float64)
     name = f"{exhibit.get('value_name', 'section')} [{exhibit['unit']}]" if exhibit.get("unit") else "section"
-    space = sections.in_space(curves, value, block)
-    plane = sections.in_plane(curves, wanted, value)
-    key = sections.colour_key(value, name)
+    space = in_space(curves, value, block)
+    plane = in_plane(curves, wanted, value)
+    key = colour_key(value, name)
     note = exhibit.get("note", "")
     pair = markup.grid(
         [markup.figure(exhibit["title"], space + key), markup.figure("In their planes", plane, note)]
@@ -148,16 +276,16 @@ def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
 def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     del block
     points, value = np.asarray(exhibit["points"]), np.asarray(exhibit["value"], dtype=np.float64)
-    body = heatmap.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
+    body = charts.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
     return markup.figure(exhibit["title"], body, exhibit.get("note", ""))
 
 
 def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     del block
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
-    solid = solids.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
+    solid = raster.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
     camera = raster.frame(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
-    image = raster.draw(camera, [raster.Thing(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
+    image = raster.rendered(camera, [raster.Thing(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
     address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
     picture = f'<div class="picture"><img alt="{markup.text(exhibit["title"])}" src="{address}"></div>'
     return markup.figure(exhibit["title"], picture, exhibit.get("note", ""))

@@ -1,21 +1,177 @@
-"""The files of a result folder that people look at: report, replay, simulated part, and the proof as data."""
+"""The files of a result folder that people look at: report, replay, simulated part, the proof.
+
+The report is one HTML file that needs nothing else, for screen and paper; it is written where there
+is no plan, too. The proof is written as data.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import html
 import json
 from collections.abc import Sequence
 
 import numpy as np
 
 from planner.cell import plant
+from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import moments, page, replay3d
+from planner.report import cell_picture, exhibits, markup, motion_charts, page_sections, replay, setup_sheet
 from planner.report.cell_picture import Picture
-from planner.report.page import Extra
+from planner.report.markup import CSS, SCRIPT, Raw
+from planner.report.motion_charts import Motion
 from planner.verify.result import Proof
+
+
+@dataclasses.dataclass(frozen=True)
+class Extra:
+    """What the report shows besides problem, plan and proof.
+
+    ``pictures`` of the cell with their titles; ``filtered`` pairs of bodies that are not held apart, with
+    reasons; ``programs``: names and numbers of lines; ``issues`` that belong to no plan.
+    """
+
+    pictures: Sequence[tuple[str, Picture]] = ()
+    filtered: Sequence[tuple[str, str, str]] = ()
+    programs: Sequence[tuple[str, int]] = ()
+    issues: Sequence[Issue] = ()
+
+
+def render(
+    problem: Problem | None, plan: Plan | None, proof: Proof | None, extra: Extra | None = None
+) -> str:
+    """The page as text. Without ``plan`` it shows the problem as far as known, and the issues."""
+    extra = extra or Extra()
+    drawn, left_out = _exhibits(problem, plan)
+    part = problem.part if problem is not None else None
+    found = aggregate(
+        [
+            *(part.notes if part is not None else ()),
+            *(problem.notes if problem is not None else ()),
+            *(plan.issues if plan else ()),
+            *(i for op in (plan.operations if plan else ()) for i in op.issues),
+            *(proof.issues if proof else ()),
+            *extra.issues,
+            *left_out,
+        ]
+    )
+    sections: list[Raw] = []
+    if found:
+        sections.append(markup.section("issues", "Issues", page_sections.issue_table(_unique(found))))
+    if extra.pictures:
+        shown = [page_sections.picture(picture, title) for title, picture in extra.pictures]
+        sections.append(markup.section("cell", "Cell", *shown))
+    if proof is not None and proof.surfaces:
+        ruled = {
+            claim.segment.key: (claim.start, claim.end)
+            for operation in (plan.operations if plan is not None else ())
+            for claim in operation.targets.claims
+            if isinstance(claim, FollowsRulings)
+        }
+        faces = "".join(
+            page_sections.cut_face_figure(face, ruled.get(face.segment.key)) for face in proof.surfaces
+        )
+        sections.append(markup.section("part", "Simulated part against the wanted one", faces))
+    sections += drawn
+    if problem is not None and plan is not None and plan.operations:
+        motion = motion_charts.motion_series(problem, plan, proof)
+        sections += _motion(problem, motion)
+        sections.append(markup.section("setup", "Setup sheet", setup_sheet.sheet(problem, plan, proof)))
+    if proof is not None and proof.rules:
+        sections.append(
+            markup.section("proof", "Proof from the programs' text", page_sections.rule_table(proof.rules))
+        )
+    sections += _background(plan, extra)
+    title = problem.name if problem is not None else "Problem"
+    tiles = page_sections.tiles(problem, plan, proof) if plan is not None and problem is not None else ""
+    head = page_sections.header(problem, plan, proof, has_errors(found), accepted(found))
+    return _document(title, head, tiles, [s for s in sections if s])
+
+
+def _document(title: str, head: str, tiles: str, sections: Sequence[Raw]) -> str:
+    links = []
+    for part in sections:
+        anchor = part.split('id="', 1)[1].split('"', 1)[0]
+        name = part.split("<h2>", 1)[1].split("</h2>", 1)[0]
+        links.append(f'<a href="#{anchor}">{name}</a>')
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(title)} – Tandem report</title><style>{CSS}</style></head><body><main>"
+        f"{head}<nav>{''.join(links)}</nav>{tiles}{''.join(sections)}"
+        "<footer>Written by Tandem. This file needs no network.</footer></main>"
+        f"<script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def _unique(issues: Sequence[Issue]) -> list[Issue]:
+    """Issues that say the same once: a plan repeats those of its operations."""
+    return list(dict.fromkeys(issues))
+
+
+def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Raw], list[Issue]]:
+    sections, left_out = [], []
+    for index, operation in enumerate(plan.operations if plan else ()):
+        stock = problem.setup_of(index).stock if problem is not None else None
+        corners = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
+        block = corners if stock is None else np.array([stock.lower, stock.upper])
+        figures, issues = exhibits.draw(operation.targets.exhibits, block)
+        left_out += issues
+        title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"
+        wide = [f for f in figures if "wide" in f[:20]]
+        small = [f for f in figures if f not in wide]
+        content = "".join(wide) + markup.grid(small)
+        sections.append(markup.section(f"process{index}", title, content))
+    return sections, left_out
+
+
+def _motion(problem: Problem, motion: Motion) -> list[Raw]:
+    settings = problem.settings
+    figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
+    if motion.clearance is not None:
+        figures.append(motion_charts.clearance(motion.clearance, motion, settings))
+    if motion.gap is not None:
+        figures.append(motion_charts.gap(motion.gap, motion))
+    figures += motion_charts.margins(motion, settings) if motion.arms else []
+    figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
+    for name, arm in motion.arms.items():
+        figures += motion_charts.speeds(name, arm, motion, settings)
+    pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ""
+    note = Raw(
+        f'<p class="note">Joint motion: {html.escape(motion.source)}. Tinted stretches are segments.</p>'
+    )
+    out = [markup.section("motion", "Motion", markup.grid(figures), pairs, note)]
+    rows = [
+        Raw(f"<h3>{html.escape(name)}: {html.escape(arm.robot.title)}</h3>")
+        + markup.grid(motion_charts.joints(name, arm, motion), "three")
+        for name, arm in motion.arms.items()
+    ]
+    out.append(markup.section("joints", "Joint angles and limits", *rows))
+    return out
+
+
+def _background(plan: Plan | None, extra: Extra) -> list[Raw]:
+    out = []
+    if plan is not None:
+        out.append(markup.section("placement", "Search for a place", page_sections.placement_figures(plan)))
+        out.append(
+            markup.section(
+                "times", "How the plan was made", page_sections.how_it_was_made(plan, extra.programs)
+            )
+        )
+    if extra.filtered:
+        rows = markup.table(("body", "body", "why the two are not held apart"), extra.filtered)
+        out.append(
+            markup.section(
+                "filter",
+                "Collision filter",
+                f"<details><summary>{len(extra.filtered)} pairs of bodies are not held apart; "
+                f"every other pair is</summary>{rows}</details>",
+            )
+        )
+    return out
 
 
 def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
@@ -28,11 +184,11 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
     out: dict[str, str] = {}
     issues: tuple[Issue, ...] = ()
     try:
-        out["replay.html"] = replay3d.document(model, problem, plan, proof)
+        out["replay.html"] = replay.document(model, problem, plan, proof)
     except TandemError as error:
         issues = error.issues
-    extra = Extra(moments.pictures(model, problem, plan), model.pairs_filtered, issues=issues)
-    out["report.html"] = page.render(problem, plan, proof, extra)
+    extra = Extra(cell_picture.setup_pictures(model, problem, plan), model.pairs_filtered, issues=issues)
+    out["report.html"] = render(problem, plan, proof, extra)
     if proof is not None:
         out["proof.json"] = _verdict(proof, accepted(plan.issues))
         if proof.part_obj:
@@ -53,9 +209,9 @@ def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:
         except TandemError as error:
             issues = [*issues, *(i for i in error.issues if i not in issues)]
         else:
-            shown = moments.pictures(model, problem, None)
+            shown = cell_picture.setup_pictures(model, problem, None)
             filtered = model.pairs_filtered
-    return page.render(problem, None, None, Extra(shown, filtered, issues=issues))
+    return render(problem, None, None, Extra(shown, filtered, issues=issues))
 
 
 def _verdict(proof: Proof, taken: Sequence[str]) -> str:

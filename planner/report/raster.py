@@ -1,4 +1,8 @@
-"""A small depth-buffer renderer in NumPy: pictures of a cell without a display."""
+"""Pictures without a display: triangle meshes and a small depth-buffer renderer in NumPy.
+
+Meshes are the shapes of a cell, wanted surfaces, and what a wire leaves behind it in the block: strips
+between its places one after the other.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,209 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.geometry.vectors import lengths
-from planner.report.solids import Solid
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
+from planner.problem import Mesh, Part, Ruled, Stock
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+
+@dataclasses.dataclass(frozen=True)
+class Solid:
+    """Triangles to draw: ``vertices`` (V, 3) [m], unit ``normals`` (V, 3), ``faces`` (F, 3)."""
+
+    vertices: FloatArray
+    normals: FloatArray
+    faces: IntArray
+
+    def moved(self, pose: FloatArray) -> Solid:
+        """The solid moved by a pose (4, 4)."""
+        return Solid(self.vertices @ pose[:3, :3].T + pose[:3, 3], self.normals @ pose[:3, :3].T, self.faces)
+
+
+def box(x: float, y: float, z: float) -> Solid:
+    """A box of edges x, y, z [m] about its centre."""
+    corners: list[FloatArray] = []
+    normals: list[FloatArray] = []
+    faces: list[list[int]] = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            face = np.zeros((4, 3))
+            face[:, axis] = sign
+            face[:, u] = np.array([-1.0, 1.0, 1.0, -1.0]) * sign
+            face[:, v] = [-1.0, -1.0, 1.0, 1.0]
+            base = 4 * len(corners)
+            corners.append(face)
+            normals.append(np.tile(np.eye(3)[axis] * sign, (4, 1)))
+            faces += [[base, base + 1, base + 2], [base, base + 2, base + 3]]
+    half = 0.5 * np.array([x, y, z])
+    return Solid(np.concatenate(corners) * half, np.concatenate(normals), np.array(faces, dtype=np.int64))
+
+
+def cylinder(radius: float, length: float, sides: int = 32) -> Solid:
+    """A cylinder about z, centred, with flat ends."""
+    profile = [(0.0, -1.0, 0.0, -1.0), (1.0, -1.0, 0.0, -1.0), (1.0, -1.0, 1.0, 0.0)]
+    profile += [(1.0, 1.0, 1.0, 0.0), (1.0, 1.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)]
+    rows = np.array(profile) * [radius, 0.5 * length, 1.0, 1.0]
+    return _turned(rows, sides)
+
+
+def capsule(radius: float, length: float, sides: int = 24, rings: int = 6) -> Solid:
+    """A capsule about z, centred; ``length`` without the caps."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * rings)
+    shift = np.where(angle < 0.0, -0.5, 0.5) * length
+    rows = np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle) + shift, np.cos(angle), np.sin(angle)], axis=1
+    )
+    return _turned(rows, sides)
+
+
+def sphere(radius: float, sides: int = 24) -> Solid:
+    """A sphere about the origin."""
+    return capsule(radius, 0.0, sides)
+
+
+def mesh(vertices: FloatArray, faces: IntArray, smooth: bool = False) -> Solid:
+    """A mesh; faceted, or ``smooth`` with area-weighted vertex normals."""
+    corners = vertices[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if smooth:
+        normals = np.zeros_like(vertices)
+        for k in range(3):
+            np.add.at(normals, faces[:, k], normal)
+        return Solid(vertices, _unit(normals), faces)
+    flat = np.arange(3 * len(faces), dtype=np.int64).reshape(-1, 3)
+    return Solid(corners.reshape(-1, 3), np.repeat(_unit(normal), 3, axis=0), flat)
+
+
+def tube(points: FloatArray, radius: float, sides: int = 10) -> Solid:
+    """A tube about a polyline (P, 3), with frames carried along it without turning."""
+    tangent = _unit(np.gradient(points, axis=0))
+    side = np.cross(tangent[0], np.eye(3)[np.argmin(np.abs(tangent[0]))])
+    rings = np.empty((len(points), 3))
+    for i, t in enumerate(tangent):
+        side = side - t * (side @ t)
+        side /= np.linalg.norm(side)
+        rings[i] = side
+    other = np.cross(tangent, rings)
+    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    normals = np.cos(angle)[:, None] * rings[:, None] + np.sin(angle)[:, None] * other[:, None]
+    vertices = points[:, None] + radius * normals
+    return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid(len(points), sides))
+
+
+def merged(solids: list[Solid]) -> Solid:
+    """All solids as one."""
+    starts = np.cumsum([0, *(len(s.vertices) for s in solids[:-1])])
+    return Solid(
+        np.concatenate([s.vertices for s in solids]),
+        np.concatenate([s.normals for s in solids]),
+        np.concatenate([s.faces + start for s, start in zip(solids, starts, strict=True)]),
+    )
+
+
+def _turned(rows: FloatArray, sides: int) -> Solid:
+    """A body of revolution about z of rows (radius, z, normal's radius, normal's z), from below upward."""
+    angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    c, s = np.cos(angle), np.sin(angle)
+
+    def spin(radius: FloatArray, z: FloatArray) -> FloatArray:
+        ones = np.ones(sides)
+        return np.stack([np.outer(radius, c), np.outer(radius, s), np.outer(z, ones)], axis=-1).reshape(-1, 3)
+
+    return Solid(spin(rows[:, 0], rows[:, 1]), spin(rows[:, 2], rows[:, 3]), _grid(len(rows), sides))
+
+
+def _grid(rows: int, sides: int) -> IntArray:
+    """Faces (2 (rows - 1) sides, 3) of rings of vertices, each ring closed."""
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = a + sides, b + sides
+    return np.concatenate([np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
+
+
+def _unit(v: FloatArray) -> FloatArray:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30))
+
+
+STRAIGHT_WIRE_POINTS: Final = 3
+"""Points that a straight wire is drawn by; two neighbouring rulings may be warped."""
+
+
+def clipped_wires(ends: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """The part of straight wires with ends (T, 2, 3) that lies in the box, as (T, STRAIGHT, 3) points; NaN
+    where none does.
+
+    Slabs: the ray's parameters of entry and exit are the greatest and the least of those of the three pairs
+    of planes (Kay and Kajiya 1986).
+    """
+    start, way = ends[:, 0], ends[:, 1] - ends[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (lower - start) / way, (upper - start) / way
+    along = np.abs(way) < 1e-12
+    inside = (start >= lower) & (start <= upper)
+    first = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
+    last = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
+    first, last = np.maximum(first, 0.0), np.minimum(last, 1.0)
+    hit = last > first
+    first, last = np.where(hit, first, 0.0), np.where(hit, last, 0.0)
+    share = np.linspace(0.0, 1.0, STRAIGHT_WIRE_POINTS)
+    at = first[:, None] + (last - first)[:, None] * share
+    points = start[:, None] + at[..., None] * way[:, None]
+    points[~hit] = np.nan
+    return np.asarray(points)
+
+
+def swept_surface(points: FloatArray, lower: FloatArray, upper: FloatArray) -> Mesh | None:
+    """What wires (T, P, 3) in the stock frame sweep, one after the other, as far as it lies in the box; None
+    if it does not. Straight wires are given by their two ends."""
+    if points.shape[1] == 2:
+        points = clipped_wires(points, lower, upper)
+    count = points.shape[1]
+    i, j = np.meshgrid(np.arange(len(points) - 1), np.arange(count - 1), indexing="ij")
+    a = (i * count + j).ravel()
+    quads = np.stack([a, a + 1, a + count + 1, a + count], axis=1)
+    vertices = points.reshape(-1, 3)
+    middle = vertices[quads].mean(axis=1)
+    with np.errstate(invalid="ignore"):
+        inside = ((middle >= lower - 1e-9) & (middle <= upper + 1e-9)).all(axis=1)
+    quads = quads[inside]
+    if not len(quads):
+        return None
+    used, place = np.unique(quads, return_inverse=True)
+    quads = place.reshape(quads.shape)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return Mesh(vertices[used], faces.astype(np.int64))
+
+
+def same_size(one: Stock, other: Stock) -> bool:
+    """Whether two blocks are of one size."""
+    return np.allclose(one.lower, other.lower) and np.allclose(one.upper, other.upper)
+
+
+def part_meshes(part: Part | None) -> tuple[tuple[str, Mesh], ...]:
+    """The wanted surfaces by name, in the stock frame."""
+    if part is None:
+        return ()
+    open_ = [(name, mesh) for name, mesh in (("front", part.front), ("back", part.back)) if mesh is not None]
+    return (*open_, *((surface.name, ruled_mesh(surface)) for surface in part.ruled))
+
+
+def ruled_mesh(surface: Ruled) -> Mesh:
+    """Triangles between the rulings, with normals along tangent x ruling; a corner parts the vertices."""
+    rows = np.arange(len(surface.start))
+    if surface.closed:
+        rows = np.append(rows, 0)
+    corner = surface.corner[rows]
+    # every ruling inside a stretch serves both its neighbours; one at a corner stands twice
+    twice = np.repeat(rows, np.where(corner, 2, 1))
+    left = np.cumsum(np.where(corner, 2, 1)) - 1
+    a, b = left[:-1], left[1:] - np.where(corner[1:], 1, 0)
+    vertices = np.stack([surface.start[twice], surface.end[twice]], axis=1).reshape(-1, 3)
+    faces = np.concatenate(
+        [np.stack([2 * a, 2 * b, 2 * b + 1], axis=1), np.stack([2 * a, 2 * b + 1, 2 * a + 1], axis=1)]
+    )
+    return Mesh(vertices, faces.astype(np.int64))
+
+
 _TILES: Final = (8, 24, 72, 216)
 _BATCH: Final = 200_000
 _LIGHT: Final = np.array([0.35, -0.55, 0.76])
@@ -97,7 +299,7 @@ class Image:
     thing: IntArray
 
 
-def draw(camera: Camera, things: list[Thing]) -> Image:
+def rendered(camera: Camera, things: list[Thing]) -> Image:
     """The things as seen by the camera, shaded, with soft corners and ink lines at outlines and creases."""
     solids = [t.solid for t in things]
     owner = np.repeat(np.arange(len(solids)), [len(s.faces) for s in solids])
@@ -178,7 +380,7 @@ def _ink(depth: FloatArray, normal: NDArray[np.float32], thing: IntArray) -> Flo
 
 
 def _resolve(
-    camera: Camera, corners: FloatArray, closed: NDArray[np.bool_]
+    camera: Camera, corners: FloatArray, closed: BoolArray
 ) -> tuple[IntArray, NDArray[np.float32], FloatArray]:
     """Nearest face (h, w), its weights (h, w, 3) and depth (h, w) of projected triangles (F, 3, 3)."""
     h, w = camera.height, camera.width

@@ -1,4 +1,8 @@
-"""What a cell looks like: robots and fixed bodies from its Drake model, once, and what each setup adds."""
+"""What a cell looks like: robots and fixed bodies, once; what each setup adds; where things stand.
+
+Shapes come from the cell's Drake model. Where the block and a straight wire are follows from joint
+angles, in the setup of an operation.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +12,88 @@ from typing import Any, Final
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Rgba, Role, Sphere
 
+from planner.catalogue import robots
+from planner.cell.bodies import drake_shape
+from planner.cell.kinematics import forward
 from planner.cell.plant import STOCK_COLOUR, SUPPORT_COLOUR, TOOL_COLOUR, CellModel
-from planner.cell.solids import drake_shape
-from planner.cell.standing import with_support
-from planner.geometry.shapes import Shape
-from planner.problem import Setup
-from planner.report import solids, standing
-from planner.report.solids import Solid
-from planner.tooling import working_solid
+from planner.cell.support import with_support
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape, axis_ends, inverse
+from planner.problem import Arm, Problem, Setup
+from planner.report import raster
+from planner.report.raster import Solid
+from planner.tooling import Bow, Mill, working_solid
 
-FloatArray = NDArray[np.float64]
+
+def flange_poses(arm: Arm, bases: Mapping[str, FloatArray], q: FloatArray) -> FloatArray:
+    """Flange poses (..., 4, 4) in the world at joint angles q (..., 6); ``bases`` replaces the arm's own."""
+    base = np.asarray(bases.get(arm.name, arm.base))
+    return np.asarray(base @ forward(robots.robot(arm.robot), q))
+
+
+def block_pose(
+    setup: Setup, place: FloatArray, bases: Mapping[str, FloatArray], q: Mapping[str, FloatArray]
+) -> FloatArray:
+    """The stock's poses in the world: (4, 4) of a standing block, (T, 4, 4) of one that an arm holds, at the
+    joint angles {arm: (T, 6)}; an arm that is not named stays at home."""
+    holder = setup.stock.held_by
+    if holder is None:
+        return np.asarray(place, dtype=np.float64)
+    arm = setup.cell.arm(holder)
+    return np.asarray(flange_poses(arm, bases, q.get(holder, arm.home)) @ arm.tool.tcp @ setup.stock.grip)
+
+
+def cutter(setup: Setup, arms: tuple[str, ...]) -> Arm | None:
+    """The first of these arms whose tool cuts along a line, or None: a bow along its wire, a mill along its
+    axis."""
+    carriers = (setup.cell.arm(name) for name in arms)
+    return next((arm for arm in carriers if isinstance(arm.tool, Bow | Mill)), None)
+
+
+def wire_in_block(
+    setup: Setup,
+    arm: Arm,
+    place: FloatArray,
+    bases: Mapping[str, FloatArray],
+    q: Mapping[str, FloatArray],
+) -> FloatArray:
+    """Both ends (T, 2, 3) [m] of a straight wire, or of a cutter's axis, in the stock frame at joint angles
+    {arm: (T, 6)}."""
+    pose = inverse(block_pose(setup, place, bases, q)) @ flange_poses(arm, bases, q[arm.name])
+    return np.asarray(np.einsum("tij,kj->tki", pose[:, :3, :3], wire_ends(arm)) + pose[:, None, :3, 3])
+
+
+def wire_ends(arm: Arm) -> FloatArray:
+    """Both ends (2, 3) [m] of a straight wire, or of a cutter's axis, in the flange frame; ``ValueError`` for
+    tools without either."""
+    match arm.tool:
+        case Bow():
+            return axis_ends(arm.tool.wire)
+        case Mill():
+            return axis_ends(arm.tool.solid)
+        case _:
+            raise ValueError(f"tool {arm.tool.name} cuts along no line")
+
+
+def block_box(setup: Setup) -> Shape:
+    """The block as found, in the stock frame."""
+    lower, upper = setup.stock.lower, setup.stock.upper
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5 * (lower + upper)
+    size = upper - lower
+    return Shape("box", (float(size[0]), float(size[1]), float(size[2])), pose)
+
+
+def setup_index(problem: Problem, operation: int) -> int:
+    """Place of an operation's setup among the problem's setups, from 0."""
+    return problem.setup_of(operation).number - 1
+
+
 _PLAIN = (0.7, 0.72, 0.75, 1.0)
 HOT: Final = (1.0, 0.30, 0.05, 1.0)
-SEEN: Final = 2.2e-3
+LEAST_WIRE_RADIUS_M: Final = 2.2e-3
 """Least radius [m] at which a wire is drawn, so that it can be seen."""
 
 
@@ -98,7 +168,7 @@ def mounted(setup: Setup, place: FloatArray) -> tuple[Piece, ...]:
         solid = working_solid(arm.tool)
         if solid is not None:
             out.append(_piece(f"{arm.name}/edge", _seen(solid), HOT))
-    out.append(_piece("stock", standing.box(setup), STOCK_COLOUR))
+    out.append(_piece("stock", block_box(setup), STOCK_COLOUR))
     if setup.stock.held_by is None:
         support = with_support(setup.cell, setup.stock, place).support
         out += [_piece("support", shape, SUPPORT_COLOUR) for shape in support]
@@ -106,11 +176,12 @@ def mounted(setup: Setup, place: FloatArray) -> tuple[Piece, ...]:
 
 
 def _seen(edge: Shape) -> Shape:
-    """A tool's edge as it is drawn: wires no thinner than :data:`SEEN`, heads that are meshes as they are."""
+    """A tool's edge as it is drawn: wires no thinner than :data:`LEAST_WIRE_RADIUS_M`, heads that are
+    meshes as they are."""
     if edge.kind == "mesh":
         return edge
     radius, length = edge.size
-    return dataclasses.replace(edge, size=(max(radius, SEEN), length))
+    return dataclasses.replace(edge, size=(max(radius, LEAST_WIRE_RADIUS_M), length))
 
 
 def stand(
@@ -121,7 +192,7 @@ def stand(
     count = len(next(iter(out.values())))
     for arm in scene.model.arms:
         out[f"{arm}/edge"] = out[f"{arm}/tool"]
-    stock = standing.block(setup, place, scene.model.bases, q)
+    stock = block_pose(setup, place, scene.model.bases, q)
     out["stock"] = out["support"] = np.broadcast_to(stock, (count, 4, 4))
     return out
 
@@ -146,13 +217,13 @@ def _known(model: CellModel, index: int) -> bool:
 
 def _solid(shape: Any) -> Solid:
     if isinstance(shape, Box):
-        return solids.box(*(float(v) for v in shape.size()))
+        return raster.box(*(float(v) for v in shape.size()))
     if isinstance(shape, Cylinder):
-        return solids.cylinder(shape.radius(), shape.length())
+        return raster.cylinder(shape.radius(), shape.length())
     if isinstance(shape, Capsule):
-        return solids.capsule(shape.radius(), shape.length())
+        return raster.capsule(shape.radius(), shape.length())
     if isinstance(shape, Sphere):
-        return solids.sphere(shape.radius())
+        return raster.sphere(shape.radius())
     if isinstance(shape, Mesh | Convex):
         return _file(shape)
     raise TypeError(f"a visible shape of kind {type(shape).__name__} is not known to the report")
@@ -171,4 +242,4 @@ def _file(shape: Any) -> Solid:
         loaded = trimesh.load(source.path(), process=False)
     joined = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
     vertices = np.asarray(joined.vertices, dtype=np.float64) * shape.scale()
-    return solids.mesh(vertices, np.asarray(joined.faces, dtype=np.int64))
+    return raster.mesh(vertices, np.asarray(joined.faces, dtype=np.int64))

@@ -1,29 +1,331 @@
-"""The setup sheet: per setup what the operator does, mounts, clamps and measures, and how the work goes."""
+"""The setup sheet: what the operator does, mounts, clamps and measures, and how the work goes.
+
+Tables of tools, block and points to measure hold for a whole setup. The part on controllers says
+what is loaded and set there before the first run.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
-from planner.catalogue import robot
-from planner.claims import (
-    CutsSurface,
-    FeedWindow,
-    HoldsStock,
-    StraightWire,
-    WireJoins,
-)
+import numpy as np
+
+from planner.catalogue import robots
+from planner.catalogue.robots import robot
+from planner.cell import support
+from planner.claims.claim import CutsSurface, FeedWindow, HoldsStock, StraightWire, WireJoins
+from planner.claims.forming import SinksHolder
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import to_quaternion, to_rpy
 from planner.plans import OperationPlan, Plan
-from planner.problem import Problem, Setup
-from planner.report import exhibits, markup, standing
-from planner.report.inputs import kerf_shown, operation_starts
+from planner.problem import Arm, Problem, Setup, Stock
+from planner.report import exhibits, markup, scene
 from planner.report.markup import Raw
-from planner.report.setup_controller import checks
-from planner.report.setup_tables import block, measure, tools
+from planner.report.motion_charts import kerf_shown, operation_starts
+from planner.tooling import Gripper
 from planner.units import DEG, MM
 from planner.verify.result import Proof
 
-FloatArray = NDArray[np.float64]
+_FILL = Raw('<span class="fill"></span>')
+_POSE = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
+_CORNERS = (
+    ("bottom corner −x −y", (0, 0, 0)),
+    ("bottom corner +x −y", (1, 0, 0)),
+    ("bottom corner −x +y", (0, 1, 0)),
+    ("top corner −x −y", (0, 0, 1)),
+)
+
+
+def pose_cells(pose: FloatArray) -> tuple[Raw, Raw, Raw]:
+    """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
+    turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
+    quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
+    return _point(pose[:3, 3]), Raw(turn), Raw(quaternion)
+
+
+def tool_table(setup: Setup, plan: Plan) -> Raw:
+    """What each arm carries, its TCP on the flange and its base in the world."""
+    rows, frames = [], []
+    for arm in setup.cell.arms:
+        robot = robots.robot(arm.robot)
+        cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
+        rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, Raw(cog)))
+        base = np.asarray(plan.bases.get(arm.name, arm.base))
+        frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
+        frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
+    heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
+    return Raw(markup.table(heads, rows) + markup.table(("frame", *_POSE), frames))
+
+
+def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
+    """Size and place of the block as found, and how an arm holds it."""
+    stock = setup.stock
+    found = stock.upper - stock.lower
+    place, turn, quaternion = pose_cells(np.asarray(plan.places[setup.number - 1]))
+    items: list[tuple[object, object]] = [("size x × y × z [mm]", _size(found))]
+    if stock.oversize.any():
+        items.append(("of it the datum block [mm]", _size(stock.size)))
+        sides = "; ".join(
+            f"{axis} {markup.fixed(low / MM, 1)} and {markup.fixed(high / MM, 1)}"
+            for axis, low, high in zip("xyz", *stock.oversize.tolist(), strict=True)
+        )
+        items.append(("to be trimmed below and above [mm]", Raw(sides)))
+    items.append(("frame", "centre of the datum block's bottom face, z up through the block"))
+    if stock.foam is not None:
+        items.append(("foam", f"{stock.foam.title}, {stock.foam.density:g} kg/m³"))
+    if stock.mass is not None:
+        items.append(("mass", Raw(f"{markup.fixed(stock.mass, 3)} kg")))
+    if stock.held_by is not None:
+        tool = setup.cell.arm(stock.held_by).tool
+        at, lean, quaternion_grip = pose_cells(stock.grip)
+        items.append(("held by", f"{tool.name} of arm {stock.held_by}, by its bottom face"))
+        items += [
+            ("grip: the block's frame in the gripper's TCP frame x, y, z [mm]", at),
+            ("grip: roll, pitch, yaw [deg]", lean),
+            ("grip: quaternion w, x, y, z", quaternion_grip),
+        ]
+        if isinstance(tool, Gripper):
+            width, depth = (markup.fixed(v / MM, 0) for v in tool.footprint)
+            items.append(("face of the gripper, centred on its TCP [mm]", Raw(f"{width} × {depth}")))
+            items += _clamped_by(setup.stock)
+        if held is not None:
+            items.append(
+                (
+                    "load told to the controller",
+                    Raw(f"{markup.fixed(held.mass, 3)} kg at {_point(held.cog)} mm"),
+                )
+            )
+    name = "place: x, y, z in the world [mm]"
+    if stock.held_by is not None:
+        name = "place about which it is moved: x, y, z in the world [mm]"
+    if stock.held_by is None and stock.sheet is None:
+        items.append(
+            (
+                "stands on",
+                support.support_note(setup.cell, stock, np.asarray(plan.places[setup.number - 1])),
+            )
+        )
+        items += _from_bases(setup, plan)
+    chosen = "the problem" if stock.place is not None else "the placement search"
+    items += [
+        (name, place),
+        ("place: roll, pitch, yaw [deg]", turn),
+        ("place: quaternion w, x, y, z", quaternion),
+        ("place chosen by", chosen),
+    ]
+    return markup.facts(items)
+
+
+def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
+    """Where the block is from the base of each arm: one bottom corner, its edges, its underside."""
+    stock, place = setup.stock, np.asarray(plan.places[setup.number - 1])
+    out: list[tuple[object, object]] = []
+    for arm in setup.cell.arms:
+        base = np.asarray(plan.bases.get(arm.name, arm.base))
+        seen = np.linalg.inv(base) @ place
+        corner = (seen @ np.append(stock.lower, 1.0))[:3]
+        along = seen[:2, 0] if np.linalg.norm(seen[:2, 0]) > 0.5 else seen[:2, 1]
+        turn = float(np.arctan2(along[1], along[0])) / DEG
+        off = abs((turn + 45.0) % 90.0 - 45.0)
+        edges = (
+            "edges parallel to the base" if off < 0.005 else f"edges turned by {markup.fixed(turn, 2)} deg"
+        )
+        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", Raw(f"{_point(corner)}; {edges}")))
+    return out
+
+
+def _clamped_by(stock: Stock) -> list[tuple[object, object]]:
+    """Where the middle of a gripper is, from two edges of the block's bottom face."""
+    middle = np.linalg.inv(stock.grip)
+    across = middle[:2, 3] - stock.lower[:2]
+    turn = float(np.arctan2(middle[1, 0], middle[0, 0])) / DEG
+    turned = "its sides along the block's" if abs(turn) < 1e-6 else f"turned by {markup.fixed(turn, 1)} deg"
+    x, y = (markup.fixed(float(v) / MM, 1) for v in across)
+    edges = f"{x} mm from edge −x, {y} mm from edge −y"
+    by = "Tandem" if stock.grip_chosen else "the problem"
+    return [
+        ("middle of the gripper on the block's bottom face", Raw(f"{edges}; {turned}")),
+        ("grip chosen by", by),
+    ]
+
+
+def measured_points(setup: Setup, plan: Plan, operation: int) -> Raw:
+    """TCPs at the first target of an operation and corners of the block, with room for what was measured."""
+    rows = []
+    made = plan.operations[operation]
+    for arm in setup.cell.arms:
+        if arm.name not in made.q:
+            continue
+        q = made.q[arm.name][0]
+        angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(q))
+        place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
+        rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, Raw(angles), _FILL))
+    stock = setup.stock
+    ends = np.array([stock.lower, stock.upper])
+    held = stock.held_by is not None
+    frame = stock.grip if held else np.asarray(plan.places[setup.number - 1])
+    where = f"TCP frame of {stock.held_by}" if held else "world"
+    for label, (i, j, k) in _CORNERS:
+        corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
+        rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), Raw(""), Raw(""), _FILL))
+    heads = ("what", *_POSE[:2], "axes on the controller [deg]", "measured")
+    return markup.table(heads, rows)
+
+
+def _point(point: FloatArray) -> Raw:
+    return Raw(", ".join(markup.fixed(float(v) / MM, 2) for v in point))
+
+
+def _size(size: FloatArray) -> Raw:
+    return Raw(" × ".join(markup.fixed(float(v) / MM, 1) for v in size))
+
+
+_HEADS = ("controller", "what", "to be so", "done")
+_BOX = Raw('<span class="fill"></span>')
+
+
+def controller_checks(problem: Problem, plan: Plan) -> Raw:
+    """A table to tick off, for each controller of the arms that take part."""
+    controller = problem.cell.controller
+    used = {name for operation in plan.operations for name in operation.targets.arms}
+    arms = [arm for arm in problem.cell.arms if arm.name in used]
+    alone = controller.sync == "handshake"
+    joined = alone and len(arms) > 1
+    rows: list[tuple[object, ...]] = []
+    seen = False
+    for arm in arms:
+        if robot(arm.robot).family == "KUKA":
+            rows += [
+                (arm.name, what, wanted, _BOX) for what, wanted in _kuka(problem, plan, arm.name, joined)
+            ]
+        elif alone or not seen:
+            seen = True
+            name = arm.name if alone else ", ".join(a.name for a in arms)
+            rows += [
+                (name, what, wanted, _BOX)
+                for what, wanted in _abb(problem, plan, arm.name if alone else "", joined)
+            ]
+    if joined:
+        both = ", ".join(arm.name for arm in arms)
+        rows += [(both, what, wanted, _BOX) for what, wanted in _wire_checks(problem, plan, arms)]
+    return markup.table(_HEADS, rows)
+
+
+def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
+    """Each wire between two controllers, and how it is tried."""
+    names = [arm.name for arm in arms]
+    handshake = problem.cell.controller.handshake
+    out = [
+        (
+            f"wire: {wire.output} of {wire.source} to {wire.input} of {wire.sink}",
+            "0 and 1 are read at its end",
+        )
+        for wire in handshake.wired(names)
+    ]
+    for wire in handshake.wired_running(names):
+        falls = " and its power falls" if _powered(problem, plan, wire.sink) else ""
+        out.append(
+            (
+                f"running wire: {wire.output} of {wire.source} to {wire.input} of {wire.sink}",
+                f"pulled while both programs run: arm {wire.sink} stops at once{falls}, "
+                f"then arm {wire.source} stops, too",
+            )
+        )
+    return out
+
+
+def _wired(problem: Problem, arm: str) -> list[tuple[str, str]]:
+    """The places of the running wires' ends at an ABB controller."""
+    own, lock = problem.cell.controller.handshake.of(arm), problem.cell.controller.interlock
+    places = [(name, lock.place(arm, name)) for name in (own.running, own.partner_running)]
+    return [
+        (f"{name} is wired", f"{at.device}, bit {at.bit}" if at else "NO DEVICE stated, so the wire is dead")
+        for name, at in places
+    ]
+
+
+def _powered(problem: Problem, plan: Plan, arm: str = "") -> list[str]:
+    """Signals that programs switch, without the clamps of sheets; of one arm where each has a controller."""
+    order = [item.name for item in problem.cell.arms]
+    out: dict[str, None] = {}
+    for operation in plan.operations:
+        targets = operation.targets
+        pulsed = {claim.signal for claim in targets.claims if isinstance(claim, SinksHolder)}
+        if not arm or arm == min(targets.arms, key=order.index):
+            on = (action.signal for action in targets.actions if action.kind == "on")
+            out |= dict.fromkeys(signal for signal in on if signal not in pulsed)
+    return list(out)
+
+
+def _hot(problem: Problem) -> bool:
+    """Whether wires are mounted that get hot."""
+    return any(operation.process.endswith("_wire") for operation in problem.operations)
+
+
+def _abb(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
+    controller = problem.cell.controller
+    ending = "sys" if controller.robotware == 6 else "sysx"
+    out = [("RobotWare", f"{controller.robotware}; its modules end in .{ending.replace('sys', 'mod')}")]
+    signals = _powered(problem, plan, arm)
+    folder = f"programs/controller/{arm}" if arm else "programs/controller"
+    if joined and not signals:
+        out.append((f"EIO.cfg of {folder}", "loaded"))
+    if joined:
+        out += _wired(problem, arm)
+    if signals:
+        out.append((f"EIO.cfg, SYS.cfg and TandemPower.{ending} of {folder}", "loaded"))
+        for signal in signals:
+            real = controller.interlock.of(signal)
+            place = f"{real.device}, bit {real.bit}" if real.device else "NO DEVICE stated, so no power"
+            out.append((f"{real.signal} falls at a stop, with the motors, with the enabling device", place))
+    if signals and _hot(problem):
+        out.append(
+            (
+                "mounting while the wire is hot and the gate open",
+                "not in automatic: mount cold, or in manual at reduced speed while somebody else holds the "
+                "enabling device, and run to the end in manual",
+            )
+        )
+    out.append(("SoftES in SYS.cfg (RUNCHN_BOOL)", "selected: arms keep to their path at an emergency stop"))
+    if any(setup.stock.held_by for setup in problem.setups):
+        out.append(("ModalPayLoadMode (SYS_MISC)", "1: else GripLoad of the held block counts for nothing"))
+    out.append(("CAB_REGAIN_DIST, AUTO", "small: an arm goes back to its path by itself from so far away"))
+    out.append(("behind an error or a stop that is given up", "PP to main in all tasks, then start"))
+    return out
+
+
+def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[str, str]]:
+    controller, out = problem.cell.controller, list[tuple[str, str]]()
+    signals = [
+        (signal, number)
+        for signal in _powered(problem, plan, arm)
+        if (number := controller.number(arm, signal)) is not None
+    ]
+    folder = f"programs/controller/{arm}"
+    if signals:
+        files = f"config_user.dat, sps_user.sub and ir_stopm_user.src of {folder}"
+        out.append((files, "in $CONFIG.DAT, SPS.SUB and IR_STOPM.SRC; the submit interpreter runs"))
+    elif joined:
+        files = f"config_user.dat and sps_user.sub of {folder}"
+        out.append((files, "in $CONFIG.DAT and SPS.SUB; the submit interpreter runs"))
+    if joined:
+        own = controller.handshake.of(arm)
+        enable = controller.number(arm, own.move_enable)
+        out.append(
+            (f"$OUT[{enable}] {own.move_enable}", "wired to the input of $MOVE_ENABLE; $CHCK_MOVENA TRUE")
+        )
+    for signal, number in signals:
+        real = controller.number(arm, controller.interlock.of(signal).signal)
+        out.append(
+            ("the power falls at a stop and with the drives", f"$OUT[{number if real is None else real}]")
+        )
+    if signals and _hot(problem):
+        words = "not in automatic: mount cold, or in T1 with the enabling switch held by somebody else"
+        out.append(("mounting while the wire is hot and the gate open", words))
+    out.append(("behind an error or a stop that is given up", "reset the program, then start"))
+    return out
+
+
 _STEPS = {
     "confirm": "the program waits for the operator",
     "message": "message",
@@ -46,16 +348,16 @@ def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> Raw:
             parts.append(Raw(f"<h3>Setup {setup.number}: {markup.text(names)}</h3>"))
         if setup.steps:
             parts.append(markup.figure("To do, with all arms at home", _steps(setup)))
-        parts.append(markup.figure("Robots and tools", tools(setup, plan)))
-        parts.append(markup.figure("Block", block(setup, plan, _holds(setup, plan))))
+        parts.append(markup.figure("Robots and tools", tool_table(setup, plan)))
+        parts.append(markup.figure("Block", block_table(setup, plan, _holds(setup, plan))))
         for index in made:
             operation = plan.operations[index]
             title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
             parts.append(markup.figure(title, _work(problem, setup, plan, operation, proof)))
             parts.append(markup.figure("Stops with something to do", _stops(operation, starts[index])))
         if setup.number == 1:
-            parts.append(markup.figure("Controllers, before the first run", checks(problem, plan)))
-        parts.append(markup.figure("Measure before the first run", measure(setup, plan, made[0])))
+            parts.append(markup.figure("Controllers, before the first run", controller_checks(problem, plan)))
+        parts.append(markup.figure("Measure before the first run", measured_points(setup, plan, made[0])))
     return Raw("".join(f'<div style="margin-bottom:20px">{part}</div>' for part in parts))
 
 
@@ -165,7 +467,7 @@ def _mount(
 ) -> list[tuple[object, object]]:
     """How the TCPs stand to each other at the first target, where the wire is mounted."""
     arms = [setup.cell.arm(name) for name in wire.arms]
-    poses = [standing.flanges(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
+    poses = [scene.flange_poses(arm, plan.bases, operation.q[arm.name][0]) @ arm.tool.tcp for arm in arms]
     gap = poses[1][:3, 3] - poses[0][:3, 3]
     distance = float(np.linalg.norm(gap))
     out: list[tuple[object, object]] = [

@@ -1,13 +1,18 @@
-"""The application: routes, refusals, and the life of the service behind them."""
+"""The application and its server: routes, refusals, the life of the service, options and log."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator
+import resource
+import signal
+import ssl
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any, Final
 
+import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
@@ -16,14 +21,15 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import planner
-from planner.issues import Issue
-from planner.service import routes_about, routes_jobs
-from planner.service.context import REFUSALS
-from planner.service.guard import LOOPBACK, Guard
-from planner.service.metrics import REQUESTS
-from planner.service.page import routes as routes_page
-from planner.service.refusals import RefusedError
-from planner.service.service import Service
+from planner.batch.cluster import Cluster
+from planner.batch.workers import Workers
+from planner.issues import Issue, TandemError
+from planner.service import routes
+from planner.service.page import routes as page_routes
+from planner.service.routes import REFUSALS, REQUESTS
+from planner.service.runner import Team
+from planner.service.security import LOOPBACK, Guard, RefusedError
+from planner.service.service import Options, Service
 
 LOG: Final = logging.getLogger("planner.service")
 ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
@@ -53,9 +59,9 @@ def create_app(service: Service) -> FastAPI:
         redoc_url=None,
     )
     app.state.service = service
-    app.include_router(routes_jobs.router)
-    app.include_router(routes_about.router)
-    app.include_router(routes_page.router)
+    app.include_router(routes.job_router)
+    app.include_router(routes.about_router)
+    app.include_router(page_routes.router)
     app.add_exception_handler(RefusedError, _refused)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http)
@@ -90,7 +96,10 @@ METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OP
 def _openapi(app: FastAPI) -> dict[str, Any]:
     """OpenAPI with the schemas of problem files among its components."""
     if app.openapi_schema is None:
-        from planner.service.schemas import IN_OPENAPI, problem_schema  # loads all processes
+        from planner.service.catalogue import (
+            IN_OPENAPI,
+            problem_schema,  # loads all processes
+        )
 
         made = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes
@@ -140,3 +149,68 @@ async def _failed(request: Request, error: Exception) -> JSONResponse:
     LOG.error("%s %s failed", request.method, request.url.path, exc_info=error)
     issue = Issue("internal.error", "the service itself failed, and has written down how; report this")
     return await _refused(request, RefusedError(500, issue))
+
+
+STREAMS_END_S: Final = 3
+"""Streams that are open get so long to end when the service stops."""
+
+
+def serve(options: Options, certificate: Path | None = None, key: Path | None = None) -> None:
+    """Serve until told to stop: after SIGTERM it returns. Raises ``TandemError`` where it cannot start."""
+    if (certificate is None) != (key is None):
+        raise TandemError(
+            Issue("service.start", "TLS needs --certificate and --key, give both", field="certificate")
+        )
+    if certificate is not None and key is not None:
+        try:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
+        except (OSError, ssl.SSLError) as error:
+            message = f"certificate {certificate} with key {key}: cannot be used ({error}); give PEM files"
+            raise TandemError(Issue("service.start", message, field="certificate")) from error
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a connection is a file
+    service = Service(options, make_team(options))
+    config = uvicorn.Config(
+        create_app(service),
+        host=options.host,
+        port=options.port,
+        log_level="info",
+        server_header=False,
+        proxy_headers=False,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=STREAMS_END_S,
+        limit_concurrency=None,
+        backlog=4096,
+        h11_max_incomplete_event_size=64 * 1024,
+        ssl_certfile=certificate,
+        ssl_keyfile=key,
+    )
+    # Uvicorn raises the signal that ended it again when all is stopped; to be asked to end is no failure, so
+    # nothing more is to be done then
+    signal.signal(signal.SIGTERM, lambda number, frame: None)
+    _Server(config, service).run()
+
+
+class _Server(uvicorn.Server):
+    """Ends streams of events and the reading of uploads as soon as it is told to stop: nobody waits for
+    them."""
+
+    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+        super().__init__(config)
+        self._service = service
+
+    async def shutdown(self, sockets: list[object] | None = None) -> None:  # type: ignore[override]
+        self._service.hub.close()
+        self._service.stop_reading()
+        await super().shutdown(sockets)  # type: ignore[arg-type]
+
+
+def make_team(options: Options) -> Callable[[], Team]:
+    """What plans the jobs: processes of this machine, or a cluster. Raises ``TandemError`` for a cluster that
+    cannot be used."""
+    memory_mb, count = options.limits.job_memory_mb, options.workers
+    if options.cluster is None:
+        return lambda: Workers(count, memory_mb=memory_mb)
+    address = options.cluster
+    first = [Cluster(address, count, memory_mb)]  # what is wrong is told at the start
+    return lambda: first.pop() if first else Cluster(address, count, memory_mb)

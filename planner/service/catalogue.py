@@ -1,4 +1,9 @@
-"""What is built in, as plain data: robots, cells, tools, materials, example problems."""
+"""What is built in, as plain data: robots, cells, tools, materials, and schemas of problem files.
+
+JSON schemas come from the very models that read problem files: one file's schema knows the
+operations of all processes. Loading them takes seconds, so this module is imported when it is asked
+for.
+"""
 
 from __future__ import annotations
 
@@ -10,24 +15,29 @@ from typing import Any, Final
 import numpy as np
 import yaml
 from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
 
-from planner import cell_file
-from planner.catalogue import data_dir, robot, robot_names
-from planner.materials import foams, wire_materials
+from planner import processes
+from planner.catalogue.materials import foams, sheet_metals, wire_materials
+from planner.catalogue.robots import data_dir, robot, robot_names
+from planner.issues import Issue
+from planner.reading import cell
+from planner.reading.problem import ProblemFile
+from planner.reading.stock import SetupFile
 from planner.service.models import Kind
-from planner.sheet_metals import sheet_metals
+from planner.service.security import RefusedError
 from planner.units import DEG, MM
 
 TOOLS: Final[tuple[type[BaseModel], ...]] = (
-    cell_file.WireHolderFile,
-    cell_file.BowFile,
-    cell_file.GripperPlateFile,
-    cell_file.VacuumCupFile,
-    cell_file.BallToolFile,
-    cell_file.DiskToolFile,
-    cell_file.HeatToolFile,
-    cell_file.MillFile,
-    cell_file.PlainToolFile,
+    cell.WireHolderFile,
+    cell.BowFile,
+    cell.GripperPlateFile,
+    cell.VacuumCupFile,
+    cell.BallToolFile,
+    cell.DiskToolFile,
+    cell.HeatToolFile,
+    cell.MillFile,
+    cell.PlainToolFile,
 )
 
 
@@ -82,3 +92,44 @@ def _materials() -> Iterator[tuple[str, dict[str, Any]]]:
 def _yaml(path: Path) -> dict[str, Any]:
     data = yaml.safe_load(path.read_text(encoding="utf-8"))
     return data if isinstance(data, dict) else {}
+
+
+IN_OPENAPI: Final = "#/components/schemas/{model}"
+
+
+@functools.cache
+def problem_schema(template: str = "#/$defs/{model}") -> tuple[dict[str, Any], dict[str, Any]]:
+    """The schema of a problem file, and the definitions that it refers to by ``template``."""
+    models: list[type[BaseModel]] = [ProblemFile, SetupFile, *processes.schemas().values()]
+    found, together = models_json_schema([(m, "validation") for m in models], ref_template=template)
+    definitions: dict[str, Any] = together["$defs"]
+    choices: list[dict[str, Any]] = []
+    for model in processes.schemas().values():
+        definition = definitions[_name(found[model, "validation"])]
+        definition["properties"]["setup"] = dict(found[SetupFile, "validation"])
+        choices.append(dict(found[model, "validation"]))
+    top = definitions[_name(found[ProblemFile, "validation"])]
+    top["properties"]["operations"]["items"] = {"oneOf": choices}
+    return dict(found[ProblemFile, "validation"]), definitions
+
+
+def problem_file() -> dict[str, Any]:
+    """The schema of a whole problem file, by itself."""
+    reference, definitions = problem_schema()
+    return {**reference, "$defs": definitions}
+
+
+def process(name: str) -> dict[str, Any]:
+    """The schema of one process's operation, by itself; raises :class:`RefusedError`, 404."""
+    known = processes.schemas()
+    if name not in known:
+        have = ", ".join(known)
+        raise RefusedError(
+            404, Issue("service.not_found", f"process {name[:80]!r}: known are {have}", field="name")
+        )
+    _, definitions = problem_schema()
+    return {"$ref": f"#/$defs/{known[name].__name__}", "$defs": definitions}
+
+
+def _name(reference: Any) -> str:
+    return str(reference["$ref"]).rsplit("/", 1)[1]

@@ -3,6 +3,8 @@
 >>> import planner
 >>> client = planner.Client("https://plans.example.org", token)
 >>> outcome = client.plan(planner.load("wing"))
+
+Problems are sent as ``multipart/form-data`` (RFC 7578).
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import http.client
 import json
+import secrets
 import tempfile
 import time
 import urllib.error
@@ -19,13 +22,29 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from planner import plan_io, problem_bundle
+from planner import plans
 from planner.files import RESULT, write_folder
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
-from planner.service.form import form
+from planner.reading import problem as problem_file
 from planner.verify.result import Proof, RuleResult
+
+
+def multipart_form(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, str]:
+    """The body with a problem and its files by name, and its content type."""
+    boundary = secrets.token_hex(16)
+    parts = [("problem", "problem.yaml", problem), *(("files", name, files[name]) for name in files)]
+    body = bytearray()
+    for field, name, content in parts:
+        quoted = name.replace("\\", "\\\\").replace('"', "%22").replace("\r", "%0D").replace("\n", "%0A")
+        body += f"--{boundary}\r\n".encode()
+        body += f'Content-Disposition: form-data; name="{field}"; filename="{quoted}"\r\n'.encode()
+        body += b"Content-Type: application/octet-stream\r\n\r\n"
+        body += content + b"\r\n"
+    body += f"--{boundary}--\r\n".encode()
+    return bytes(body), f"multipart/form-data; boundary={boundary}"
+
 
 Progress = Callable[[str, float], None]
 PLANNED: Final = ("verified", "unproven")
@@ -145,9 +164,9 @@ class Client:
             raise TandemError(issues or [stopped])
         files = self.files(str(job["id"]))
         with tempfile.TemporaryDirectory() as folder:
-            for name in (plan_io.ARRAYS, plan_io.DATA):
+            for name in (plans.ARRAYS, plans.DATA):
                 (Path(folder) / name).write_bytes(files[name])
-            plan = plan_io.load(folder)
+            plan = plans.load(folder)
         prefix = "programs/"
         programs = {
             name.removeprefix(prefix): _text(content)
@@ -182,8 +201,8 @@ class Client:
             raise _refusal(error) from error
 
     def _upload(self, path: str, problem: Problem) -> dict[str, Any]:
-        files = problem_bundle.bundle(problem)
-        body, kind = form(files.pop("problem.yaml"), files)
+        files = problem_file.bundle(problem)
+        body, kind = multipart_form(files.pop("problem.yaml"), files)
         found: dict[str, Any] = json.loads(self._request(path, body, {"Content-Type": kind}, "POST"))
         return found
 

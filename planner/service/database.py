@@ -1,5 +1,8 @@
-"""The connection to SQLite or PostgreSQL: transactions that are on the disk when they end, and the clock that
-all hosts share."""
+"""The store: its tables, the connection to SQLite or PostgreSQL, and the clock all hosts share.
+
+Tables are the same on both. Times are seconds since 1970 (UTC). A transaction is on the disk when
+it ends.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,104 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, Float, cast, create_engine, event, extract, func, literal, text
+from sqlalchemy import (
+    Column,
+    Connection,
+    Engine,
+    Float,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    Text,
+    cast,
+    create_engine,
+    event,
+    extract,
+    func,
+    literal,
+    text,
+)
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, OperationalError
 from sqlalchemy.sql.elements import ColumnElement
 
 from planner.issues import Issue, TandemError
-from planner.service.tables import METADATA
+
+METADATA: Final = MetaData()
+
+TOKENS: Final = Table(
+    "tandem_tokens",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("name", String(64), nullable=False, unique=True),
+    Column("hash", String(64), nullable=False, unique=True),
+    Column("created", Float, nullable=False),
+    Column("revoked", Float),
+)
+"""Who may use the service. Only the SHA-256 of a token is kept."""
+
+SESSIONS: Final = Table(
+    "tandem_sessions",
+    METADATA,
+    Column("hash", String(64), primary_key=True),
+    Column("token", String(32), nullable=False),
+    Column("expires", Float, nullable=False),
+)
+"""Browsers that showed a token once: the SHA-256 of their cookie."""
+
+JOBS: Final = Table(
+    "tandem_jobs",
+    METADATA,
+    Column("id", String(32), primary_key=True),
+    Column("owner", String(32), nullable=False),
+    Column("name", String(64), nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("key", String(64), nullable=False, index=True),
+    Column("processes", Text, nullable=False),
+    Column("state", String(16), nullable=False, index=True),
+    Column("stage", String(64), nullable=False, default=""),
+    Column("fraction", Float, nullable=False, default=0.0),
+    Column("issues", Text, nullable=False, default="[]"),
+    Column("metrics", Text, nullable=False, default="{}"),
+    Column("created", Float, nullable=False),
+    Column("started", Float),
+    Column("finished", Float),
+    Column("seconds", Float),
+    Column("attempts", Integer, nullable=False, default=0),
+    Column("host", String(96)),
+    Column("lease", Float),
+    Column("seq", Integer, nullable=False, default=0),
+    Column("cancel", Integer, nullable=False, default=0),
+    Column("from_store", Integer, nullable=False, default=0),
+    Column("timeout_s", Float, nullable=False),
+    Column("memory_mb", Float, nullable=False),
+    Index("tandem_jobs_by_owner", "owner", "created", "id"),
+)
+"""``key``: what the answer depends on, the problem's digest and the versions. ``host`` works on the job until
+``lease``. ``seq`` is the number of the job's last event. ``cancel``: 1 cancelled, 2 deleted too."""
+
+FILES: Final = Table(
+    "tandem_files",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("name", String(255), primary_key=True),
+    Column("sha", String(64), nullable=False, index=True),
+    Column("size", Integer, nullable=False),
+)
+"""A job's problem (``problem/...``) and its results, by the names of a result folder."""
+
+EVENTS: Final = Table(
+    "tandem_events",
+    METADATA,
+    Column("job", String(32), primary_key=True),
+    Column("seq", Integer, primary_key=True),
+    Column("kind", String(16), nullable=False),
+    Column("data", Text, nullable=False),
+    Column("at", Float, nullable=False),
+)
+
 
 POOL: Final = 20
 WAIT_S: Final = 120.0

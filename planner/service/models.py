@@ -1,5 +1,5 @@
 """What the API sends, as models: they give its OpenAPI too. Problems are read by the models of
-:mod:`planner.problem_file`."""
+:mod:`planner.reading.problem`."""
 
 from __future__ import annotations
 

@@ -25,21 +25,15 @@ from starlette.requests import Request
 
 from planner.batch.job import all_versions
 from planner.issues import Issue, TandemError
-from planner.service.auth import LOCAL, Auth
 from planner.service.database import Database, default_url
-from planner.service.events import Hub
-from planner.service.examined import Examined
-from planner.service.examiner import Examiners, Reading, broken_off
-from planner.service.files import Blob, Files
-from planner.service.guard import LOOPBACK
-from planner.service.jobs import Jobs, NewJob
-from planner.service.limits import Limits
+from planner.service.jobs import Hub, Jobs, NewJob
 from planner.service.models import JobOut
-from planner.service.refusals import RefusedError
-from planner.service.runner import Runner, Team
-from planner.service.storage import Storage
+from planner.service.runner import Runner, Team, Work
+from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
+from planner.service.storage import Blob, Files, Storage
 from planner.service.upload import Upload
-from planner.service.work import Work
+from planner.service.upload_processes import Examiners, Reading, broken_off
+from planner.service.uploaded_files import Examined
 
 PID: Final = ".pid-"
 Read = TypeVar("Read")

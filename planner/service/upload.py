@@ -14,12 +14,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 
 from planner.issues import Issue
-from planner.service.files import Blob
-from planner.service.limits import Limits
-from planner.service.refusals import RefusedError, too_large
-from planner.service.storage import FULL, Storage
-from planner.service.uploaded import last
-from planner.yaml_lines import MAX_BYTES
+from planner.reading.strict_yaml import MAX_BYTES
+from planner.service.security import Limits, RefusedError, too_large
+from planner.service.storage import FULL, Blob, Storage
+from planner.service.uploaded_files import base_name
 
 PLAIN: Final = ("application/json", "application/yaml", "application/x-yaml", "text/yaml")
 """Content types of a body that is the problem itself."""
@@ -91,7 +89,7 @@ def _sorted(form: FormData, limits: Limits) -> tuple[UploadFile | str, dict[str,
             faults.append(_fault(field, "is text, a file with a name is wanted; send it as a file"))
             continue
         name = one.filename or ""
-        if not last(name) or len(name) > LONGEST_NAME or not name.isprintable():
+        if not base_name(name) or len(name) > LONGEST_NAME or not name.isprintable():
             what = f"the name {name[:80]!r} of {len(name)} characters is empty, has more than {LONGEST_NAME} "
             what += "or one that is not printable, or ends as a folder does; rename the file"
             faults.append(Issue("service.file_name", f"{field}: {what}", field=field))

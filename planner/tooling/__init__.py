@@ -1,13 +1,52 @@
 """Tools on flanges: a sum type of their kinds, and what makes each of them from sizes."""
 
+from __future__ import annotations
+
+from typing import assert_never
+
+from planner.geometry.rigid import Shape
 from planner.tooling.base import PlainTool, plain
-from planner.tooling.bows import Bow, bow
-from planner.tooling.forming_tools import FormingTool, ball_tool, disk_tool, heat_tool
-from planner.tooling.grippers import Gripper, gripper_plate, vacuum_cup
-from planner.tooling.heads import Cutter, CutterKind, FormingHead, profile
-from planner.tooling.holders import REACH, WireHolder, wire_holder
-from planner.tooling.kinds import Tool, working_solid
-from planner.tooling.mills import Mill, mill
+from planner.tooling.holding_tools import (
+    REACH,
+    Bow,
+    Gripper,
+    WireHolder,
+    bow,
+    gripper_plate,
+    vacuum_cup,
+    wire_holder,
+)
+from planner.tooling.working_tools import (
+    Cutter,
+    CutterKind,
+    FormingHead,
+    FormingTool,
+    Mill,
+    ball_tool,
+    disk_tool,
+    heat_tool,
+    mill,
+    profile,
+)
+
+Tool = WireHolder | Bow | Gripper | FormingTool | Mill | PlainTool
+"""A tool on a flange: one of these kinds, each with what it really has."""
+
+
+def working_solid(tool: Tool) -> Shape | None:
+    """The solid, in the flange frame, with which a tool works the stock: the wire of a bow, the head of a
+    forming tool, a mill's cutter; it alone may touch the stock, in segments that work it. None for tools that
+    work with nothing rigid of their own."""
+    match tool:
+        case Bow():
+            return tool.wire
+        case FormingTool() | Mill():
+            return tool.solid
+        case WireHolder() | Gripper() | PlainTool():
+            return None
+        case _:
+            assert_never(tool)
+
 
 __all__ = [
     "REACH",

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-from numpy.typing import NDArray
-
-from planner.geometry.shapes import Shape
-
-FloatArray = NDArray[np.float64]
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,5 +1,9 @@
-"""What the rules look at: the problem, the claims, the programs as read, and what follows from them, worked
-out when asked."""
+"""What the rules look at: the problem, the claims, the programs as read, and what follows from them.
+
+What follows is worked out when it is asked for. Here are also the issues of the proof with
+everything that says where they are (arm, file, line, target, time), and what to do where a plan
+breaks a rule and the rule itself knows nothing better.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,11 @@ import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from typing import Generic, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.claims import (
+from planner.claims.claim import (
     Claim,
     ContactOnlyIn,
     CutsSurface,
@@ -21,25 +25,21 @@ from planner.claims import (
     KerfWithin,
     WireJoins,
 )
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.geometry.rigid import inverse
 from planner.issues import Issue
 from planner.problem import Problem, Setup, Stock
 from planner.verify import job as job_text
-from planner.verify import setups as setup_text
 from planner.verify.job import JobText, Stage, TaskText
-from planner.verify.motion import Motion
-from planner.verify.rapid_ast import Data, Literal
-from planner.verify.rapid_values import build
-from planner.verify.replay import replay
-from planner.verify.setups import SetupClaims, Spans
-from planner.verify.steps import MessageStep, MoveStep, Step
-from planner.verify.values import WorkObject
+from planner.verify.programs import setups as setup_text
+from planner.verify.programs.setups import SetupClaims, Spans
+from planner.verify.programs.steps import BASE_FRAME, MessageStep, MoveStep, Step, WorkObject
+from planner.verify.rapid.syntax_tree import Data, Literal, build
+from planner.verify.replay.motion import Motion
+from planner.verify.replay.playback import replay
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
-BASE_FRAME = "base_frame"
-DIGEST = "problem_digest"
+FEED_SLACK = 1.05
+"""The replay's ramps and corners may pass feeds by this factor."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +51,35 @@ class Outcome:
     limit: float | None = None
     unit: str = ""
     where: str = ""
+
+
+P = ParamSpec("P")
+R_co = TypeVar("R_co", covariant=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule(Generic[P, R_co]):
+    """A rule of the proof: the code of its issues, the kinds of claims that it proves, and the function
+    that looks. What it asks is the first paragraph of its docstring; what to do where it is broken
+    stands with its code in ``catalogue/issue_codes.py``, what it needs in ``prove.py``, by its table."""
+
+    code: str
+    proves: tuple[type, ...]
+    look: Callable[P, R_co]
+
+    @property
+    def title(self) -> str:
+        """What the rule asks, in a sentence."""
+        return " ".join((self.look.__doc__ or self.code).split("\n\n")[0].split()).rstrip(".")
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co:
+        """What the rule finds."""
+        return self.look(*args, **kwargs)
+
+
+def rule(code: str, *proves: type) -> Callable[[Callable[P, R_co]], Rule[P, R_co]]:
+    """Makes a function a rule of that code, which proves claims of those kinds."""
+    return lambda look: Rule(code, proves, look)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -351,9 +380,61 @@ class Context:
         ]
 
 
-Rule = Callable[[Context], Outcome]
-
-
 def mm(value: float) -> float:
     """Metres as millimetres for messages."""
     return round(value * 1e3, 6)
+
+
+def at_step(code: str, message: str, task: TaskText, step: Step | None, hint: str | None = None) -> Issue:
+    """An issue about a step of a task."""
+    if step is None:
+        return Issue(code, message, arm=task.arm.name, file=task.name, hint=hint)
+    return Issue(
+        code,
+        message,
+        arm=task.arm.name,
+        file=f"{task.name}/{step.module}",
+        line=step.line,
+        field=step.procedure,
+        target=target(step),
+        hint=hint,
+    )
+
+
+def target(step: Step) -> str | None:
+    """What to call the target of a move: its ID, else its name."""
+    if not isinstance(step, MoveStep):
+        return None
+    return f"ID {step.id}" if step.id is not None else step.target_name or None
+
+
+def at_node(code: str, message: str, motion: Motion, arm: str, node: int) -> Issue:
+    """An issue about a target of the replayed motion."""
+    ident = int(motion.node_ids[node])
+    return Issue(
+        code,
+        message,
+        arm=arm,
+        index=node,
+        target=f"ID {ident}" if ident else None,
+        line=int(motion.node_line[arm][node]) or None,
+        field=str(motion.node_segment[node]),
+        time=float(motion.time[motion.node_sample[node]]),
+    )
+
+
+def at_sample(
+    code: str,
+    message: str,
+    motion: Motion,
+    arm: str,
+    sample: int,
+    measure: tuple[float, float, str] | None = None,
+    bodies: tuple[str, ...] = (),
+) -> Issue:
+    """An issue about an instant of the replayed motion; ``measure`` is value, limit and unit."""
+    issue = at_node(code, message, motion, arm, int(motion.node[sample]))
+    value, limit, unit = measure if measure is not None else (None, None, None)
+    return dataclasses.replace(
+        issue, time=float(motion.time[sample]), value=value, limit=limit, unit=unit, bodies=bodies
+    )

@@ -1,7 +1,9 @@
 """The programs of all tasks laid side by side: stages between synchronisation points, moves in pairs.
 
-A stage is what happens between two synchronisation points. In a synchronised one the moves of all tasks run
-in pairs; in any other one at most one task may move, so that no order of events depends on chance.
+A stage is what happens between two synchronisation points. In a synchronised one the moves of all
+tasks run in pairs; in any other one at most one task may move, so that no order of events depends
+on chance. Two controllers that meet by signals are laid side by side in the same way: what happens
+between their meetings.
 """
 
 from __future__ import annotations
@@ -11,18 +13,88 @@ import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import PurePosixPath
+from typing import NamedTuple
 
-from planner.catalogue import robot
+from planner.catalogue.robots import robot
 from planner.problem import Arm, Problem
-from planner.verify import handshake_stages, krl_reader, program_text
-from planner.verify.faults import Fault, FlowError
-from planner.verify.handshake_text import Reading
-from planner.verify.krl_flow import Signals
-from planner.verify.krl_reader import KrlText
-from planner.verify.rapid_ast import Module
-from planner.verify.rapid_parser import Limits
-from planner.verify.rapid_reader import Flow, flow, read_task
-from planner.verify.steps import MessageStep, MoveStep, Step, SyncStep
+from planner.verify.krl import reader
+from planner.verify.krl.flow import Signals
+from planner.verify.krl.reader import KrlText
+from planner.verify.programs import handshake_automata, program_text
+from planner.verify.programs.handshake_automata import Reading, Sections
+from planner.verify.programs.steps import (
+    CallStep,
+    Fault,
+    FlowError,
+    MessageStep,
+    MoveStep,
+    SettingStep,
+    Step,
+    SyncStep,
+)
+from planner.verify.rapid.reader import Flow, Limits, flow, read_task
+from planner.verify.rapid.syntax_tree import Module
+
+
+class Part(NamedTuple):
+    """One stage: whether both arms move in it, the meeting it begins with, steps by arm, and the moves behind
+    which the arms meet in it, by index."""
+
+    together: bool
+    ident: str
+    steps: Mapping[str, tuple[Step, ...]]
+    ends: tuple[int, ...]
+
+
+def readings(
+    problem: Problem, steps: Mapping[str, Sequence[Step]], sections: Mapping[str, Sequence[Sections]]
+) -> dict[str, Reading]:
+    """What the programs of the arms in ``steps`` do with the wires between their controllers."""
+    own = problem.cell.controller.handshake
+    return handshake_automata.read(list(steps), steps, sections, wiring(problem), own.kind, own.timeout)
+
+
+def wiring(problem: Problem) -> handshake_automata.Wiring:
+    """The wires between the controllers of the cell."""
+    arms = [arm.name for arm in problem.cell.arms]
+    own = problem.cell.controller.handshake
+    return handshake_automata.Wiring.of(own.wired(arms), arms, own.wired_running(arms))
+
+
+def parts(found: Mapping[str, Reading], steps: Mapping[str, Sequence[Step]]) -> tuple[Part, ...]:
+    """Intervals between meetings; those in a row in which both arms do nothing but move, as often, are one
+    stage. None where the programs have different numbers of meetings."""
+    out: list[Part] = []
+    row: list[dict[str, list[Step]]] = []
+    ends: list[int] = []
+    intervals = handshake_automata.intervals(found, steps)
+    for number, interval in enumerate(intervals):
+        counts = [sum(isinstance(step, MoveStep) for step in part) for part in interval.values()]
+        together = len(counts) > 1 and all(counts)
+        plain = len(set(counts)) == 1 and all(_plain(step) for part in interval.values() for step in part)
+        if together and plain:
+            row.append(interval)
+            ends.append((ends[-1] if ends else -1) + counts[0])
+            continue
+        out += _joined(row, ends, number)
+        row, ends = [], []
+        whole = {arm: tuple(part) for arm, part in interval.items()}
+        out.append(Part(together, f"meeting_{number}", whole, (min(counts) - 1,) if together else ()))
+    return (*out, *_joined(row, ends, len(intervals)))
+
+
+def _joined(row: Sequence[Mapping[str, Sequence[Step]]], ends: Sequence[int], behind: int) -> list[Part]:
+    if not row:
+        return []
+    steps = {arm: tuple(step for interval in row for step in interval[arm]) for arm in row[0]}
+    return [Part(True, f"meeting_{behind - len(row)}", steps, tuple(ends))]
+
+
+def _plain(step: Step) -> bool:
+    """Whether a step is a move, or nothing that needs the other arm to be at rest."""
+    talks = isinstance(step, MessageStep) and not step.confirm
+    return talks or isinstance(step, MoveStep | CallStep | SettingStep)
+
 
 MODULES = (".mod", ".modx", ".sys", ".sysx")
 """Endings of the names of RAPID modules."""
@@ -166,9 +238,9 @@ def read(problem: Problem, programs: Mapping[str, str]) -> JobText:
     if controller.sync == "handshake":
         ways = {task.name: task.steps for task in tasks}
         aside = {task.name: (task.handlers, task.undos) for task in tasks}
-        found = handshake_stages.readings(problem, ways, aside)
+        found = readings(problem, ways, aside)
         if len(tasks) > 1:
-            stages = tuple(Stage(*part) for part in handshake_stages.parts(found, ways))
+            stages = tuple(Stage(*part) for part in parts(found, ways))
     return JobText(tuple(tasks), stages, tuple(faults), tuple(no_way), tuple(strays), lists, found, notes)
 
 
@@ -193,13 +265,13 @@ def _rapid_task(problem: Problem, number: int, name: str, files: Mapping[str, st
 
 def _krl_task(problem: Problem, number: int, name: str, files: Mapping[str, str]) -> _Read:
     controller, arm = problem.cell.controller, problem.cell.arms[number]
-    text = krl_reader.read(files, controller.max_bytes, controller.dialect)
+    text = reader.read(files, controller.max_bytes, controller.dialect)
     steps, entered, lost = tuple[Step, ...](), frozenset[str](), tuple[Fault, ...]()
     if not text.faults:
         base = arm.base if text.base is None else text.base
         try:
             others = [other.name for other in problem.cell.arms if other.name != arm.name]
-            steps, entered = krl_reader.flow(text, base, krl_signals(problem, arm), arm.name, others)
+            steps, entered = reader.flow(text, base, krl_signals(problem, arm), arm.name, others)
         except FlowError as wrong:
             lost = wrong.faults
     called = frozenset(("", program) for program in entered)

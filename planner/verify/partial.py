@@ -12,26 +12,25 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.problem import Problem
-from planner.verify import confdata, machines, partial_read
-from planner.verify.arm_ik import singularity_distance
 from planner.verify.context import Context
 from planner.verify.job import JobText, Stage, TaskText
-from planner.verify.looks import measured
-from planner.verify.motion import Motion
-from planner.verify.moves import chosen, flange_at
-from planner.verify.partial_read import KINDS, Gap, Read
+from planner.verify.programs import partial_reader
+from planner.verify.programs.partial_reader import KINDS, Gap, Read
+from planner.verify.programs.steps import JointTarget, MoveStep, RobTarget, StatusTarget
 from planner.verify.prove import Prover
-from planner.verify.replay import LONGEST
-from planner.verify.rules_cell import REACH, accepted
-from planner.verify.rules_motion import JUMP, TCP_SLACK
-from planner.verify.steps import MoveStep
-from planner.verify.values import JointTarget, RobTarget, StatusTarget
+from planner.verify.replay import arm_model, inverse_kinematics
+from planner.verify.replay.clearance_samples import least_distances
+from planner.verify.replay.inverse_kinematics import singularity_distance
+from planner.verify.replay.motion import Motion
+from planner.verify.replay.moves import chosen, flange_at
+from planner.verify.replay.playback import LONGEST
+from planner.verify.rules.clearance import MEASURED_REACH, accepted
+from planner.verify.rules.robot_motion import JOINT_JUMP, TCP_SLACK
 
-FloatArray = NDArray[np.float64]
 CODE = "verify.unread"
 _STRIDE = 0.005
 """Looks at clearance are so far apart [m] that no point of an arm moves farther between them."""
@@ -87,7 +86,7 @@ def read_partly(problem: Problem, programs: Mapping[str, str]) -> Partial:
     ``programs`` {file name: text}. Raises ``TandemError`` (verify.robot_model) for robots that cannot be
     followed.
     """
-    found, strays = partial_read.read(problem, programs)
+    found, strays = partial_reader.read(problem, programs)
     issues = [_unread(path, None, "it belongs to no arm of the cell") for path in strays]
     total, count = 0, _Count()
     prover = Prover(problem, {})
@@ -159,8 +158,10 @@ def _by_joints(one: Read, move: MoveStep) -> MoveStep:
     """A MoveJ as the move by joints that it is, where its confdata say to which."""
     if move.kind != "MoveJ" or not isinstance(move.target, RobTarget) or not move.wobj.fixed:
         return move
-    machine = machines.of(one.arm.robot)
-    q = confdata.select(machine, flange_at(move, one.arm.base)[None], np.array([move.target.conf]))[0]
+    machine = arm_model.machine_of(one.arm.robot)
+    q = inverse_kinematics.select_by_confdata(
+        machine, flange_at(move, one.arm.base)[None], np.array([move.target.conf])
+    )[0]
     if not np.isfinite(q).all():
         return move
     target = JointTarget(machine.data.to_controller(q), move.target.external)
@@ -183,14 +184,16 @@ def _strange(move: MoveStep) -> str:
 
 def _joints(problem: Problem, one: Read, move: MoveStep) -> FloatArray | None:
     """Joints (6,) at a move's target, None where the text does not say which."""
-    machine, base = machines.of(one.arm.robot), one.arm.base
+    machine, base = arm_model.machine_of(one.arm.robot), one.arm.base
     target = move.target
     if isinstance(target, JointTarget):
         q = machine.data.from_controller(target.joints)
     elif isinstance(target, StatusTarget):
         q = chosen(move, machine, base)
     elif isinstance(target, RobTarget) and target.conf is not None:
-        q = confdata.select(machine, flange_at(move, base)[None], np.array([target.conf]))[0]
+        q = inverse_kinematics.select_by_confdata(
+            machine, flange_at(move, base)[None], np.array([target.conf])
+        )[0]
     else:
         return None
     return np.asarray(q) if np.isfinite(q).all() else None
@@ -252,10 +255,10 @@ def _bad(
     count: _Count,
 ) -> dict[int, str]:
     """Moves of a stretch, by number, that are not as they have to be, and why."""
-    machine, q, settings = machines.of(model), motion.q[arm], problem.settings
+    machine, q, settings = arm_model.machine_of(model), motion.q[arm], problem.settings
     out: dict[int, str] = {}
 
-    def mark(wrong: NDArray[np.bool_], what: str) -> None:
+    def mark(wrong: BoolArray, what: str) -> None:
         for node in np.unique(motion.node[wrong]):
             out.setdefault(int(node), what)
 
@@ -271,7 +274,7 @@ def _bad(
         rod = q[:, 1] + q[:, 2]
         low, high = machine.data.coupling.axis3_lower, machine.data.coupling.axis3_upper
         mark((rod < low) | (rod > high), "axis 3, as the controller counts it, leaves its limits")
-    jump = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > JUMP
+    jump = np.abs(np.diff(q, axis=0, prepend=q[:1])).max(axis=1) > JOINT_JUMP
     mark(jump, "an axis jumps to another solution")
     fast = np.any(np.abs(motion.speed(arm)) > machine.data.velocity, axis=1)
     mark(np.asarray(fast), "an axis is too slow for its time")
@@ -306,15 +309,15 @@ def _bad(
 
 
 def _clearance(
-    problem: Problem, context: Context, prover: Prover, arm: str, rows: NDArray[np.int64], q: FloatArray
-) -> tuple[NDArray[np.int64], FloatArray]:
+    problem: Problem, context: Context, prover: Prover, arm: str, rows: IntArray, q: FloatArray
+) -> tuple[IntArray, FloatArray]:
     """The least distance [m] of bodies at samples, of those of ``rows`` that were looked at."""
     joints = {other.name: np.tile(other.home, (len(rows), 1)) for other in problem.cell.arms}
     joints[arm] = q[rows]
     limit = accepted(problem.settings.clearance)
-    reach_ = max(REACH, 1.5 * problem.settings.clearance)
+    reach_ = max(MEASURED_REACH, 1.5 * problem.settings.clearance)
     model = prover.model(context)
     cut = {f"{arm}/edge", "stock"}  # what the tool's edge does to the block is the process's own
     ignore = frozenset({frozenset(cut)}) if cut <= {solid.body for solid in model.solids} else frozenset()
-    found = measured(model, joints, limit, reach_, ignore)
+    found = least_distances(model, joints, limit, reach_, ignore)
     return rows[found.look], np.asarray(found.least.distance)

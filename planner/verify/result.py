@@ -1,18 +1,28 @@
-"""What a proof gives back."""
+"""What a proof gives back: its verdict rule by rule, arrays over the motion, margins as text.
+
+The margins stand in a program's header; `same_program` checks that a header changed nothing else.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.cell.clearance import LeastClearance
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray, IntArray, lengths
 from planner.issues import Issue, has_errors
-from planner.segments import Segment
-
-FloatArray = NDArray[np.float64]
+from planner.verify.context import Context
+from planner.verify.forming.state import Forming
+from planner.verify.krl.parser import without_comments
+from planner.verify.rapid.lexer import Cursor
+from planner.verify.replay.motion import differences
+from planner.verify.rules.wire import feed_speed
+from planner.verify.wire.wire_motion import Wire
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,3 +105,125 @@ class Proof:
             if rule.code == code:
                 return rule
         raise KeyError(code)
+
+
+_MOST = 6000
+
+
+def series(
+    context: Context,
+    wires: tuple[Wire, ...],
+    forming: Forming | None,
+    looks: IntArray,
+    clearance: LeastClearance | None,
+    wire_clearance: list[FloatArray],
+) -> dict[str, Any]:
+    """Names and units as they are: SI, per arm ``joints/<arm>`` (S, 6), ``speed/<arm>``,
+    ``acceleration/<arm>``, ``tcp_speed/<arm>``.
+
+    The motion is thinned to a few thousand samples, extremes of speeds and accelerations kept within each.
+    ``clearance/...`` over the looks of the clearance rule, ``wire/<n>/...`` over the stations of each wire;
+    straight ones have no stability, curvature and clearance of their own. ``gap/<n>/...`` over what two tools
+    form: what they leave between them and what is wanted.
+    """
+    motion = context.motion
+    stride = max(1, len(motion.time) // _MOST)
+    rows = np.arange(0, len(motion.time), stride)
+    out: dict[str, Any] = {"time": motion.time[rows], "label": motion.labels(rows)}
+    for arm, q in motion.q.items():
+        out[f"joints/{arm}"] = q[rows]
+        # one axis at a time: a long motion has so many samples that a copy of all is felt
+        for name, order in (("speed", 1), ("acceleration", 2)):
+            axes = [_peaks(differences(motion.time, q[:, axis, None], order), rows) for axis in range(6)]
+            out[f"{name}/{arm}"] = np.concatenate(axes, axis=1)
+        way = lengths(np.diff(motion.tcp[arm].place, axis=0, prepend=motion.tcp[arm].place[:1]))
+        way /= np.maximum(np.diff(motion.time, prepend=motion.time[:1] - 1.0), 1e-6)
+        out[f"tcp_speed/{arm}"] = _peaks(way[:, None], rows)[:, 0]
+    out["targets/time"] = motion.time[motion.node_sample]
+    out["targets/label"] = motion.node_label
+    if clearance is not None:
+        out["clearance/time"] = motion.time[looks]
+        out["clearance/distance"] = clearance.distance
+        out["clearance/pair"] = np.array([" - ".join(pair) for pair in clearance.pair])
+    for n, wire in enumerate(wires, 1):
+        if wire.fault:
+            continue
+        out |= {
+            f"wire/{n}/time": motion.time[wire.sample],
+            f"wire/{n}/label": wire.labels,
+            f"wire/{n}/points": wire.points,
+            f"wire/{n}/depth": wire.depth,
+            f"wire/{n}/feed": feed_speed(context, wire),
+        }
+        if wire.path is None:
+            continue
+        out |= {
+            f"wire/{n}/stability": wire.path.min_eig,
+            f"wire/{n}/curvature": np.linalg.norm(wire.path.curvature, axis=2).max(axis=1),
+        }
+        if len(wire_clearance) >= n:
+            out[f"wire/{n}/clearance"] = wire_clearance[n - 1]
+    for n, gap in enumerate(forming.opened if forming is not None else (), 1):
+        some = np.unique(np.linspace(0, max(len(gap.knots) - 1, 0), _MOST).astype(np.int64))[: len(gap.knots)]
+        out |= {
+            f"gap/{n}/time": motion.time[gap.track.rows[gap.knots[some]]],
+            f"gap/{n}/got": gap.got[some],
+            f"gap/{n}/low": gap.low[some] - gap.claim.tolerance,
+            f"gap/{n}/high": gap.high[some] + gap.claim.tolerance,
+        }
+    return out
+
+
+def _peaks(values: FloatArray, rows: IntArray) -> FloatArray:
+    """Value of largest size within each stretch between rows."""
+    if len(rows) == len(values):
+        return values
+    high = np.maximum.reduceat(values, rows, axis=0)
+    low = np.minimum.reduceat(values, rows, axis=0)
+    return np.asarray(np.where(high > -low, high, low))
+
+
+SHOWN: dict[str, str] = {
+    "verify.clearance": "clearance",
+    "verify.joint_limits": "joint limits",
+    "verify.joint_speed": "joint speed",
+    "verify.singularity": "singularity",
+    "verify.surface": "cut surface",
+}
+
+
+def text(proof: Proof) -> dict[str, str]:
+    """Results of the rules that a person at the robot asks for: {name: "worst (limit)"}."""
+    out = {}
+    for code, name in SHOWN.items():
+        rule = next((r for r in proof.rules if r.code == code), None)
+        if rule is not None and rule.worst is not None:
+            limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"
+            out[name] = f"{rule.worst:.4g} {rule.unit}{limit}"
+    return out
+
+
+def same_program(first: Mapping[str, str], second: Mapping[str, str]) -> bool:
+    """Whether two sets of programs differ in comments and white space at most, file by file."""
+    return first.keys() == second.keys() and all(_same(name, first[name], second[name]) for name in first)
+
+
+def _same(name: str, first: str, second: str) -> bool:
+    if PurePosixPath(name).suffix.lower() in (".src", ".dat"):
+        return without_comments(first) == without_comments(second)
+    return _lines(first) == _lines(second) or _words(first) == _words(second)
+
+
+def _lines(content: str) -> list[str]:
+    """The lines that hold more than a comment: no string, the only other place for a !, goes over a line's
+    end."""
+    lines = (line.strip(" \t\r") for line in content.split("\n"))
+    return [line for line in lines if line and not line.startswith("!")]
+
+
+def _words(content: str) -> list[str]:
+    cursor, out = Cursor(content), []
+    while cursor.token.kind not in ("end", "bad"):
+        out.append(cursor.token.word or cursor.token.text)
+        cursor.take()
+    return [*out, cursor.token.kind]

@@ -16,16 +16,16 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from planner import batch_commands, cli, pipeline
+from planner import pipeline
+from planner.batch import compare
 from planner.batch import run as batch
-from planner.batch import summary, summary_page
-from planner.batch.collect import Item, collect
-from planner.batch.job import Done, Event, Finished, Job, State
-from planner.batch.place import Record
-from planner.batch.run import Row, Settings
+from planner.batch.job import Done, Event, Finished, Job, Record, State
+from planner.batch.run import Item, Row, Settings, bundled_job, collect
 from planner.batch.workers import Workers
-from planner.batch_commands import Batch
-from planner.batch_commands import run as command
+from planner.cli import batch as batch_commands
+from planner.cli import command_line
+from planner.cli.batch import Batch
+from planner.cli.batch import run as command
 from planner.issues import Issue, Severity, TandemError
 from tests import small_problem
 from tests.batch.test_workers import FAULTY, alive
@@ -67,7 +67,7 @@ def test_results_are_those_of_planning_one_by_one(tmp_path: Path) -> None:
         small_problem.write(tmp_path / "in" / name, text, rows)
     assert command(Batch((tmp_path / "in",), tmp_path / "out", workers=1)) == 2
     for name in texts:
-        cli.plan(tmp_path / "in" / name / "problem.yaml", tmp_path / "alone" / name)
+        command_line.plan(tmp_path / "in" / name / "problem.yaml", tmp_path / "alone" / name)
         assert content(tmp_path / "out" / name) == content(tmp_path / "alone" / name)
     assert (tmp_path / "out" / "good" / "programs").is_dir()
     told = (tmp_path / "out" / "summary.csv").read_text()
@@ -321,13 +321,13 @@ def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
         Issue("mesh.empty", "note", Severity.NOTE),
     )
     rows = [row("infeasible", issues=issues, metrics={"cycle_s": 1.25, "targets": 4.0}), row(name="b")]
-    first, second = csv.DictReader(io.StringIO(summary.table(rows), newline=""))
+    first, second = csv.DictReader(io.StringIO(compare.table(rows), newline=""))
     assert first["message"] == '\'@cmd, "quoted"\nline'
     assert first["issues"] == "mesh.unit mesh.empty"
     assert (first["cycle_s"], first["targets"], first["settings.seed"]) == ("1.25", "4", "3")
     assert second["cycle_s"] == ""
-    assert summary.counted(rows[0]) == "1 error, 1 warning, 1 note"
-    page = summary_page.page("A & B", rows, tmp_path, 3.0)
+    assert compare.counted(rows[0]) == "1 error, 1 warning, 1 note"
+    page = compare.page("A & B", rows, tmp_path, 3.0)
     assert "A &amp; B" in page
     assert "@cmd" in page
     assert "<b> " not in page
@@ -342,13 +342,13 @@ def test_thumbnails_come_from_reports_and_from_nothing_else(tmp_path: Path) -> N
     address = f"data:image/png;base64,{base64.b64encode(stream.getvalue()).decode()}"
     report = tmp_path / "report.html"
     report.write_text(f'<img alt="the cell" src="{address}">')
-    small = summary_page.thumbnail(report)
+    small = compare.thumbnail(report)
     assert small is not None
     with Image.open(io.BytesIO(small)) as picture:
         assert picture.size == (200, 67)
     report.write_text('<img alt="the cell" src="data:image/png;base64,AAAA">')
-    assert summary_page.thumbnail(report) is None
-    assert summary_page.thumbnail(tmp_path / "none.html") is None
+    assert compare.thumbnail(report) is None
+    assert compare.thumbnail(tmp_path / "none.html") is None
 
 
 def test_records_that_are_none_are_not_believed(tmp_path: Path) -> None:
@@ -375,10 +375,9 @@ def test_numbers_and_names_of_a_command_are_told_at_once(tmp_path: Path) -> None
 
 
 def test_issues_call_files_as_the_problem_does(tmp_path: Path) -> None:
-    from planner.batch.bundles import job
 
     small_problem.write(tmp_path)
-    made = job("a", pipeline.load(tmp_path / "problem.yaml"))
+    made = bundled_job("a", pipeline.load(tmp_path / "problem.yaml"))
     (name,) = (file for file in made.files if file.startswith("files/"))
     assert made.origins == {name: str(tmp_path / "targets.csv")}
     assert isinstance(made, Job)

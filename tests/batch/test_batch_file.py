@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from planner.batch.batch_file import RangeFile, read_batch
-from planner.batch.collect import collect
-from planner.batch.fields import change
+from planner.batch.batch_file import RangeFile, changed_field, read_batch
+from planner.batch.run import collect
 from planner.issues import TandemError
 from tests import small_problem
 
@@ -182,8 +181,8 @@ def test_a_fault_of_the_problem_itself_is_told_at_its_own_line(tmp_path: Path) -
 
 def test_names_of_files_start_at_the_batch_file(tmp_path: Path) -> None:
     data: dict[str, Any] = {"part": {"mesh": {"file": "/a"}}, "list": [{"name": "x", "file": "/b"}]}
-    change(data, "part.mesh", {"file": "c.stl", "more": [{"file": "d"}]}, tmp_path)
-    change(data, "list.x.file", "e", tmp_path)
+    changed_field(data, "part.mesh", {"file": "c.stl", "more": [{"file": "d"}]}, tmp_path)
+    changed_field(data, "list.x.file", "e", tmp_path)
     assert data["part"]["mesh"] == {"file": str(tmp_path / "c.stl"), "more": [{"file": str(tmp_path / "d")}]}
     assert data["list"][0]["file"] == str(tmp_path / "e")
 

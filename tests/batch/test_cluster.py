@@ -12,14 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from planner import cli, pipeline
+from planner import pipeline
 from planner.batch import cluster as cluster_module
 from planner.batch import run as batch
-from planner.batch.bundles import job as job_of
 from planner.batch.cluster import Cluster
 from planner.batch.job import Done, Event, Finished, Found, Progress
 from planner.batch.run import Settings
+from planner.batch.run import bundled_job as job_of
 from planner.batch.workers import Workers
+from planner.cli import command_line
 from planner.issues import TandemError
 from tests import small_problem
 from tests.batch.test_batch import content, items
@@ -114,7 +115,7 @@ def test_results_are_those_of_one_machine(machines: Machines, tmp_path: Path) ->
     with Cluster(machines.address) as team:
         team.start(made, tmp_path / "far" / "small")
         assert ended(team, 1)[0]["small"].state == "verified"
-    cli.plan(tmp_path / "problem.yaml", tmp_path / "near" / "small")
+    command_line.plan(tmp_path / "problem.yaml", tmp_path / "near" / "small")
     assert content(tmp_path / "far") == content(tmp_path / "near")
     assert (tmp_path / "far" / "small" / "programs").is_dir()
 

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner import plan_io
+from planner import plans
 from planner.batch import compare
-from planner.batch.job import Done, State
-from planner.batch.place import Record
+from planner.batch.job import Done, Record, State
 from planner.batch.run import RECORDS
 from planner.batch.solve import Names
-from planner.compare_commands import Compare, run
+from planner.claims.segments import Segment
+from planner.cli.compare import Compare, run
 from planner.issues import Issue, TandemError
 from planner.pipeline import Outcome, load
 from planner.plans import OperationPlan, Plan
-from planner.segments import Segment
 from planner.targets import Targets
 from planner.verify.result import Proof
 from tests import small_problem
@@ -47,8 +46,8 @@ def plan(time: tuple[float, ...] = (0, 1, 2, 3, 4), labels: tuple[str, ...] = LA
 
 def compared(tmp_path: Path, first: Plan, second: Plan) -> compare.Plans:
     for name, made in (("a", first), ("b", second)):
-        plan_io.save(made, tmp_path / name)
-    return compare.plans(tmp_path / "a", tmp_path / "b")
+        plans.save(made, tmp_path / name)
+    return compare.compare_plans(tmp_path / "a", tmp_path / "b")
 
 
 def test_a_plan_is_the_same_as_itself(tmp_path: Path) -> None:
@@ -95,13 +94,13 @@ def test_segments_of_one_side_alone_and_of_other_length(tmp_path: Path) -> None:
 
 def test_folders_that_hold_no_plan_are_both_named(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        compare.plans(tmp_path / "a", tmp_path / "b")
+        compare.compare_plans(tmp_path / "a", tmp_path / "b")
     assert [issue.code for issue in caught.value.issues] == ["plan.missing_file"] * 2
     found = compared(tmp_path, plan(), plan())
     assert found.first.ok is None
     (tmp_path / "a" / "proof.json").write_text('{"ok": true, "rules": [{"x": 1}], "issues": []}')
     with pytest.raises(TandemError, match=r"proof\.json is damaged"):
-        compare.plans(tmp_path / "a", tmp_path / "b")
+        compare.compare_plans(tmp_path / "a", tmp_path / "b")
 
 
 def record(folder: Path, name: str, state: State, metrics: Mapping[str, float], *codes: str) -> None:
@@ -115,7 +114,7 @@ def test_batches_are_compared_job_by_job(tmp_path: Path, capsys: pytest.CaptureF
     record(one, "gone", "verified", {})
     record(other, "a", "unproven", {"cycle_s": 8.0}, "verify.surface")
     record(other, "new", "timeout", {}, "batch.timeout")
-    a, gone, new = compare.batches(one, other)
+    a, gone, new = compare.compare_batches(one, other)
     assert a.figure("cycle_s").change == -2.0
     assert a.figure("planning_s").change == 0.0
     assert a.issues == {"verify.surface": (0, 1)}
@@ -142,7 +141,7 @@ def test_no_issue_of_an_outcome_names_the_folder_that_it_was_planned_in(tmp_path
     proof = Proof("d", (), issues, {}, (), "")
     problem = load(small_problem.write(tmp_path))
     told = Names(tmp_path, {"files/1.nc": "mine.nc"}).outcome(Outcome(problem, made, proof, {}))
-    text = b"".join(plan_io.dump(told.plan).values())
+    text = b"".join(plans.dump(told.plan).values())
     assert str(tmp_path).encode() not in text
     assert text.count(b"mine.nc: m") == 3
     assert [(i.file, i.hint) for i in told.proof.issues] == [("mine.nc", "see problem.yaml")]

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.batch.job import Done, Finished, Found, Job, Progress
-from planner.batch.place import Record
+from planner.batch.job import Done, Finished, Found, Job, Progress, Record
 from planner.batch.workers import Workers
 from planner.issues import Issue, TandemError
 

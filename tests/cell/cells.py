@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Arm, Cell, Controller, Obstacle, Stock
 from planner.tooling import Tool, plain, wire_holder
 

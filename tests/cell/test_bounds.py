@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.geometry.rigid import from_rpy, inverse
 from tests.cell.cells import BLOCK, UP, alone
@@ -24,7 +24,7 @@ def test_a_capsule_beside_a_block_is_bounded_by_its_distance() -> None:
     assert wrist.kind == "capsule"
     others = frozenset(frozenset(p) for p in itertools.combinations(names, 2))
     others -= {frozenset(("arm/link_5", "stock"))}
-    robot = catalogue.robot("irb6640_185")
+    robot = robots.robot("irb6640_185")
     q = np.random.default_rng(8).uniform(robot.lower, robot.upper, (6000, 6))
     lower = clearance.at_least(model, {"arm": q}, 0.3, others)
     near = np.flatnonzero((lower > 0.001) & (lower < 0.299))
@@ -38,6 +38,6 @@ def test_a_capsule_beside_a_block_is_bounded_by_its_distance() -> None:
         exact.append(np.linalg.norm(rest, axis=1).min() - wrist.size[0])
     off = np.asarray(exact) - lower[near]
     assert np.all(off > 0.0)
-    assert off.max() < 1.3 * clearance.TOUCH
+    assert off.max() < 1.3 * clearance.BOUND_ERROR
     drake = [clearance.least(model, {"arm": q[i : i + 1]}, 0.4, others).distance[0] for i in near]
     np.testing.assert_allclose(drake, exact, atol=3e-4)

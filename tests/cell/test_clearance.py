@@ -7,10 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, WIDE, alone, facing
 
@@ -161,10 +160,10 @@ def test_a_mesh_obstacle_counts_as_its_convex_hull() -> None:
         assert not clearance.free(model, {"arm": np.zeros((count, 6))}, 0.051).any()
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_bounds_hold_for_every_robot(name: str) -> None:
     """Lower <= Drake's least distance <= upper where bodies are apart, and the sign where they overlap."""
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     cell = facing(name, 0.95 * robot.reach)
     model = plant.build(dataclasses.replace(cell), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
     rng = np.random.default_rng(6)

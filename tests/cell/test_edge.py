@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance, plant
-from planner.cell.distance import Solid, signed_distance
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.cell.bodies import Solid, signed_distance
+from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, UP, alone, facing
 

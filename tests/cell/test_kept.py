@@ -8,17 +8,17 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from planner.cell import kept, plant
+from planner.cell import plant
 from tests.cell.cells import BLOCK, facing
 
 
 @pytest.fixture
-def models() -> Iterator[kept.Kept[object]]:
-    yield kept.keep(3)
-    kept.forget()
+def models() -> Iterator[plant.ModelCache[object]]:
+    yield plant.keep_models(3)
+    plant.forget_models()
 
 
-def test_a_job_shares_nothing_and_the_next_one_finds_all(models: kept.Kept[object]) -> None:
+def test_a_job_shares_nothing_and_the_next_one_finds_all(models: plant.ModelCache[object]) -> None:
     cell, stock, pose = facing(), BLOCK, np.eye(4)
     first = [plant.build(cell, stock, pose) for _ in range(2)]
     assert first[0].plant is not first[1].plant
@@ -28,7 +28,7 @@ def test_a_job_shares_nothing_and_the_next_one_finds_all(models: kept.Kept[objec
     assert models.reused == 2
 
 
-def test_another_cell_stock_or_place_is_another_model(models: kept.Kept[object]) -> None:
+def test_another_cell_stock_or_place_is_another_model(models: plant.ModelCache[object]) -> None:
     cell, stock, pose = facing(), BLOCK, np.eye(4)
     one = plant.build(cell, stock, pose)
     models.next_job()
@@ -41,7 +41,7 @@ def test_another_cell_stock_or_place_is_another_model(models: kept.Kept[object])
 
 
 def test_no_more_than_so_many_are_kept() -> None:
-    some = kept.Kept[list[int]](2)
+    some = plant.ModelCache[list[int]](2)
     made = [some.get(n, lambda n=n: [n]) for n in range(3)]
     some.next_job()
     assert some.get(2, lambda: [-1]) is made[2]
@@ -49,11 +49,11 @@ def test_no_more_than_so_many_are_kept() -> None:
 
 
 def test_a_process_that_keeps_nothing_builds_anew() -> None:
-    assert kept.get("x", list) is not kept.get("x", list)
+    assert plant.kept_model("x", list) is not plant.kept_model("x", list)
 
 
 def test_content_is_told_apart() -> None:
     values = (1, 1.0, True, "1", None, (1,), [1], {"1": 1}, np.ones(1), np.ones((1, 1)), np.float32(1))
-    assert len({kept.digest(value) for value in values}) == len(values)
+    assert len({plant.content_digest(value) for value in values}) == len(values)
     with pytest.raises(TypeError, match="a set has no digest"):
-        kept.digest({1})
+        plant.content_digest({1})

@@ -9,8 +9,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from planner import catalogue
-from planner.cell.robots import forward, jacobian, link_frames
+from planner.catalogue import robots
+from planner.cell.kinematics import forward, jacobian, link_frames
 
 # Flange positions [m] with all axes at zero: tool0 of the ROS-Industrial URDFs that the catalogue names.
 ZERO = {
@@ -25,26 +25,26 @@ ZERO = {
     "kr10_r1100": (1.18, 0.0, 0.435),
     "kr210_r2700": (2.915, 0.0, 0.634),
 }
-ROBOTS = catalogue.robot_names()
+ROBOTS = robots.robot_names()
 
 
 def _plant(name: str) -> MultibodyPlant:
     plant = MultibodyPlant(0.0)
-    Parser(plant).AddModels(str(catalogue.urdf_path(name)))
+    Parser(plant).AddModels(str(robots.urdf_path(name)))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
     plant.Finalize()
     return plant
 
 
 def _postures(name: str, count: int = 60) -> np.ndarray:
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     return np.random.default_rng(5).uniform(robot.lower, robot.upper, (count, 6))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_flange_at_zero_is_where_the_published_models_have_it(name: str) -> None:
     """z forward and x down at zero: quaternion [0.70711, 0, 0.70711, 0], as a controller shows tool0."""
-    pose = forward(catalogue.robot(name), np.zeros(6))
+    pose = forward(robots.robot(name), np.zeros(6))
     np.testing.assert_allclose(pose[:3, 3], ZERO[name], atol=1e-9)
     np.testing.assert_allclose(pose[:3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], atol=1e-9)
 
@@ -52,7 +52,7 @@ def test_the_flange_at_zero_is_where_the_published_models_have_it(name: str) -> 
 @pytest.mark.parametrize("name", [n for n in ROBOTS if n.startswith("kr")])
 def test_kukas_flange_at_home(name: str) -> None:
     """At 0, -90, 90, 0, 0, 0 the arm stands and the forearm is level; $POS_ACT shows A = 0, B = 90, C = 0."""
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     p = robot.opw
     pose = forward(robot, np.deg2rad([0, -90, 90, 0, 0, 0]))
     np.testing.assert_allclose(pose[:3, 3], [p.a1 + p.c3 + p.c4, 0.0, p.c1 + p.c2 - p.a2], atol=1e-9)
@@ -61,7 +61,7 @@ def test_kukas_flange_at_home(name: str) -> None:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_drake_and_the_opw_form_agree(name: str) -> None:
-    plant, robot = _plant(name), catalogue.robot(name)
+    plant, robot = _plant(name), robots.robot(name)
     context = plant.CreateDefaultContext()
     frame = plant.GetFrameByName("tool0")
     q = _postures(name)
@@ -75,7 +75,7 @@ def test_drake_and_the_opw_form_agree(name: str) -> None:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_another_library_agrees(name: str) -> None:
     """py-opw-kinematics, which follows the same paper in Rust."""
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     p = robot.opw
     other = opw.Robot(
         opw.KinematicModel(
@@ -91,7 +91,7 @@ def test_another_library_agrees(name: str) -> None:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_urdf_has_the_catalogues_limits_and_names(name: str) -> None:
-    plant, robot = _plant(name), catalogue.robot(name)
+    plant, robot = _plant(name), robots.robot(name)
     joints = [plant.GetJointByName(f"joint_{i}") for i in range(1, 7)]
     np.testing.assert_allclose([j.position_lower_limits()[0] for j in joints], robot.lower, atol=1e-12)
     np.testing.assert_allclose([j.position_upper_limits()[0] for j in joints], robot.upper, atol=1e-12)
@@ -103,7 +103,7 @@ def test_the_urdf_has_the_catalogues_limits_and_names(name: str) -> None:
 @pytest.mark.parametrize("name", ["irb140", "irb4400_60", "kr210_r2700"])
 def test_the_jacobian_is_the_derivative_of_the_flange(name: str) -> None:
     """Against Drake's."""
-    plant, robot = _plant(name), catalogue.robot(name)
+    plant, robot = _plant(name), robots.robot(name)
     context = plant.CreateDefaultContext()
     from pydrake.multibody.tree import JacobianWrtVariable
 
@@ -117,7 +117,7 @@ def test_the_jacobian_is_the_derivative_of_the_flange(name: str) -> None:
 
 
 def test_batches_keep_their_shape() -> None:
-    robot = catalogue.robot("irb140")
+    robot = robots.robot("irb140")
     q = _postures("irb140", 6).reshape(2, 3, 6)
     assert link_frames(robot, q).shape == (2, 3, 7, 4, 4)
     np.testing.assert_array_equal(forward(robot, q)[1, 2], forward(robot, q[1, 2]))

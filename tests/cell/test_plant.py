@@ -7,10 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.geometry.rigid import Shape, from_rpy
 from planner.issues import TandemError
 from planner.problem import Obstacle
 from tests.cell.cells import BLOCK, TABLE, UP, WIDE, alone, facing
@@ -97,12 +96,12 @@ def test_the_filter_is_listed_with_reasons_and_leaves_what_matters(model: plant.
         assert frozenset(kept) not in listed
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_pairs_of_one_arm_filtered_by_sampling_are_near_in_nearly_every_posture(name: str) -> None:
     """Against Drake's own query on other postures."""
     model = plant.build(alone(name), BLOCK, from_rpy((50.0, 0.0, 0.0), UP))
     sampled = [pair for pair in model.pairs_filtered if "always near" in pair[2]]
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     q = np.random.default_rng(9).uniform(robot.lower, robot.upper, (60, 6))
     for a, b, _ in sampled:
         count = 0

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import catalogue, cell_file
+from planner.catalogue import robots
 from planner.cell import clearance, plant
 from planner.geometry.rigid import from_rpy
+from planner.reading import cell as cell_file
 from tests.cell.cells import BLOCK, UP
 
-CELLS = sorted((catalogue.data_dir("problems") / "cells").glob("*.yaml"))
+CELLS = sorted((robots.data_dir("problems") / "cells").glob("*.yaml"))
 
 
 def test_the_cells_are_there() -> None:

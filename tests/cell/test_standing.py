@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from planner import pipeline
-from planner.cell import plant, standing
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.cell import plant
+from planner.cell import support as standing
+from planner.geometry.rigid import Shape, from_rpy
 from planner.issues import Issue, Severity
 from planner.problem import Cell, Obstacle, Setup, Stock
-from planner.stock_file import PEDESTAL, TABLE
+from planner.reading.stock import PEDESTAL, TABLE
 from planner.tooling import bow
 from tests import small_problem
 from tests.cell.cells import alone
@@ -122,11 +122,13 @@ def test_a_block_and_a_support_in_the_air_are_refused_unless_accepted(tmp_path: 
 
 def test_what_it_stands_on_in_words() -> None:
     stock = Stock(SIZE, None, np.eye(3))
-    assert standing.told(cell(), stock, at(1.0, 0.0)) == "the floor"
-    assert standing.told(cell(TABLE_TOP), stock, at(1.0, 0.41)) == "the body bench of the cell"
-    assert "hangs 300 mm" in standing.told(cell(), stock, at(1.0, 0.3))
+    assert standing.support_note(cell(), stock, at(1.0, 0.0)) == "the floor"
+    assert standing.support_note(cell(TABLE_TOP), stock, at(1.0, 0.41)) == "the body bench of the cell"
+    assert "hangs 300 mm" in standing.support_note(cell(), stock, at(1.0, 0.3))
     made = dataclasses.replace(stock, pedestal=PEDESTAL)
-    assert standing.told(cell(), made, at(1.0, 0.7)).startswith("a pedestal of 160 x 280 mm, 700 mm high")
+    assert standing.support_note(cell(), made, at(1.0, 0.7)).startswith(
+        "a pedestal of 160 x 280 mm, 700 mm high"
+    )
 
 
 def test_a_support_is_under_the_middle_of_its_block(tmp_path: Path) -> None:

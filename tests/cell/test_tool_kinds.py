@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from planner import cell_file, corners, pipeline, processes
-from planner.cell import kept
+from planner import pipeline, processes
+from planner.cell import plant
 from planner.cell.bodies import own_shapes
-from planner.geometry.rigid import inverse, transform
-from planner.geometry.shapes import Shape, axis_ends
-from planner.geometry.shapes import corners as hull
-from planner.hotwire import straight
+from planner.claims import corner_rounding
+from planner.geometry.rigid import Shape, axis_ends, inverse, transform
+from planner.geometry.rigid import corners as hull
+from planner.hotwire.straight import job
 from planner.issues import TandemError
 from planner.problem import Problem
+from planner.reading import cell
 from planner.tooling import (
     Bow,
     FormingTool,
@@ -68,8 +69,8 @@ WORKS = (Bow, FormingTool, Mill)
 
 def read(kind: str) -> Tool:
     """The tool of that kind as a cell file gives it."""
-    spec: Any = TypeAdapter(cell_file.ToolFile).validate_python(FILES[kind][0])
-    return cell_file.tool(spec, Path())
+    spec: Any = TypeAdapter(cell.ToolFile).validate_python(FILES[kind][0])
+    return cell.tool(spec, Path())
 
 
 def all_kinds() -> list[type]:
@@ -77,7 +78,7 @@ def all_kinds() -> list[type]:
 
 
 def test_the_table_has_every_kind_of_cell_files_and_of_the_sum_type() -> None:
-    union = get_args(cell_file.ToolFile)[0]
+    union = get_args(cell.ToolFile)[0]
     said = {get_args(get_type_hints(spec)["kind"])[0] for spec in get_args(union)}
     assert said == set(FILES)
     assert {cls for _, cls in FILES.values()} == set(all_kinds()) == set(OnFlange.__subclasses__())
@@ -127,8 +128,8 @@ def test_tools_go_through_pickle_and_have_a_digest_of_their_own(kind: str) -> No
     tool = read(kind)
     again = pickle.loads(pickle.dumps(tool))
     assert type(again) is type(tool)
-    assert kept.digest(again) == kept.digest(tool)
-    assert sum(kept.digest(read(other)) == kept.digest(tool) for other in FILES) == 1
+    assert plant.content_digest(again) == plant.content_digest(tool)
+    assert sum(plant.content_digest(read(other)) == plant.content_digest(tool) for other in FILES) == 1
 
 
 @pytest.mark.parametrize(("tilt", "throat"), [(0.0, 0.385), (np.pi / 3, 0.4 - 0.02 * np.sin(np.pi / 3))])
@@ -144,13 +145,17 @@ def test_a_bow_knows_its_wire_and_the_room_behind_it(tilt: float, throat: float)
 def test_a_tool_cuts_as_far_from_its_tcp_as_its_solid_goes() -> None:
     """A wire to its clamps on either side; a ball's shaft and a cutter from tip to holder, but for rounded
     ends; a solid with corners counts as nothing long."""
-    assert corners.lever(bow(0.8, 0.4)) == pytest.approx(400.0)
+    assert corner_rounding.lever(bow(0.8, 0.4)) == pytest.approx(400.0)
     ball = ball_tool(0.01, 0.3)
-    assert corners.lever(ball) == pytest.approx(1e3 * (ball.head.length - 0.01))
+    assert corner_rounding.lever(ball) == pytest.approx(1e3 * (ball.head.length - 0.01))
     long = mill("cylinder", 0.005, 0.0, 0.05, 0.25)
-    assert corners.lever(long) == pytest.approx(250.0)
+    assert corner_rounding.lever(long) == pytest.approx(250.0)
     assert working_solid(disk_tool(0.03, 0.3, 0.01, 0.01)).kind == "mesh"  # type: ignore[union-attr]
-    assert corners.lever(disk_tool(0.03, 0.3, 0.01, 0.01)) == corners.LEVER == corners.lever(read("plain"))
+    assert (
+        corner_rounding.lever(disk_tool(0.03, 0.3, 0.01, 0.01))
+        == corner_rounding.TURNING_LEVER_MM
+        == corner_rounding.lever(read("plain"))
+    )
 
 
 def refusal(problem: Problem) -> dict[str, str]:
@@ -167,7 +172,7 @@ def test_a_straight_wire_is_cut_with_a_bow_alone(kind: str) -> None:
     square = np.array([(-0.08, 0.02), (-0.08, 0.08), (0.08, 0.08), (0.08, 0.02)])
     part = foam_blocks.part(foam_blocks.prism("sq", square, closed=True))
     with pytest.raises(TandemError) as caught:
-        straight.StraightJob(foam_blocks.operation(), setup, part).targets()
+        job.StraightJob(foam_blocks.operation(), setup, part).targets()
     (issue,) = caught.value.issues
     assert issue.code == "bow.missing"
     assert read(kind).name in issue.message

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.cell.distance import Solid, signed_distance
+from planner.cell.bodies import Solid, signed_distance
 from planner.geometry.rigid import inverse, transform
 from planner.tooling import REACH, wire_holder
 

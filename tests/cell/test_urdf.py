@@ -9,18 +9,17 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.cell import clearance, plant
-from planner.cell.distance import Solid, signed_distance
-from planner.geometry.rigid import from_rpy, inverse, transform
-from planner.geometry.shapes import Shape
+from planner.cell.bodies import Solid, signed_distance
+from planner.geometry.rigid import Shape, from_rpy, inverse, transform
 from tests.cell.cells import BLOCK, alone
 
 FAR = from_rpy((50.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def _script() -> ModuleType:
-    path = catalogue.data_dir("urdf") / "make_urdf.py"
+    path = robots.data_dir("urdf") / "make_urdf.py"
     spec = importlib.util.spec_from_file_location("make_urdf", path)
     assert spec is not None
     assert spec.loader is not None
@@ -33,9 +32,9 @@ def _script() -> ModuleType:
 MAKE = _script()
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_files_are_what_the_script_writes(name: str) -> None:
-    assert catalogue.urdf_path(name).read_text(encoding="utf-8") == MAKE.urdf(name)
+    assert robots.urdf_path(name).read_text(encoding="utf-8") == MAKE.urdf(name)
 
 
 def _solid(solid: object) -> Solid:
@@ -57,10 +56,10 @@ def _surface(solid: Solid, rng: np.random.Generator) -> np.ndarray:
     return transform(solid.shape.pose, local)
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
     """Covers and edges may stick out by a little: 15 mm."""
-    robot, build = catalogue.robot(name), MAKE.BUILDS[name]
+    robot, build = robots.robot(name), MAKE.BUILDS[name]
     rng = np.random.default_rng(1)
     for link, (seen, solid) in MAKE.bodies(robot, build).items():
         around = [_solid(s) for s in solid]
@@ -70,9 +69,9 @@ def test_what_is_seen_lies_within_the_collision_solids(name: str) -> None:
             assert np.min(each, axis=0).max() < 0.015, (link, item.shape)
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> None:
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     model = plant.build(alone(name), BLOCK, FAR)
     assert clearance.free(model, {}, 0.010).all()
     q = np.random.default_rng(2).uniform(robot.lower, robot.upper, (400, 6))
@@ -80,10 +79,10 @@ def test_a_robot_is_clear_of_itself_at_home_and_in_most_postures(name: str) -> N
     assert share > 0.6
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_a_robot_folded_into_its_foot_is_seen(name: str) -> None:
     """The 300 mm ball tool inside the base's pedestal."""
-    robot = catalogue.robot(name)
+    robot = robots.robot(name)
     model = plant.build(alone(name), BLOCK, FAR)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper, (4000, 6))
     foot = model.tcp({"arm": q})["arm"][:, :3, 3]

@@ -6,13 +6,12 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from planner.geometry.arrays import FloatArray
 from planner.problem import Mesh
 
-Array = NDArray[np.float64]
-Height = Callable[[Array, Array], Array]
+Height = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +43,9 @@ def sheet(height: Height, half: float, spacing: float, seed: int = 0, noise: flo
     return over(points, height, rng, noise)
 
 
-def over(points: Array, height: Height, rng: np.random.Generator | None = None, noise: float = 0.0) -> Mesh:
+def over(
+    points: FloatArray, height: Height, rng: np.random.Generator | None = None, noise: float = 0.0
+) -> Mesh:
     """The Delaunay mesh of ``points`` (N, 2) [m] at their heights."""
     z = height(points[:, 0], points[:, 1])
     if rng is not None and noise:
@@ -57,14 +58,16 @@ def over(points: Array, height: Height, rng: np.random.Generator | None = None, 
 
 
 def frustum(
-    x: Array, y: Array, middle: tuple[float, float], radius: float, height: float, angle: float
-) -> Array:
+    x: FloatArray, y: FloatArray, middle: tuple[float, float], radius: float, height: float, angle: float
+) -> FloatArray:
     """A cone cut off at ``height`` [m], with walls of ``angle`` [deg]; 0 outside of ``radius`` [m]."""
     away = np.hypot(x - middle[0], y - middle[1])
     return np.clip((radius - away) * np.tan(np.radians(angle)), 0.0, height)
 
 
-def dome(x: Array, y: Array, middle: tuple[float, float], radius: float, height: float) -> Array:
+def dome(
+    x: FloatArray, y: FloatArray, middle: tuple[float, float], radius: float, height: float
+) -> FloatArray:
     """A cap of a sphere."""
     ball = (radius**2 + height**2) / (2.0 * height)
     away = np.hypot(x - middle[0], y - middle[1])
@@ -114,7 +117,7 @@ class _Shape:
     lobes: int
     phase: float
 
-    def height(self, x: Array, y: Array) -> Array:
+    def height(self, x: FloatArray, y: FloatArray) -> FloatArray:
         dx, dy = x - self.middle[0], y - self.middle[1]
         outline = self.radius * (1.0 + self.wave * np.cos(self.lobes * np.arctan2(dy, dx) + self.phase))
         share = np.hypot(dx, dy) / outline

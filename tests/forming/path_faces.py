@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.forming.values import Pass
-
-FloatArray = NDArray[np.float64]
+from planner.forming.contact import Pass
+from planner.geometry.arrays import FloatArray
 
 
 def round_shape(turn: FloatArray) -> FloatArray:

@@ -6,17 +6,14 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-from planner.forming.feature_order import OrderStep, in_place
-from planner.forming.feature_surface import joined, polygons, triangulated
-from planner.forming.feature_tree import FeatureTree, build
+from planner.forming.contact import ContactPath, Pass
+from planner.forming.features.pass_shape import joined, polygons, triangulated
+from planner.forming.features.tree import FeatureTree, OrderStep, build, in_place
 from planner.forming.operation import Forming
-from planner.forming.values import ContactPath, Pass
 from planner.problem import Mesh
 from planner.tooling import FormingHead
 
-Array = NDArray[np.float64]
 T0 = 1e-3
 BALL = FormingHead("ball", 0.009525, 0.009525, 0.0, 0.1)
 

@@ -7,16 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.forming.adsif import wall_angle
-from planner.forming.adsif_path import adsif_tool_path, pressed_by_support
-from planner.forming.adsif_table import built_in
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import Pass, ToolPath
 from planner.forming.passes import passes
-from planner.forming.values import Pass, ToolPath
+from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
+from planner.forming.paths.adsif_response import built_in_table, wall_angle
+from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.problem import Mesh
-from planner.sheet_metals import sheet_metal
 from planner.tooling import FormingHead
-from tests.forming.shapes import T0, Array, cone, operation, revolved, tree_of, upside_down
+from tests.forming.shapes import T0, cone, operation, revolved, tree_of, upside_down
 
 METAL = sheet_metal("aa5754_o")
 BALL = FormingHead("ball", 0.005, 0.005, 0.0, 0.1)
@@ -29,7 +29,7 @@ def made(part: Mesh, **more: object) -> tuple[Pass, ToolPath]:
     return one, adsif_tool_path(one, op, BALL, BALL, T0, METAL)
 
 
-def seen(path: ToolPath, side: int) -> tuple[Array, Array]:
+def seen(path: ToolPath, side: int) -> tuple[FloatArray, FloatArray]:
     """Position angle [rad] and gap [m] of the tools as they are."""
     assert path.support is not None
     across = path.former - path.support
@@ -46,7 +46,7 @@ def test_a_cone_is_formed_at_the_angle_of_the_table(side: int, kind: str, prefer
     part = cone(30.0, 0.012, 0.04, 300)
     one, path = made(part if side > 0 else upside_down(part), path=kind, adsif={"prefer": prefer})
     th, gap = seen(path, side)
-    formed = np.degrees(wall_angle(built_in(), th, gap / T0))
+    formed = np.degrees(wall_angle(built_in_table(), th, gap / T0))
     assert np.abs(formed - 30.0).max() < 0.1
     assert np.allclose(gap, path.gap)
     # at the sheet's level all the time, and from the inside out by the pitch
@@ -80,7 +80,7 @@ def test_walls_that_vary_get_tools_that_vary() -> None:
     rings = [(0.08, 0.0), *zip(r.tolist(), z.tolist(), strict=True), (0.0, float(z[-1]))]
     _, path = made(revolved(rings, 200))
     th, gap = seen(path, 1)
-    formed = np.degrees(wall_angle(built_in(), th, gap / T0))
+    formed = np.degrees(wall_angle(built_in_table(), th, gap / T0))
     r = np.hypot(*path.contact.point.T[:2])
     assert np.abs(formed[r < 0.0439] - 26.0).max() < 0.1
     assert np.abs(formed[r > 0.0461] - 34.0).max() < 0.1

@@ -6,20 +6,18 @@ import numpy as np
 import pytest
 import shapely
 
-from planner.forming.border import border_curve, border_path
-from planner.forming.feature_order import in_place
-from planner.forming.feature_tree import NOISE, build
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import ContactPath, Pass
+from planner.forming.features.tree import NOISE, build, in_place
 from planner.forming.passes import passes
-from planner.forming.support import tool_path
-from planner.forming.values import ContactPath, Pass
+from planner.forming.support.modes import border_curve, border_path, tool_path
+from planner.geometry.arrays import FloatArray
 from planner.problem import Mesh
-from planner.sheet_metals import sheet_metal
 from planner.tooling import FormingHead
 from tests.forming.nests import sheet
 from tests.forming.shapes import (
     BALL,
     T0,
-    Array,
     cone,
     cone_path,
     horseshoe,
@@ -55,13 +53,13 @@ def rounds(one: Pass, outline: shapely.Polygon, inset: list[float], every: float
     )
 
 
-def moves(place: Array) -> Array:
+def moves(place: FloatArray) -> FloatArray:
     """The straight moves of a path in plan, but for those that go nowhere."""
     lines = shapely.linestrings(np.stack([place[:-1, :2], place[1:, :2]], axis=1))
     return np.asarray(lines[shapely.length(lines) > 0.0])
 
 
-def beside_the_border(one: Pass, place: Array, head: FormingHead) -> None:
+def beside_the_border(one: Pass, place: FloatArray, head: FormingHead) -> None:
     curve = border_curve(one, head, T0)
     inside = shapely.Polygon(curve[:, :2])
     assert not shapely.intersects(inside.buffer(-1e-9), moves(place)).any()
@@ -115,7 +113,7 @@ def test_the_border_is_around_all_that_is_off_the_flat(noise: float) -> None:
     radius inside of the border, and the tool nowhere farther than 0.3 mm off that which is off it by 1 um.
     Shapely's distances to the triangles themselves are asked."""
 
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         far = np.hypot(x, y)
         rim, wall = 0.03, np.sqrt(0.5) * 0.012
         fillet = np.sqrt(np.maximum(0.012**2 - np.maximum(rim - far, 0.0) ** 2, 0.5 * 0.012**2)) - 0.012

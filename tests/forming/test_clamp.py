@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.forming.clamp import Clamp, clamp_issues
-from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.forming.contact import ContactPath, Pass, ToolPath
+from planner.forming.support.clearance import Clamp, clamp_issues
 from planner.tooling import FormingHead, profile
 
 REACH, BARS = 0.1, ((0.001, 0.011), (-0.06, 0.0))

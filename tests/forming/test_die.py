@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.forming.die import die_issues
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import Pass
 from planner.forming.passes import passes
-from planner.forming.values import Pass
+from planner.forming.two_point import die_issues
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Severity
-from planner.sheet_metals import sheet_metal
 from tests.forming.shapes import T0, cone, operation, tree_of, upside_down
 
 TOLERANCE = 5e-5

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.feature_commands import Features, run
+from planner.cli.features import Features, run
+from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.problem import Mesh
 from planner.units import MM
-from tests.forming.nests import Array, dome, frustum, revolved, sheet
+from tests.forming.nests import dome, frustum, revolved, sheet
 
 PROFILE = [(60, 0), (50, 0), (44, -10), (36, -10), (20, 4), (0, 4)]
 
@@ -97,7 +98,7 @@ def test_a_table_has_centres_depths_and_wall_angles(tmp_path: Path) -> None:
 def test_the_noise_of_a_scan_is_no_feature(tmp_path: Path) -> None:
     """A dish with a dome and a dimple on its floor, of which each vertex is off by 0.1 mm."""
 
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         dish = -frustum(x, y, (0.0, 0.0), 0.05, 0.012, 45.0)
         return dish + dome(x, y, (-0.016, 0.0), 0.012, 0.004) - dome(x, y, (0.016, 0.0), 0.012, 0.004)
 

@@ -7,12 +7,12 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator
 from shapely.geometry import Point, Polygon
 
-from planner.forming.feature_order import given, in_place, on_virgin_sheet
-from planner.forming.feature_tree import FeatureTree, build
-from planner.forming.slicing import area
+from planner.forming.features.surface import plan_area
+from planner.forming.features.tree import FeatureTree, build, given, in_place, on_virgin_sheet
+from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
 from planner.problem import Mesh
-from tests.forming.nests import Array, Nest, dome, frustum, over, random_nest, revolved, sheet
+from tests.forming.nests import Nest, dome, frustum, over, random_nest, revolved, sheet
 
 STEPS = (1e-3, 5e-4, 1e-4)
 MM = 1e-3
@@ -50,7 +50,7 @@ def outline(tree: FeatureTree) -> list[tuple[int | None, str, float, float]]:
     return [(f.parent, f.kind, round(f.start / MM, 1), round(f.end / MM, 1)) for f in tree.features]
 
 
-def ten_features(x: Array, y: Array) -> Array:
+def ten_features(x: FloatArray, y: FloatArray) -> FloatArray:
     """A dish with six domes up and three dimples down in its floor."""
     z = -frustum(x, y, (0.0, 0.0), 90 * MM, 20 * MM, 60.0)
     for k in range(6):
@@ -78,10 +78,10 @@ def test_a_cone_is_one_feature_with_its_closed_form_contours(step: float) -> Non
     for level, line in zip(feature.levels, feature.contours, strict=True):
         assert (line[:, 2] == level).all()
         assert (line[0] == line[-1]).all()
-        assert area(line) == pytest.approx(polygon * (50 * MM + level) ** 2, rel=1e-9)
+        assert plan_area(line) == pytest.approx(polygon * (50 * MM + level) ** 2, rel=1e-9)
     assert np.all(np.diff(feature.levels) < 0.0)
     assert np.allclose(feature.levels[1:-1], -step * np.arange(1, len(feature.levels) - 1))
-    assert area(feature.region) == pytest.approx(polygon * (50 * MM) ** 2, rel=1e-3)
+    assert plan_area(feature.region) == pytest.approx(polygon * (50 * MM) ** 2, rel=1e-3)
 
 
 def test_a_cone_with_a_tip_ends_at_the_tip() -> None:
@@ -115,12 +115,12 @@ def test_a_stepped_dish_is_two_features_also_where_its_terrace_is_at_a_level(ste
     profile = [(60, 0), (50, 0), (45, -5), (30, -5), (20, -15), (0, -15)]
     tree = build(revolved([(r * MM, z * MM) for r, z in profile]), step)
     assert outline(tree) == [(None, "concave", 0.0, -5.0), (1, "concave", -5.0, -15.0)]
-    assert area(tree.features[1].region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=2e-3)
+    assert plan_area(tree.features[1].region) == pytest.approx(np.pi * (30 * MM) ** 2, rel=2e-3)
 
 
 @pytest.mark.parametrize("step", STEPS)
 def test_a_dimple_alone_in_a_floor_is_a_feature(step: float) -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         return -frustum(x, y, (0, 0), 60 * MM, 10 * MM, 50.0) - frustum(
             x, y, (20 * MM, 9 * MM), 10 * MM, MM, 40.0
         )
@@ -137,7 +137,7 @@ def test_walls_without_a_flat_between_them_are_one_feature() -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_a_saddle_splits_a_feature(step: float) -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         pockets = [frustum(x, y, (c * MM, 0.0), 25 * MM, 15 * MM, 45.0) for c in (-15.0, 15.0)]
         return -np.maximum(*pockets)
 
@@ -154,7 +154,7 @@ def test_a_saddle_splits_a_feature(step: float) -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_loops_that_merge_are_a_dome_on_a_slope(step: float) -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         return -frustum(x, y, (0, 0), 60 * MM, 30 * MM, 30.0) + dome(x, y, (30 * MM, 0.0), 12 * MM, 9 * MM)
 
     tree = build(sheet(height, 70 * MM, MM, noise=5e-6), step)
@@ -177,7 +177,7 @@ def test_an_island_in_a_groove_rises_above_the_sheet(step: float) -> None:
 def test_a_groove_of_uneven_depth_is_one_feature(step: float) -> None:
     """Below its shallowest place its loops are crescents."""
 
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         away, deep = np.hypot(x, y), 8 * MM + 40e-3 * x
         wall = np.minimum((50 * MM - away), np.maximum(away - 20 * MM, 0.0))
         return -np.clip(np.minimum(wall, deep), 0.0, None)
@@ -191,7 +191,7 @@ def test_a_groove_of_uneven_depth_is_one_feature(step: float) -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_both_sides_of_the_sheet_are_formed(step: float) -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         up, down = (frustum(x, y, (c * MM, 0.0), 25 * MM, 12 * MM, 60.0) for c in (-35.0, 35.0))
         return up - down
 
@@ -202,7 +202,7 @@ def test_both_sides_of_the_sheet_are_formed(step: float) -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_what_is_lower_than_a_step_is_found(step: float) -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         small = dome(x, y, (20 * MM, 0.0), 8 * MM, 0.3 * MM) - dome(x, y, (-20 * MM, 0.0), 8 * MM, 0.25 * MM)
         return -frustum(x, y, (0, 0), 50 * MM, 9.97 * MM, 60.0) + small
 
@@ -231,9 +231,11 @@ def test_a_ridge_of_few_facets_and_one_that_climbs_and_parts() -> None:
     (feature,) = tree.features
     for level, line in zip(feature.levels, feature.contours, strict=True):
         part = level / (12 * MM)
-        assert area(line) == pytest.approx((80 - 40 * part) * (40 - 40 * part) * MM**2, rel=1e-6, abs=1e-12)
+        assert plan_area(line) == pytest.approx(
+            (80 - 40 * part) * (40 - 40 * part) * MM**2, rel=1e-6, abs=1e-12
+        )
 
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         crest = 8 * MM + 4 * MM * np.clip(np.abs(x) / (20 * MM), 0.0, 1.0)
         ends = np.clip(40 * MM - np.abs(x), 0.0, 20 * MM) / (20 * MM)
         return np.asarray(np.clip(crest * ends * (1.0 - np.abs(y) / (20 * MM)), 0.0, None))
@@ -246,7 +248,7 @@ def test_a_ridge_of_few_facets_and_one_that_climbs_and_parts() -> None:
 def test_a_ledge_along_half_of_a_wall_does_no_harm_to_the_contours() -> None:
     """Its level is a slicing level."""
 
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         z = frustum(x, y, (0.0, 0.0), 50 * MM, 20 * MM, 55.0)
         return -np.where(x > 0.0, np.minimum(z, np.maximum(10 * MM, z - 12 * MM)), z)
 
@@ -272,7 +274,7 @@ def test_vertices_that_no_face_uses_stay_where_they_are() -> None:
 
 
 def test_features_whose_edges_touch_are_named() -> None:
-    def height(x: Array, y: Array) -> Array:
+    def height(x: FloatArray, y: FloatArray) -> FloatArray:
         return -frustum(x, y, (-20 * MM, 0), 20 * MM, 9 * MM, 45.0) + frustum(
             x, y, (20 * MM, 0), 20 * MM, 9 * MM, 45.0
         )

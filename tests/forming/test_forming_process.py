@@ -14,9 +14,9 @@ import trimesh
 from scipy.spatial import Delaunay
 
 from planner import pipeline, processes
-from planner.claims import Claim
-from planner.claims_dialogue import OperatorDialogue
-from planner.claims_forming import (
+from planner.claims.claim import Claim
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.forming import (
     FollowsOpposite,
     FormingFeed,
     FormsByTable,
@@ -28,12 +28,12 @@ from planner.claims_forming import (
     ToolGap,
     ToolsLean,
 )
-from planner.forming.feature_surface import joined, polygons, triangulated
-from planner.forming.work import Work, work
+from planner.claims.segments import Segment
+from planner.forming.features.pass_shape import joined, polygons, triangulated
+from planner.forming.process_plan import Work, work
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh, Problem
-from planner.segments import Segment
-from planner.sheet_file import BARS
+from planner.reading.sheet import CLAMP_BARS
 from planner.targets import Targets
 from planner.units import DEG, MM
 from tests import small_forming
@@ -292,7 +292,7 @@ def test_tools_that_reach_into_the_clamp_are_told_before_any_arm_is_asked(tmp_pa
     border = np.linalg.norm(made_of(found).passes[0].region[:, :2], axis=1).max()
     assert (issue.code, issue.arm, issue.field) == ("forming.clamp", "right", "sheet.opening_mm")
     # the bars are chords of the opening's circle, and the support keeps 0.3 mm outside of its border
-    assert issue.value == pytest.approx(border / MM + 40.3 - 60.0 * np.cos(np.pi / BARS), abs=0.05)
+    assert issue.value == pytest.approx(border / MM + 40.3 - 60.0 * np.cos(np.pi / CLAMP_BARS), abs=0.05)
     data["sheet"] |= {"size_mm": [240, 240], "opening_mm": 170}
     processes.job(pipeline.load(small_forming.write(tmp_path, data)), 0).targets()
 

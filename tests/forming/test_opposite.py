@@ -7,20 +7,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.forming.opposite import FACING, opposite_path
-from planner.forming.path_options import PathOptions
-from planner.forming.paths import make_path
-from planner.forming.support import tool_path
-from planner.forming.touching import Touching
-from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.forming.contact import ContactPath, Pass, ToolPath
+from planner.forming.paths.contact_path import make_path
+from planner.forming.paths.spiral import PathOptions
+from planner.forming.support.modes import tool_path
+from planner.forming.support.opposite import FACING, Touching, opposite_path
+from planner.geometry.arrays import FloatArray
 from planner.tooling import FormingHead
 from planner.units import MM
-from planner.verify.forming_face import Face
-from planner.verify.forming_state import TIED
-from planner.verify.forming_track import Track, pieces
-from planner.verify.rules_forming_two import _off_directions
+from planner.verify.forming.face import Face
+from planner.verify.forming.state import TIED, Track, pieces
+from planner.verify.rules.forming_two_tools import _off_directions
 from tests.forming.path_faces import cone
-from tests.forming.shapes import BALL, T0, Array, operation
+from tests.forming.shapes import BALL, T0, operation
 
 TILT = np.radians(50.0)
 RIM, DEPTH, LEVEL = 0.04, 0.02, T0
@@ -64,7 +63,7 @@ def path() -> ToolPath:
     return opposite_path(pit(), round_the_corner(LEVEL - 0.006), operation(), BALL, BALL, T0)
 
 
-def lines(path: ToolPath) -> Array:
+def lines(path: ToolPath) -> FloatArray:
     assert path.support is not None
     across = path.former - path.support
     return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
@@ -179,7 +178,7 @@ def rounded(corner: float, pitch: float, shift: float) -> Pass:
     )
 
 
-def off_touched(one: Pass, places: Array, directions: Array, ball: float) -> float:
+def off_touched(one: Pass, places: FloatArray, directions: FloatArray, ball: float) -> float:
     """How far [deg] directions are off what the proof, by its own code, finds touched by balls there."""
     face, rows = Face(one.vertices, one.faces, ball), np.arange(len(places))
     none = np.zeros(0, dtype=np.bool_)
@@ -344,7 +343,7 @@ def test_one_corner_between_two_samples_is_bounded_wherever_it_is() -> None:
         assert found.off[own].max() <= 1.02 * true + 1e-6
 
 
-def sampled(one: Array, two: Array) -> Track:
+def sampled(one: FloatArray, two: FloatArray) -> Track:
     """Samples of two arms in one segment, all of it forming."""
     centre = np.stack([one, two], axis=1)
     count = len(one)

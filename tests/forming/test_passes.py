@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 import shapely
 
-from planner.forming.feature_order import on_virgin_sheet
-from planner.forming.feature_surface import with_ring
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import Pass
+from planner.forming.features.pass_shape import with_ring
+from planner.forming.features.tree import on_virgin_sheet
 from planner.forming.passes import pass_angles, pass_issues, passes
-from planner.forming.thickness import by_corner, steepest, thickness_map, thinnest, wall_angle_map
-from planner.forming.values import Pass
+from planner.forming.sheet_mechanics import by_corner, steepest, thickness_map, thinnest, wall_angle_map
+from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh, check_surface, face_areas, face_normals
 from planner.issues import Severity, TandemError
 from planner.problem import Mesh
-from planner.sheet_metals import sheet_metal
 from tests.forming import nests
-from tests.forming.shapes import T0, Array, bowl, cone, operation, pit, revolved, star, tree_of, upside_down
+from tests.forming.shapes import T0, bowl, cone, operation, pit, revolved, star, tree_of, upside_down
 
 METAL = sheet_metal("aluminium")
 
@@ -65,14 +66,14 @@ def test_thickness_of_a_bowl_follows_the_sine_law_everywhere() -> None:
     assert np.rad2deg(least.angle) == pytest.approx(60.0, abs=1.5)
 
 
-def samples(one: Pass, count: int = 6) -> Array:
+def samples(one: Pass, count: int = 6) -> FloatArray:
     """Random places (S, 3) of a face, and its vertices."""
     weights = np.random.default_rng(1).dirichlet(np.ones(3), (count, len(one.faces)))
     inner = np.einsum("sfk,fkd->sfd", weights, one.vertices[one.faces]).reshape(-1, 3)
     return np.concatenate([inner, one.vertices])
 
 
-def pyramid_depth(points: Array, angle: float) -> Array:
+def pyramid_depth(points: FloatArray, angle: float) -> FloatArray:
     """Of a square pyramid of half side 50 mm, 50 mm deep: the distance from the side times tan."""
     away = 0.05 - np.abs(points[:, :2]).max(axis=1)
     return np.clip(away * np.tan(np.radians(angle)), 0.0, 0.05)

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.forming.path_options import PathOptions
-from planner.forming.paths import make_path
-from planner.forming.values import ContactPath, Pass
+from planner.forming.contact import ContactPath, Pass
+from planner.forming.paths.contact_path import make_path
+from planner.forming.paths.spiral import PathOptions
 from planner.issues import TandemError
 from tests.forming.path_faces import bowl, cone, distance, rings, square_shape
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.forming.path_options import PathOptions
-from planner.forming.paths import make_path
-from planner.forming.spacing import constant_levels, scallop_height, scallop_width
-from planner.forming.values import ContactPath
+from planner.forming.contact import ContactPath
+from planner.forming.paths.contact_path import make_path
+from planner.forming.paths.level_lines import constant_levels, scallop_height, scallop_width
+from planner.forming.paths.spiral import PathOptions
 from tests.forming.path_faces import bowl
 
 RADIUS, SCALLOP, SPHERE = 0.005, 2e-5, 0.06

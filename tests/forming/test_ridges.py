@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.forming import ridges
+from planner.forming.paths import level_lines
 from planner.geometry.mesh import TriangleMesh
 
 RADIUS, STEP = 5e-3, 1e-3
@@ -34,7 +34,7 @@ def test_on_a_cone_the_ridge_is_that_of_its_wall(angle_deg: float) -> None:
     slope = np.tan(np.radians(angle_deg))
     radius = np.linspace(0.06, 0.03, 40)
     cone = turned(np.concatenate([[0.08], radius]), np.concatenate([[0.0], (radius - 0.06) * slope]))
-    found = ridges.heights(cone, RADIUS, STEP, 0.95)
+    found = level_lines.ridge_heights(cone, RADIUS, STEP, 0.95)
     middle = cone.vertices[cone.faces].mean(axis=1)
     wall = np.hypot(middle[:, 0], middle[:, 1]) < 0.055
     np.testing.assert_allclose(found[wall], between(STEP / np.sin(np.radians(angle_deg))), rtol=2e-3)
@@ -45,7 +45,7 @@ def test_on_a_dome_it_is_that_of_a_flatter_place_within_a_step() -> None:
     sphere = 0.06
     angle = np.radians(np.linspace(70.0, 1.0, 140))
     dome = turned(sphere * np.sin(angle), sphere * np.cos(angle))
-    found = ridges.heights(dome, RADIUS, STEP, 0.95)
+    found = level_lines.ridge_heights(dome, RADIUS, STEP, 0.95)
     middle = dome.vertices[dome.faces].mean(axis=1)
     here = np.arccos(np.clip(middle[:, 2] / np.linalg.norm(middle, axis=1), -1.0, 1.0))
     use = (here > np.radians(25.0)) & (here < np.radians(65.0))
@@ -62,5 +62,5 @@ def test_a_fine_mesh_says_the_same_as_a_coarse_one() -> None:
         dome = turned(sphere * np.sin(angle), sphere * np.cos(angle))
         middle = dome.vertices[dome.faces].mean(axis=1)
         here = np.degrees(np.arccos(np.clip(middle[:, 2] / np.linalg.norm(middle, axis=1), -1.0, 1.0)))
-        found = ridges.heights(dome, RADIUS, STEP, 0.95)[np.abs(here - 45.0) < 1.5]
+        found = level_lines.ridge_heights(dome, RADIUS, STEP, 0.95)[np.abs(here - 45.0) < 1.5]
         assert found.mean() == pytest.approx(float(between(STEP / np.sin(np.radians(43.7)))), rel=0.05)

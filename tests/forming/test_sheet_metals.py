@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from planner.forming import force
+from planner.catalogue.materials import sheet_metal, sheet_metals, thickness_doubt
+from planner.forming import sheet_mechanics
 from planner.issues import Severity, TandemError
-from planner.sheet_metals import sheet_metal, sheet_metals, thickness_doubt
 from planner.units import DEG, GRAVITY, MM
 
 
@@ -70,49 +70,49 @@ def test_the_formula_by_hand() -> None:
         + 0.09 * math.log(0.02)
         + math.log(50.0 * 0.6427876097)
     )
-    got = force.axial_force(200e6, 1.5 * MM, 10 * MM, 0.02 * MM, 50 * DEG)
+    got = sheet_mechanics.axial_force(200e6, 1.5 * MM, 10 * MM, 0.02 * MM, 50 * DEG)
     assert float(got) == pytest.approx(by_hand, rel=1e-9)
 
 
 def test_the_force_is_largest_where_a_tan_a_is_one() -> None:
     best = minimize_scalar(
-        lambda a: -float(force.axial_force(200e6, MM, 10 * MM, 0.02 * MM, a)),
+        lambda a: -float(sheet_mechanics.axial_force(200e6, MM, 10 * MM, 0.02 * MM, a)),
         bounds=(0.1, 1.5),
         method="bounded",
     )
     assert best.x * math.tan(best.x) == pytest.approx(1.0, abs=1e-4)
-    ends = force.axial_force(200e6, MM, 10 * MM, 0.02 * MM, np.array([0.0, 90.0]) * DEG)
+    ends = sheet_mechanics.axial_force(200e6, MM, 10 * MM, 0.02 * MM, np.array([0.0, 90.0]) * DEG)
     assert np.abs(ends).max() < 1e-9
 
 
 def test_scallops_are_the_inverse_of_the_stepdown() -> None:
     # R = 5 mm, h = 0.01 mm: 0.216, 0.447, 0.573 mm at 20, 45, 65 deg
     steps, angles = np.array([0.216, 0.447, 0.573]) * MM, np.array([20.0, 45.0, 65.0]) * DEG
-    assert np.allclose(force.scallop_height(5 * MM, steps, angles) / MM, 0.01, rtol=4e-3)
-    assert float(force.scallop_height(5 * MM, 100 * MM, 45 * DEG)) == pytest.approx(5 * MM)
+    assert np.allclose(sheet_mechanics.scallop_height(5 * MM, steps, angles) / MM, 0.01, rtol=4e-3)
+    assert float(sheet_mechanics.scallop_height(5 * MM, 100 * MM, 45 * DEG)) == pytest.approx(5 * MM)
 
 
 def test_an_estimate_takes_the_worst_wall_and_the_strengths_range() -> None:
     metal = sheet_metal("dc04")
     walls = np.array([0.0, 20.0, 50.0, 70.0]) * DEG
-    found = force.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls)
+    found = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls)
     assert found.angle == pytest.approx(50 * DEG)
     assert found.low == pytest.approx(found.force * 270 / 310)
     assert found.high == pytest.approx(found.force * 350 / 310)
     assert "Aerens" in found.source
-    own = force.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls, given=900.0)
+    own = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, walls, given=900.0)
     assert (own.force, own.low, own.high, own.source) == (900.0, 900.0, 900.0, "the user's figure")
 
 
 def test_a_force_beyond_the_payload_warns() -> None:
     metal = sheet_metal("dc04")
-    found = force.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, 50 * DEG)
-    issue = force.payload_issue(found, "left", "IRB 140", payload=6.0, carried=1.0)
+    found = sheet_mechanics.estimate(metal, 1 * MM, 10 * MM, 0.5 * MM, 50 * DEG)
+    issue = sheet_mechanics.payload_issue(found, "left", "IRB 140", payload=6.0, carried=1.0)
     assert issue is not None
     assert issue.code == "forming.force"
     assert issue.severity is Severity.WARNING
     assert issue.limit == pytest.approx(5.0 * GRAVITY)
-    assert force.payload_issue(found, "left", "IRB 6640", payload=235.0, carried=5.0) is None
+    assert sheet_mechanics.payload_issue(found, "left", "IRB 6640", payload=235.0, carried=5.0) is None
 
 
 @pytest.mark.parametrize(
@@ -131,5 +131,7 @@ def test_what_is_out_of_range_is_named(
     thickness: float, diameter: float, step: float, angle: float, given: float | None
 ) -> None:
     with pytest.raises(TandemError) as caught:
-        force.estimate(sheet_metal("dc04"), thickness * MM, diameter * MM, step * MM, angle * DEG, given)
+        sheet_mechanics.estimate(
+            sheet_metal("dc04"), thickness * MM, diameter * MM, step * MM, angle * DEG, given
+        )
     assert caught.value.issues[0].code == "forming.force_input"

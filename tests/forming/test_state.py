@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.forming.feature_order import in_place, on_virgin_sheet
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import ContactPath, Pass
+from planner.forming.features.tree import in_place, on_virgin_sheet
 from planner.forming.passes import passes
-from planner.forming.state import descendants, states
-from planner.forming.state_check import clear_issues, deepest
-from planner.forming.support import tool_path
-from planner.forming.values import ContactPath, Pass
-from planner.sheet_metals import sheet_metal
+from planner.forming.sheet_state import clear_issues, deepest, descendants, states
+from planner.forming.support.modes import tool_path
 from planner.tooling import FormingHead, profile
 from tests.forming.shapes import BALL, T0, cone_path, operation, revolved, tree_of
 

@@ -7,25 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.forming import opposite
+from planner.catalogue.materials import sheet_metal
+from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.passes import passes
-from planner.forming.support import support_issues, tool_path
-from planner.forming.values import ContactPath, Pass, ToolPath
+from planner.forming.support import opposite
+from planner.forming.support.modes import support_issues, tool_path
+from planner.geometry.arrays import FloatArray
 from planner.issues import Severity, TandemError
-from planner.sheet_metals import sheet_metal
 from planner.tooling import FormingHead
-from tests.forming.shapes import (
-    BALL,
-    T0,
-    Array,
-    bowl,
-    cone,
-    cone_path,
-    operation,
-    revolved,
-    tree_of,
-    upside_down,
-)
+from tests.forming.shapes import BALL, T0, bowl, cone, cone_path, operation, revolved, tree_of, upside_down
 
 METAL = sheet_metal("aluminium")
 ANGLE, RADIUS, DEPTH = 60.0, 0.1, 0.05
@@ -40,13 +30,13 @@ def made(side: int, per_loop: int = 150) -> tuple[Pass, ContactPath]:
     return one, cone_path(one, ANGLE, RADIUS, BALL.radius, per_loop)
 
 
-def line(path: ToolPath) -> Array:
+def line(path: ToolPath) -> FloatArray:
     assert path.support is not None
     across = path.former - path.support
     return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
 
 
-def apart(path: ToolPath) -> Array:
+def apart(path: ToolPath) -> FloatArray:
     assert path.support is not None
     return np.asarray(np.linalg.norm(path.former - path.support, axis=1))
 

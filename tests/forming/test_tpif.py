@@ -13,12 +13,11 @@ import pytest
 import yaml
 
 from planner import pipeline, processes
-from planner.forming import forming, holder
-from planner.forming.die_body import die_mesh, with_die
-from planner.forming.laid import lay
-from planner.forming.operation import Die, Forming
-from planner.forming.state import states
-from planner.forming.work import Work, work
+from planner.forming import job as forming
+from planner.forming import two_point
+from planner.forming.operation import Die, Forming, die_mesh, with_die
+from planner.forming.process_plan import Work, lay, work
+from planner.forming.sheet_state import states
 from planner.issues import TandemError
 from planner.motion import solve
 from planner.post import write
@@ -188,7 +187,7 @@ def test_steps_that_are_too_small_for_the_tools_moves_are_refused() -> None:
 def test_a_depth_of_no_whole_steps_is_told() -> None:
     there = made(operation(coarse(), {"step_mm": 4.0}))
     paths = [(one, lay(there, one)) for one in there.passes]
-    (issue,) = holder.step_issues(there, paths)
+    (issue,) = two_point.step_issues(there, paths)
     assert issue.code == "forming.holder_step" and issue.severity.value == "warning"
     assert "1.00 mm higher" in issue.message
 
@@ -198,14 +197,14 @@ def test_dies_and_holders_that_do_not_go_together(kind: str, how: str) -> None:
     there = dataclasses.replace(
         made(coarse_operation()), operation=operation(coarse(), {"kind": kind, "holder": how})
     )
-    assert [issue.code for issue in holder.issues(there)] == ["forming.holder"]
+    assert [issue.code for issue in two_point.holder_issues(there)] == ["forming.holder"]
 
 
 def test_one_feature_over_a_die_that_sinks() -> None:
     there = made(coarse_operation())
     two = dataclasses.replace(there.passes[0], feature=2, name="f2")
     there = dataclasses.replace(there, passes=(*there.passes, two))
-    assert [issue.code for issue in holder.issues(there)] == ["forming.holder"]
+    assert [issue.code for issue in two_point.holder_issues(there)] == ["forming.holder"]
 
 
 def coarse_operation() -> Forming:

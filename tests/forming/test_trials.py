@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from planner.forming.trials import nearest_failed, trials, warning
+from planner.catalogue.materials import sheet_metals
+from planner.forming.passes import nearest_failed, trials, warning
 from planner.issues import Severity
-from planner.sheet_metals import sheet_metals
 from planner.units import DEG, MM
 
 INCH = 25.4

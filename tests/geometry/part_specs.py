@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from planner.issues import Issue, TandemError
-from planner.part_file import PartFile, build
 from planner.problem import Part, Stock
+from planner.reading.part import PartFile, build
 
 BLOCK = np.array([0.3, 0.6, 0.1])
 SQUARE = [[0, 0], [100, 0], [100, 100], [0, 100]]

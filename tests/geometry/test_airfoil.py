@@ -9,10 +9,16 @@ import pytest
 import shapely
 import trimesh
 
-from planner.geometry.airfoil import leading_point, naca, section_guide, thickened
-from planner.geometry.airfoil_file import read_airfoil
 from planner.geometry.rulings import outward, tessellate
-from planner.geometry.wing import Panel, skin
+from planner.geometry.wing import (
+    Panel,
+    leading_point,
+    naca,
+    read_airfoil,
+    section_guide,
+    thickened,
+    wing_surface,
+)
 from planner.issues import Issue, Severity, TandemError
 
 # Abbott and von Doenhoff, Theory of Wing Sections (1959), appendix III: station, upper, lower [%]
@@ -187,7 +193,7 @@ def test_a_trailing_edge_is_thickened_to_what_foam_can_hold() -> None:
 
 def test_a_plain_wing_has_its_volume_and_faces_outwards() -> None:
     section = naca("0012", 400)
-    wing = skin(Panel(section, section, 0.2, 0.1, 0.3))
+    wing = wing_surface(Panel(section, section, 0.2, 0.1, 0.3))
     mesh = tessellate(wing)
     x, y = section.T
     area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
@@ -214,7 +220,7 @@ def test_a_wing_joins_leading_edges_and_places_its_tip() -> None:
         dihedral=np.deg2rad(4.0),
         trailing_edge=0.0015,
     )
-    wing = skin(panel)
+    wing = wing_surface(panel)
     assert wing.closed
     assert wing.corner.sum() == 2
     first, second = np.flatnonzero(wing.corner)
@@ -240,10 +246,10 @@ def test_a_wing_joins_leading_edges_and_places_its_tip() -> None:
 def test_a_sharp_and_a_blunt_section_share_two_corners() -> None:
     blunt, sharp = naca("0012"), naca("0012").copy()
     sharp[[0, -1], 1] = 0.0
-    wing = skin(Panel(blunt, sharp, 0.2, 0.2, 0.1))
+    wing = wing_surface(Panel(blunt, sharp, 0.2, 0.2, 0.1))
     first, second = np.flatnonzero(wing.corner)
     np.testing.assert_allclose(wing.end[first], wing.end[second], atol=1e-12)
     assert np.linalg.norm(wing.start[first] - wing.start[second]) > 4e-4
     assert np.isfinite(np.concatenate(outward(wing))).all()
-    both = skin(Panel(sharp, sharp, 0.2, 0.2, 0.1))
+    both = wing_surface(Panel(sharp, sharp, 0.2, 0.2, 0.1))
     assert both.corner.sum() == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.geometry.guides import Guide, polyline, rolled, spline, turned, with_corners
+from planner.geometry.curves import Guide, polyline, rolled, spline, turned, with_corners
 from planner.geometry.matching import Match, aligned, join
 from planner.problem import Ruled
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.geometry import mesh as meshes
+from planner.geometry import mesh
 from planner.geometry.mesh import TriangleMesh, check_surface, offset, read_mesh, vertex_normals
 from planner.issues import TandemError
 
@@ -31,14 +31,14 @@ def test_what_trimesh_writes_is_read_in_the_stated_unit(tmp_path: Path, suffix: 
     got = read_mesh(path, 1e-3)
     assert len(got.vertices) == len(wanted.vertices)
     assert len(got.faces) == len(wanted.faces)
-    assert meshes.face_areas(got).sum() == pytest.approx(meshes.face_areas(wanted).sum(), rel=1e-6)
+    assert mesh.face_areas(got).sum() == pytest.approx(mesh.face_areas(wanted).sum(), rel=1e-6)
     assert check_surface(got, "part.front") == []
 
 
 def test_quads_of_an_obj_file_become_triangles(tmp_path: Path) -> None:
     path = tmp_path / "quad.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
-    assert meshes.face_areas(read_mesh(path, 0.1)).sum() == pytest.approx(0.01)
+    assert mesh.face_areas(read_mesh(path, 0.1)).sum() == pytest.approx(0.01)
 
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -107,7 +107,7 @@ def test_a_surface_must_be_open_manifold_oriented_and_one_piece() -> None:
 def sphere_cap(radius: float) -> TriangleMesh:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     keep = (np.array(ball.vertices)[ball.faces][:, :, 2] > 0).all(axis=1)
-    return meshes.merge(TriangleMesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)[keep]))
+    return mesh.merge(TriangleMesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64)[keep]))
 
 
 def test_offsetting_a_sphere_changes_its_radius() -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from planner.geometry.mesh import TriangleMesh, check_surface, face_normals, merge
-from planner.geometry.mesh_noise import deviation, fitted, levelled
-from planner.geometry.mesh_repair import border, rims_levelled, sewn
-from planner.verify.mesh_noise import tolerance_of
+from planner.geometry.mesh_repair import border, fitted_face, levelled, rims_levelled, sewn, vertex_noise
+from planner.verify.files.sheets import tolerance_of
 from tests.forming import nests, shapes
 
 SPACING = 1.5e-3
@@ -42,7 +41,7 @@ def noisy(height, noise, seed=3, spacing=SPACING):
 @pytest.mark.parametrize("noise", [2e-5, 5e-5, 1e-4])
 def test_the_noise_of_a_mesh_is_found_by_both_estimates(height, noise):
     mesh = noisy(height, noise)
-    assert deviation(mesh) == pytest.approx(noise, rel=0.2)
+    assert vertex_noise(mesh) == pytest.approx(noise, rel=0.2)
     assert tolerance_of(mesh.vertices, mesh.faces) / 3.0 == pytest.approx(noise, rel=0.3)
 
 
@@ -57,14 +56,14 @@ def test_the_noise_of_a_mesh_is_found_by_both_estimates(height, noise):
 )
 def test_a_mesh_without_noise_has_none(mesh):
     one = TriangleMesh(mesh.vertices, mesh.faces)
-    assert deviation(one) == 0.0
+    assert vertex_noise(one) == 0.0
     assert tolerance_of(mesh.vertices, mesh.faces) == 0.0
 
 
 @pytest.mark.parametrize("noise", [2e-5, 1e-4])
 def test_the_fitted_face_is_nearer_to_the_meant_one_than_its_vertices(noise):
     mesh = noisy(bowl, noise)
-    face = fitted(mesh, noise, 0.0)
+    face = fitted_face(mesh, noise, 0.0)
     x, y, z = face.vertices.T
     assert np.sqrt(np.mean((z - bowl(x, y)) ** 2)) < 0.6 * noise
     # its facets lean as the sphere does
@@ -80,13 +79,13 @@ def test_the_fitted_face_is_nearer_to_the_meant_one_than_its_vertices(noise):
 
 def test_sharp_edges_stay_where_they_are():
     mesh = noisy(pit, 5e-5)
-    face = fitted(mesh, 5e-5, 0.0)
+    face = fitted_face(mesh, 5e-5, 0.0)
     x, y, z = face.vertices.T
     assert np.abs(z - pit(x, y)).max() < 9.0 * 5e-5
 
 
 def test_flats_become_level_and_walls_stay():
-    face = levelled(fitted(noisy(pit, 5e-5), 5e-5, 0.0), 2.5e-5, 0.0)
+    face = levelled(fitted_face(noisy(pit, 5e-5), 5e-5, 0.0), 2.5e-5, 0.0)
     x, y, z = face.vertices.T
     away = np.hypot(x, y)
     assert (z[away > 0.038] == 0.0).mean() > 0.96

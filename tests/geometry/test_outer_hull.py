@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.geometry.outer_hull import SIMPLE, outer_hull
+from planner.geometry.mesh_queries import FEW_CORNERS, outer_hull
 
 
 def test_a_simple_hull_is_taken_as_it_is() -> None:
@@ -22,7 +22,7 @@ def test_a_round_solid_is_held_by_few_corners() -> None:
     found = outer_hull(points)
     solid = trimesh.Trimesh(found.vertices, found.faces)
     solid.fix_normals()
-    assert SIMPLE < len(found.vertices) < 400
+    assert FEW_CORNERS < len(found.vertices) < 400
     away = np.einsum("fd,pfd->pf", solid.face_normals, points[:, None] - solid.triangles[None, :, 0])
     assert away.max() < 1e-9
     assert solid.volume < 1.15 * 4.0 / 3.0 * np.pi * 0.2 * 0.2 * 0.1

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from planner.geometry.mesh import TriangleMesh, face_normals, vertex_normals
 from planner.issues import TandemError
-from planner.part_file import PartFile, build
 from planner.problem import Stock
+from planner.reading.part import PartFile, build
 
 SIZE = np.array([0.17, 0.70, 0.10])
 PROFILES = [

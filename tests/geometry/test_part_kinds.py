@@ -15,7 +15,7 @@ import yaml
 from pydantic import ValidationError
 
 from planner.geometry.rulings import outward, outward_sides, points, tessellate
-from planner.part_file import PartFile
+from planner.reading.part import PartFile
 from tests.geometry.part_specs import SQUARE, WING, guides, make, outline, refused
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.geometry.mesh import TriangleMesh, face_normals
-from planner.geometry.sections import slice_mesh
+from planner.geometry.mesh_queries import slice_mesh
 
 
 def surface(seed: int, n: int = 12) -> TriangleMesh:

@@ -11,13 +11,12 @@ import pytest
 import trimesh
 
 from planner.geometry.mesh import TriangleMesh
-from planner.geometry.nearness import Nearness
-from planner.geometry.patch import Patch, of_mesh
+from planner.geometry.mesh_queries import Nearness
+from planner.geometry.ruled_approximation import Patch, cut_strips, of_mesh
 from planner.geometry.rulings import outward, points
-from planner.geometry.strips import cut
 from planner.issues import Issue, TandemError
-from planner.part_file import PartFile, build
 from planner.problem import Part, Stock
+from planner.reading.part import PartFile, build
 
 BLOCK = np.array([0.5, 0.5, 0.3])
 
@@ -147,7 +146,7 @@ def test_strips_round_a_cylinder_or_sphere_have_the_sagitta_and_the_kinks_of_the
 ) -> None:
     radius, angle = 0.3, 1.2
     patch = round_patch(radius, angle, 0.2, sphere)
-    found = cut(patch, "u", 1.0, 6, "part.strips")
+    found = cut_strips(patch, "u", 1.0, 6, "part.strips")
     sagitta = radius * (1.0 - np.cos(angle / 12.0))
     np.testing.assert_allclose(found.deviation, sagitta, rtol=0.03)
     # across the equator neighbours meet at the angle of one chord, elsewhere on the sphere at less
@@ -159,11 +158,11 @@ def test_strips_round_a_cylinder_or_sphere_have_the_sagitta_and_the_kinks_of_the
 @pytest.mark.parametrize("tolerance", [2e-3, 5e-4])
 def test_the_least_number_of_strips_for_a_tolerance(tolerance: float) -> None:
     radius, angle = 0.3, 1.2
-    found = cut(round_patch(radius, angle, 0.2, False), "u", tolerance, None, "part.strips")
+    found = cut_strips(round_patch(radius, angle, 0.2, False), "u", tolerance, None, "part.strips")
     wanted = angle / (2.0 * np.arccos(1.0 - tolerance / radius))
     assert len(found.strips) in (int(np.ceil(wanted)), int(np.ceil(wanted)) + 1)
     assert found.deviation.max() <= tolerance
-    along = cut(round_patch(radius, angle, 0.2, False), "v", tolerance, None, "part.strips")
+    along = cut_strips(round_patch(radius, angle, 0.2, False), "v", tolerance, None, "part.strips")
     assert len(along.strips) == 1  # rulings along the cylinder
     assert along.deviation.max() < 2e-5
 
@@ -212,7 +211,7 @@ def test_strips_that_are_too_few_too_many_or_not_there_are_refused() -> None:
     assert "take more strips" in issue.message
     assert refused({"strips": {"loft": LOFT, "take": 99}}).field == "part.strips.take"
     with pytest.raises(TandemError) as caught:
-        cut(round_patch(0.3, 1.2, 0.2, True), "u", 1e-8, None, "part.strips")
+        cut_strips(round_patch(0.3, 1.2, 0.2, True), "u", 1e-8, None, "part.strips")
     assert caught.value.issues[0].code == "part.strips"
 
 
@@ -242,7 +241,7 @@ def test_strips_have_corners_where_a_coarse_mesh_folds_them(cells: int) -> None:
     """A wave of straight facets: along the strips the curve turns at the mesh's edges, by the angle of their
     chords; facets of 2 mm stand for the smooth wave."""
     mesh = grid_mesh(lambda x, y: 0.01 * np.sin(2.0 * np.pi * x / 0.2), cells)
-    found = cut(of_mesh(mesh, "part.strips.mesh"), "u", 1.0, 2, "part.strips")
+    found = cut_strips(of_mesh(mesh, "part.strips.mesh"), "u", 1.0, 2, "part.strips")
     x = np.linspace(0.0, 0.2, cells + 1)
     slope = np.arctan(np.diff(0.01 * np.sin(2.0 * np.pi * x / 0.2)) / np.diff(x))
     folds = x[1:-1][np.abs(np.diff(slope)) > np.deg2rad(2.0)] if cells < 100 else np.zeros(0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.hotwire.straight_operation import Straight
+from planner.hotwire.operation import Straight
 from planner.problem import Arm, Cell, Controller, Part, Ruled, Setup, Stock
 from planner.tooling import bow, gripper_plate, wire_holder
 

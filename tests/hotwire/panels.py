@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from planner.hotwire.operation import ElasticWire
-from planner.part_file import PartFile, build
 from planner.problem import Cell, Controller, Part, Setup, Stock
+from planner.reading.part import PartFile, build
 
 ARCH = ((-70.0, 0.0), (-25.0, 21.0), (25.0, 21.0), (70.0, 0.0))
 LEVEL = np.eye(3)

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from planner.hotwire import heavy
-from planner.hotwire.closed_form import elliptic, evaluate
-from planner.hotwire.elastica import from_params
+from planner.hotwire.elastica import heavy
+from planner.hotwire.elastica.equations import elliptic, evaluate
+from planner.hotwire.elastica.weightless import from_params
 
 angle = st.floats(-3.1, 3.1)
 bend = st.floats(-9.0, 9.0)

@@ -10,13 +10,13 @@ import trimesh
 from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
-from planner.claims import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
-from planner.claims_dialogue import OperatorDialogue
+from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
 from planner.geometry.rigid import interpolate, inverse
-from planner.hotwire import elastic
-from planner.hotwire.elastic_wires import Wires, driven
+from planner.hotwire.elastic import job
+from planner.hotwire.elastic.path import Wires, driven
 from planner.problem import Mesh
-from planner.segments import Segment
 from planner.targets import ScrewFreedom, TableFreedom, Targets
 from tests.hotwire import panels
 
@@ -32,12 +32,12 @@ SADDLE = panels.loft(panels.ARCH, (25.0, 2.0, 2.0, 25.0))
 
 @pytest.fixture(scope="module")
 def arch() -> Targets:
-    return elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
+    return job.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
 
 
 @pytest.fixture(scope="module")
 def strip() -> Targets:
-    return elastic.ElasticJob(panels.operation(STRIP), panels.setup(), panels.part(SADDLE)).targets()
+    return job.ElasticJob(panels.operation(STRIP), panels.setup(), panels.part(SADDLE)).targets()
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
@@ -158,7 +158,7 @@ def test_a_strip_has_no_spin_and_follows_the_slope_of_the_face(strip: Targets) -
 
 
 def test_two_runs_go_over_the_block_without_touching_it() -> None:
-    targets = elastic.ElasticJob(panels.operation(runs="two"), panels.setup(), panels.part()).targets()
+    targets = job.ElasticJob(panels.operation(runs="two"), panels.setup(), panels.part()).targets()
     block = trimesh.creation.box(bounds=[[-0.08, -0.115, 0.0], [0.08, 0.115, 0.10]])
     link = rows(targets, "link")
     away = -trimesh.proximity.signed_distance(block, targets.edge.points[link].reshape(-1, 3))
@@ -176,7 +176,7 @@ def test_sweep_auto_goes_along_a_cylinder(turn: float, want: float) -> None:
     turned = front.vertices @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
     part = dataclasses.replace(panels.part(back=None), front=Mesh(turned, front.faces))
     block = panels.stock(size=(0.16, 0.23, 0.1) if turn == 0.0 else (0.23, 0.16, 0.1))
-    targets = elastic.ElasticJob(
+    targets = job.ElasticJob(
         panels.operation(sweep="auto", faces=("front",)), panels.setup(block), part
     ).targets()
     wire = targets.pose["right"][:, :3, 3] - targets.pose["left"][:, :3, 3]
@@ -185,7 +185,7 @@ def test_sweep_auto_goes_along_a_cylinder(turn: float, want: float) -> None:
 
 
 def test_claims_come_from_the_problem_alone(arch: Targets) -> None:
-    claims = elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).claims()
+    claims = job.ElasticJob(panels.operation(), panels.setup(), panels.part()).claims()
     assert [type(c) for c in claims] == [
         WireJoins,
         ContactOnlyIn,
@@ -205,7 +205,7 @@ def test_claims_come_from_the_problem_alone(arch: Targets) -> None:
 
 
 def test_the_same_problem_gives_the_same_targets(arch: Targets) -> None:
-    again = elastic.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
+    again = job.ElasticJob(panels.operation(), panels.setup(), panels.part()).targets()
     for arm in arch.arms:
         np.testing.assert_array_equal(again.pose[arm], arch.pose[arm])
     np.testing.assert_array_equal(again.travel, arch.travel)

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner import wire_file
-from planner.claims import OneOf, WireJoins
-from planner.hotwire.elastic import ElasticJob
+from planner.claims.claim import OneOf, WireJoins
+from planner.hotwire.elastic.job import ElasticJob
 from planner.issues import Issue, TandemError
 from planner.problem import Mesh, Part, Setup
+from planner.reading import materials
+from planner.reading.materials import WireFile, WiresFile
 from planner.targets import Targets
-from planner.wire_file import WireFile, WiresFile
 from tests.hotwire import panels
 
 STEEL = {"material": "spring_steel", "diameter_mm": 1.5, "temperature_c": 300}
 
 
 def wires(*lengths: float, **more: Any) -> tuple[WireFile, ...]:
-    return wire_file.at_hand([WiresFile(**(STEEL | more), lengths_mm=lengths)])
+    return materials.wires_at_hand([WiresFile(**(STEEL | more), lengths_mm=lengths)])
 
 
 def setup(at_hand: tuple[WireFile, ...] = (), **block: Any) -> Setup:
@@ -188,22 +188,22 @@ def test_where_nothing_helps_that_is_said() -> None:
 )
 def test_lists_of_wires_are_refused_by_field(entries: list[dict[str, Any]], field: str) -> None:
     with pytest.raises(TandemError) as caught:
-        wire_file.at_hand([WiresFile(**entry) for entry in entries])
+        materials.wires_at_hand([WiresFile(**entry) for entry in entries])
     assert [issue.field for issue in caught.value.issues] == [field]
 
 
 def test_a_stated_wire_has_to_be_one_of_those_at_hand() -> None:
     have = wires(400, 520)
     stated = panels.operation(dict(STEEL, length_mm=520))
-    assert list(wire_file.faults(have, [stated])) == []
-    assert list(wire_file.faults((), [stated])) == []
-    assert list(wire_file.faults(have, [open_operation()])) == []
+    assert list(materials.wire_faults(have, [stated])) == []
+    assert list(materials.wire_faults((), [stated])) == []
+    assert list(materials.wire_faults(have, [open_operation()])) == []
     for wrong in ({"length_mm": 500}, {"length_mm": 520, "temperature_c": 250}):
-        (issue,) = wire_file.faults(have, [panels.operation(STEEL | wrong)])
+        (issue,) = materials.wire_faults(have, [panels.operation(STEEL | wrong)])
         assert issue.field == "operations.0.wire"
-    (issue,) = wire_file.faults((), [open_operation()])
+    (issue,) = materials.wire_faults((), [open_operation()])
     assert issue.field == "operations.0.wire"
     strip = {"diameter_mm": None, "width_mm": 8, "thickness_mm": 0.8}
     heated = open_operation(kerf_mm=None, power_w=100)
-    (issue,) = wire_file.faults(wires(400, **strip), [heated])
+    (issue,) = materials.wire_faults(wires(400, **strip), [heated])
     assert issue.field == "operations.0.power_w"

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from planner.hotwire import elastic, elastic_check, elastic_path, elastic_sweep, wire
-from planner.hotwire.elastic_check import Figures
+from planner.hotwire import wire
+from planner.hotwire.elastic import check, job, path
+from planner.hotwire.elastic import sweep as elastic_sweep
+from planner.hotwire.elastic.check import Figures
 from planner.issues import Issue, Severity, TandemError
 from tests.hotwire import panels
 
 
 def make(wire_of: dict[str, Any] | None = None, **more: Any) -> dict[str, Issue]:
     with pytest.raises(TandemError) as caught:
-        elastic.ElasticJob(panels.operation(wire_of, **more), panels.setup(), panels.part()).targets()
+        job.ElasticJob(panels.operation(wire_of, **more), panels.setup(), panels.part()).targets()
     return {issue.code: issue for issue in caught.value.issues}
 
 
@@ -28,7 +30,7 @@ def test_a_wire_too_short_for_its_margins_says_the_length_that_would_do() -> Non
     assert issue.hint is not None
     assert 215 < issue.limit < 260
     enough = steel | {"length_mm": 5 * np.ceil(issue.limit / 5)}
-    assert elastic.ElasticJob(panels.operation(enough), panels.setup(), panels.part()).targets().count > 50
+    assert job.ElasticJob(panels.operation(enough), panels.setup(), panels.part()).targets().count > 50
 
 
 def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
@@ -40,23 +42,23 @@ def test_a_wire_too_thick_says_the_thickness_that_would_do() -> None:
 def test_what_the_wire_does_in_the_air_and_between_targets_is_checked() -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
     steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
-    mesh = elastic._mesh(part.front)
-    cut = elastic._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.box)
-    route = elastic_path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
-    figures = elastic_check.measure(route, steel, block.box)
-    assert elastic_check.check(op, steel, route, [cut], figures, block.box) == []
+    mesh = job._mesh(part.front)
+    cut = job._cut(op, "front", mesh, 90.0, steel.load * block.gravity, block.box)
+    route = path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
+    figures = check.measure(route, steel, block.box)
+    assert check.check(op, steel, route, [cut], figures, block.box) == []
     into = dataclasses.replace(route, wires=route.wires.moved(np.array([0.0, 0.03, 0.0])))
-    codes = {i.code for i in elastic_check.check(op, steel, into, [cut], figures, block.box)}
+    codes = {i.code for i in check.check(op, steel, into, [cut], figures, block.box)}
     assert codes == {"wire.touches"}
     straight = dataclasses.replace(
         route.wires, bend=np.zeros_like(route.wires.bend), gravity=np.zeros_like(route.wires.gravity)
     )
-    (taut,) = elastic_check._taut(op, dataclasses.replace(route, wires=straight))
+    (taut,) = check._taut(op, dataclasses.replace(route, wires=straight))
     assert taut.code == "wire.end_error"
     off, miss = np.zeros(len(route.wires)), np.zeros(len(route.wires))
-    assert elastic._driven(op, route, off, miss) == []
+    assert job._driven(op, route, off, miss) == []
     miss[30] = np.inf
-    assert [i.code for i in elastic._driven(op, route, off, miss)] == ["wire.between_targets"]
+    assert [i.code for i in job._driven(op, route, off, miss)] == ["wire.between_targets"]
 
 
 def figures(in_plane: float, out_of_plane: float) -> Figures:
@@ -78,9 +80,9 @@ def test_a_shape_near_snapping_is_a_warning_and_one_that_snaps_an_error(
 ) -> None:
     op, block, part = panels.operation(), panels.stock(), panels.part()
     steel = wire.make("spring_steel", diameter_mm=1.5, temperature_c=300)
-    cut = elastic._cut(op, "front", elastic._mesh(part.front), 90.0, steel.load * block.gravity, block.box)
-    route = elastic_path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
-    issues = elastic_check._stability(route, figures(*values))
+    cut = job._cut(op, "front", job._mesh(part.front), 90.0, steel.load * block.gravity, block.box)
+    route = path.lay_out([cut.face], block.box, 0.02, 0.001, 0.005, False)
+    issues = check._stability(route, figures(*values))
     assert [i.code for i in issues] == ["wire.unstable"] * len(want)
     assert [i.severity for i in issues] == want
 
@@ -117,7 +119,7 @@ def test_a_block_that_an_arm_holds_is_not_for_an_elastic_wire() -> None:
     own = panels.setup()
     held = dataclasses.replace(own, stock=dataclasses.replace(own.stock, held_by="right"))
     with pytest.raises(TandemError) as caught:
-        elastic.ElasticJob(panels.operation(), held, panels.part()).targets()
+        job.ElasticJob(panels.operation(), held, panels.part()).targets()
     (issue,) = caught.value.issues
     assert issue.code == "wire.held"
     assert "nobody" in issue.message

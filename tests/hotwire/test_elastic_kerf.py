@@ -7,13 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims import CutsSurface, KerfWithin
-from planner.hotwire import elastic
-from planner.hotwire.kerf import HotWire, curve
+from planner.catalogue.materials import foam
+from planner.claims.claim import CutsSurface, KerfWithin
+from planner.hotwire.elastic import job as elastic_job
+from planner.hotwire.kerf.width import HotWire, curve
 from planner.issues import TandemError
-from planner.materials import foam
 from planner.targets import FEED_SHARE
-from planner.verify.surface import Sweep, distance_to_sweep, sample_face
+from planner.verify.wire.cut_surface import Sweep, distance_to_sweep, sample_face
 from tests.hotwire import panels
 
 FOAM = foam("eps_a120")
@@ -44,7 +44,7 @@ def test_the_wire_keeps_half_of_the_local_kerf_off_the_face() -> None:
     block = type(block)(**{**vars(block), "foam": FOAM})
     setup = panels.setup(block)
     part = panels.part(twisted(), None, block)
-    targets = elastic.ElasticJob(operation(), setup, part).targets()
+    targets = elastic_job.ElasticJob(operation(), setup, part).targets()
     claim = next(c for c in targets.claims if isinstance(c, CutsSurface))
     assert any(isinstance(c, KerfWithin) for c in targets.claims)
     known = curve(FOAM, HotWire(0.0008, 0.52), POWER, 0.16, np.array([0.001, 0.05]))
@@ -71,7 +71,7 @@ def test_a_clock_that_is_slower_than_the_feed_is_refused_with_the_feed_that_the_
     block = panels.stock(size=(0.16, 0.23, 0.2))
     block = type(block)(**{**vars(block), "foam": FOAM})
     own = operation(feed_min_mm_s=0.5)
-    job = elastic.ElasticJob(own, panels.setup(block), panels.part(twisted(), None, block))
+    job = elastic_job.ElasticJob(own, panels.setup(block), panels.part(twisted(), None, block))
     targets = job.targets()
     even = targets.travel / (FEED_SHARE * targets.feed)
     assert job.driven(targets, np.cumsum(even)) == ()
@@ -90,7 +90,7 @@ def test_a_clock_that_is_slower_than_the_feed_is_refused_with_the_feed_that_the_
 
 def test_a_power_needs_the_blocks_foam_and_a_round_wire() -> None:
     with pytest.raises(TandemError) as caught:
-        elastic.ElasticJob(operation(), panels.setup(), panels.part()).claims()
+        elastic_job.ElasticJob(operation(), panels.setup(), panels.part()).claims()
     assert [i.code for i in caught.value.issues] == ["stock.foam_missing"]
     strip = {"material": "spring_steel", "width_mm": 5, "thickness_mm": 0.5, "length_mm": 520}
     with pytest.raises(ValueError, match="strips"):
@@ -107,12 +107,12 @@ def test_slots_out_of_their_range_are_refused_before_motion_with_what_does(
     part = panels.part(twisted(), None, block)
     own = {"power_w": power, "kerf_range_mm": (1.0, 3.0), "feed_min_mm_s": 0.2}
     with pytest.raises(TandemError) as caught:
-        elastic.ElasticJob(operation(**own), setup, part).targets()
+        elastic_job.ElasticJob(operation(**own), setup, part).targets()
     (issue,) = caught.value.issues
     assert issue.code == code
     slow = curve(FOAM, HotWire(0.0008, 0.52), power, 0.16, np.array([0.001, 0.05]))
     speed = float(re.search(r"at (\d+\.\d+) mm/s at", issue.message)[1])
     assert issue.value == pytest.approx(float(slow.at(np.array(speed * 1e-3))) * 1e3, rel=0.01)
     value = float(re.search(rf"{remedy}: (\d+(?:\.\d+)?)", issue.hint)[1])
-    targets = elastic.ElasticJob(operation(**own | {remedy: value}), setup, part).targets()
+    targets = elastic_job.ElasticJob(operation(**own | {remedy: value}), setup, part).targets()
     assert targets.count > 2

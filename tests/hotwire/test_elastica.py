@@ -8,7 +8,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import least_squares
 from scipy.special import ellipe, ellipk
 
-from planner.hotwire import elastica
+from planner.hotwire.elastica import weightless
 from planner.issues import TandemError
 
 
@@ -20,7 +20,7 @@ def test_large_buckling_of_a_column(degrees, x, y):
     m = np.sin(np.deg2rad(degrees) / 2)
     exact_x, exact_y = 2 * ellipe(m * m) / ellipk(m * m) - 1, 2 * m / ellipk(m * m)
     assert (exact_x, exact_y) == (pytest.approx(x, abs=6e-4), pytest.approx(y, abs=6e-4))
-    shape = elastica.solve(1.0, [0, 0, 0], [exact_x, 0, 0])
+    shape = weightless.solve(1.0, [0, 0, 0], [exact_x, 0, 0])
     height = np.abs(shape.points(801)[:, 1]).max()
     assert height == pytest.approx(exact_y / 2, abs=1e-8)
     assert shape.inflections == 2
@@ -31,7 +31,7 @@ def test_large_buckling_of_a_column(degrees, x, y):
 def test_nearly_straight_wire_bows_by_the_root_of_the_slack(error):
     # amplitude of the first buckled shape y = a (1 - cos(2 pi x / L)) / 2: shortening (pi a)^2 / (4 L),
     # so a = (2/pi) sqrt(L d)
-    shape = elastica.solve(0.8, [0, 0, 0], [0.8 - error, 0, 0])
+    shape = weightless.solve(0.8, [0, 0, 0], [0.8 - error, 0, 0])
     assert np.abs(shape.points(401)[:, 1]).max() == pytest.approx(
         2 / np.pi * np.sqrt(0.8 * error), rel=2 * np.sqrt(error)
     )
@@ -44,18 +44,18 @@ def test_lines_and_arcs_need_no_force(length, turn):
     chord = np.sinc(turn / (2 * np.pi)) * length
     start = np.array([0.3, -0.2, 0.4 - turn / 2])
     end = np.array([0.3 + chord * np.cos(0.4), -0.2 + chord * np.sin(0.4), 0.4 + turn / 2])
-    shape = elastica.solve(length, start, end)
+    shape = weightless.solve(length, start, end)
     np.testing.assert_allclose(shape.curvature(5), turn / length, atol=1e-5 / length)
     np.testing.assert_allclose(shape.start, start, atol=1e-9)
     np.testing.assert_allclose(shape.end, end, atol=1e-9)
     assert shape.energy == pytest.approx(turn**2 / 2 / length, abs=1e-9 / length)
     assert shape.stable_in_plane
-    assert shape.stable_out_of_plane(elastica.round(0.3))
+    assert shape.stable_out_of_plane(weightless.round(0.3))
 
 
 def test_shape_between_clamps_solves_the_boundary_value_problem_of_scipy():
     start, end, length = np.array([0.0, 0.0, 0.9]), np.array([0.45, 0.05, 0.9]), 0.6
-    shape = elastica.solve(length, start, end)
+    shape = weightless.solve(length, start, end)
 
     def balance(s, y, p):
         return np.vstack([np.cos(y[2]), np.sin(y[2]), y[3], p[0] * np.sin(y[2]) - p[1] * np.cos(y[2])])
@@ -81,7 +81,7 @@ def test_shape_between_clamps_solves_the_boundary_value_problem_of_scipy():
 def test_any_clamps_are_met_by_a_stable_shape(length, reach, aim, turn):
     start = np.array([0.2, 0.1, -0.3])
     end = start + np.array([reach * length * np.cos(aim), reach * length * np.sin(aim), turn])
-    shape = elastica.solve(length, start, end)
+    shape = weightless.solve(length, start, end)
     np.testing.assert_allclose(shape.start, start, atol=1e-6 * length)
     np.testing.assert_allclose(shape.end, end, atol=1e-6 * length)
     assert shape.stable_in_plane
@@ -97,34 +97,34 @@ def test_any_clamps_are_met_by_a_stable_shape(length, reach, aim, turn):
 def test_least_energy_is_the_shorter_way_to_bow():
     # ends turned up by 0.3 and the chord shortened: the bow that the ends already point to costs less
     # than the other one
-    shape = elastica.solve(1.0, [0, 0, 0.3], [0.85, 0, -0.3])
+    shape = weightless.solve(1.0, [0, 0, 0.3], [0.85, 0, -0.3])
     assert shape.points(3)[1, 1] > 0.1
-    s_shape = elastica.solve(1.0, [0, 0, 0.8], [0.85, 0, 0.8])
+    s_shape = weightless.solve(1.0, [0, 0, 0.8], [0.85, 0, 0.8])
     assert s_shape.inflections % 2 == 1
 
 
 def test_a_round_wire_leaves_the_plane_where_a_strip_holds_it():
     # two inflections, stable in the plane: buckles out of it as a round wire, while a 10:1 strip holds
-    shape = elastica.solve(0.56, [0, 0, 0.9], [0.38, 0.05, 0.9])
+    shape = weightless.solve(0.56, [0, 0, 0.9], [0.38, 0.05, 0.9])
     assert shape.inflections == 2
     assert shape.stable_in_plane
-    assert not shape.stable_out_of_plane(elastica.round(0.3))
-    assert shape.stable_out_of_plane(elastica.strip(10.0, 0.3))
+    assert not shape.stable_out_of_plane(weightless.round(0.3))
+    assert shape.stable_out_of_plane(weightless.strip(10.0, 0.3))
 
 
 def test_batches_of_any_shape_and_failures_by_item():
     start = np.zeros((2, 2, 3))
     end = np.array([[[0.9, 0, 0], [1.2, 0, 0]], [[0.5, 0.2, 1.0], [1.0, 0.0, 0.0]]])
-    shape = elastica.solve(1.0, start, end, strict=False)
+    shape = weightless.solve(1.0, start, end, strict=False)
     assert shape.ok.tolist() == [[True, False], [True, True]]
     assert shape.points(7).shape == (2, 2, 7, 2)
     assert shape.energy.shape == shape.inflections.shape == (2, 2)
     assert np.isnan(shape.points(3)[0, 1]).all()
     assert np.isnan(shape.energy[0, 1])
     assert not shape.stable_in_plane[0, 1]
-    assert not shape.stable_out_of_plane(elastica.round(0.3))[0, 1]
+    assert not shape.stable_out_of_plane(weightless.round(0.3))[0, 1]
     with pytest.raises(TandemError) as caught:
-        elastica.solve(1.0, start, end)
+        weightless.solve(1.0, start, end)
     issue = caught.value.issues[0]
     assert (issue.code, issue.index, issue.value, issue.limit) == ("wire.too_short", 1, 1200.0, 1000.0)
     assert caught.value.partial.ok.sum() == 3
@@ -132,20 +132,20 @@ def test_batches_of_any_shape_and_failures_by_item():
 
 def test_too_taut_wires_are_refused_not_guessed():
     with pytest.raises(TandemError) as caught:
-        elastica.solve(1.0, [0, 0, 2.0], [0.99, 0, -2.0])
+        weightless.solve(1.0, [0, 0, 2.0], [0.99, 0, -2.0])
     assert caught.value.issues[0].code == "wire.no_stable_shape"
     with pytest.raises(TandemError) as caught:
-        elastica.solve(1.0, [0, 0, 0.1], [1.0, 0, 0.1])
+        weightless.solve(1.0, [0, 0, 0.1], [1.0, 0, 0.1])
     assert caught.value.issues[0].code == "wire.too_short"
     with pytest.raises(ValueError, match="not finite"):
-        elastica.solve(1.0, [0, 0, np.nan], [0.9, 0, 0])
+        weightless.solve(1.0, [0, 0, np.nan], [0.9, 0, 0])
 
 
 @settings(max_examples=15, derandomize=True, deadline=None)
 @given(reach=st.floats(0.2, 0.85), aim=st.floats(-1.5, 1.5), turn=st.floats(-4.0, 4.0))
 def test_fit_finds_the_elastica_that_the_points_come_from(reach, aim, turn):
-    shape = elastica.solve(0.9, [0, 0, 0], [0.9 * reach * np.cos(aim), 0.9 * reach * np.sin(aim), turn])
-    fitted, rms = elastica.fit(shape.points(60))
+    shape = weightless.solve(0.9, [0, 0, 0], [0.9 * reach * np.cos(aim), 0.9 * reach * np.sin(aim), turn])
+    fitted, rms = weightless.fit(shape.points(60))
     assert rms < 1e-6 * 0.9
     np.testing.assert_allclose(fitted.length, 0.9, rtol=1e-5)
     np.testing.assert_allclose(fitted.points(11), shape.points(11), atol=1e-5)
@@ -154,10 +154,10 @@ def test_fit_finds_the_elastica_that_the_points_come_from(reach, aim, turn):
 def test_fit_of_another_curve_is_as_good_as_scipys_least_squares():
     u = np.linspace(-1, 1, 50)
     target = 0.1 * np.stack([u, 0.25 * u**3 - 0.15 * u**2 + 0.1 * np.sin(2 * u)], axis=1)
-    fitted, rms = elastica.fit(target)
+    fitted, rms = weightless.fit(target)
 
     def distances(p):
-        dense = elastica.from_params(p[:6] / scale[:6], p[6] / scale[6]).points(1500)
+        dense = weightless.from_params(p[:6] / scale[:6], p[6] / scale[6]).points(1500)
         return np.hypot(*(target[:, None] - dense).transpose(2, 0, 1)).min(axis=1)
 
     scale = np.array([10, 10, 1, 0.1, 0.01, 0.01, 5.0])
@@ -169,9 +169,9 @@ def test_fit_of_another_curve_is_as_good_as_scipys_least_squares():
 
 
 def test_fit_with_length_puts_the_middle_on_the_target():
-    shape = elastica.solve(1.0, [0, 0, 0.5], [0.85, 0.1, -0.6])
+    shape = weightless.solve(1.0, [0, 0, 0.5], [0.85, 0.1, -0.6])
     target = shape.points(101)[30:71]
-    fitted, rms = elastica.fit(target[None], np.array([1.0]))
+    fitted, rms = weightless.fit(target[None], np.array([1.0]))
     assert rms[0] < 2e-4 * 0.4  # the price of bent ends (fit.TAIL_WEIGHT) allows about this much
     np.testing.assert_allclose(fitted.length, 1.0)
     np.testing.assert_allclose(fitted.points(3)[0, 1], shape.points(3)[1], atol=1e-3)
@@ -183,10 +183,10 @@ def test_fit_with_length_puts_the_middle_on_the_target():
 )
 def test_fit_refuses_what_is_no_curve(points, word):
     with pytest.raises(ValueError, match=word):
-        elastica.fit(points)
+        weightless.fit(points)
 
 
 def test_fit_refuses_a_wire_shorter_than_its_target():
     line = np.stack([np.linspace(0, 1, 9), np.zeros(9)], axis=1)
     with pytest.raises(ValueError, match="at least its target's"):
-        elastica.fit(line, 0.5)
+        weightless.fit(line, 0.5)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp
 from shapely import LineString, Point
 
-from planner.hotwire import elastica, heavy, response
+from planner.hotwire.elastica import heavy, weightless
 from planner.issues import TandemError
 
 LENGTH = np.full(4, 0.56)
@@ -16,7 +16,7 @@ WEIGHT = np.tile([3.0, -12.0], (4, 1))
 
 @pytest.fixture(scope="module")
 def light():
-    return elastica.solve(LENGTH, START, END)
+    return weightless.solve(LENGTH, START, END)
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +52,15 @@ def test_solve_says_where_there_is_no_equilibrium(light):
     partial = heavy.solve(LENGTH, START, end, WEIGHT, light.params, strict=False)
     assert np.isnan(partial.points).any(axis=(1, 2)).tolist() == [False, False, True, False]
     assert partial.stable_in_plane.tolist() == [True, True, False, True]
-    assert partial.stable_out_of_plane(elastica.strip(9.0, 0.3)).tolist() == [True, True, False, True]
-    assert np.isinf(response.end_sensitivity(partial).position).tolist() == [False, False, True, False]
-    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), elastica.strip(9.0, 0.3))
+    assert partial.stable_out_of_plane(weightless.strip(9.0, 0.3)).tolist() == [True, True, False, True]
+    assert np.isinf(heavy.end_sensitivity(partial).position).tolist() == [False, False, True, False]
+    sag, _ = heavy.sag_out_of_plane(partial, np.full(4, 2.0), weightless.strip(9.0, 0.3))
     assert np.isinf(sag).tolist() == [False, False, True, False]
 
 
 def test_weightless_margins_agree_with_the_closed_forms_shape(light):
     plain = heavy.integrate(light.params, LENGTH, np.zeros((4, 2)))
-    section = elastica.strip(5.0, 0.3)
+    section = weightless.strip(5.0, 0.3)
     np.testing.assert_allclose(plain.margin_in_plane, light.margin_in_plane, atol=1e-8)
     np.testing.assert_allclose(
         plain.margin_out_of_plane(section), light.margin_out_of_plane(section), atol=1e-8
@@ -172,7 +172,7 @@ def test_fit_window_leaves_points_out():
 
 
 def test_end_sensitivity_is_the_difference_of_solved_wires(shapes):
-    got = response.end_sensitivity(shapes)
+    got = heavy.end_sensitivity(shapes)
     step = 1e-6
     before = shapes.flow().at(got.sigma)
     for j in range(7):
@@ -187,19 +187,19 @@ def test_end_sensitivity_is_the_difference_of_solved_wires(shapes):
         across = np.cos(before[..., 2]) * gap[..., 1] - np.sin(before[..., 2]) * gap[..., 0]
         np.testing.assert_allclose(got.profile[..., j], across / step, atol=1e-4)
     assert (got.position >= np.abs(got.profile[..., [0, 1, 3, 4]]).max(axis=(1, 2))).all()
-    inside = response.end_sensitivity(shapes, np.tile([0.2, 0.36], (4, 1)))
+    inside = heavy.end_sensitivity(shapes, np.tile([0.2, 0.36], (4, 1)))
     assert (inside.position <= got.position).all()
 
 
 def test_straight_wire_has_no_linear_answer_to_end_errors():
     straight = heavy.integrate(np.zeros((1, 6)), np.ones(1), np.zeros((1, 2)))
-    assert np.isinf(response.end_sensitivity(straight).position).all()
-    bow = response.straight_bow(np.array([0.6, 0.9]), np.array([5e-5, 5e-5]))
+    assert np.isinf(heavy.end_sensitivity(straight).position).all()
+    bow = heavy.straight_bow(np.array([0.6, 0.9]), np.array([5e-5, 5e-5]))
     np.testing.assert_allclose(bow, [3.487e-3, 4.271e-3], atol=1e-6)
 
 
 def test_weight_deviation_is_the_gap_to_the_light_wire(shapes, light):
-    largest, profile = response.weight_deviation(shapes, n=51)
+    largest, profile = heavy.weight_deviation(shapes, n=51)
     gap = shapes.points[:, ::2] - light.points(51)
     across = np.cos(shapes.theta[:, ::2]) * gap[..., 1] - np.sin(shapes.theta[:, ::2]) * gap[..., 0]
     np.testing.assert_allclose(profile, across, atol=1e-8)
@@ -209,7 +209,7 @@ def test_weight_deviation_is_the_gap_to_the_light_wire(shapes, light):
 def test_level_thin_wire_sags_by_a_centimetre():
     # straight 0.4 mm wire of 0.6 m with (EI / w)^(1/3) = 0.31 m: w L^4 / (384 EI) = 11.3 mm
     straight = heavy.integrate(np.zeros((1, 6)), np.array([0.6]), np.zeros((1, 2)))
-    largest, profile = heavy.sag_out_of_plane(straight, np.array([-(0.31**-3)]), elastica.round(0.3), n=5)
+    largest, profile = heavy.sag_out_of_plane(straight, np.array([-(0.31**-3)]), weightless.round(0.3), n=5)
     assert largest[0] == pytest.approx(0.6**4 / 384 / 0.31**3, rel=1e-9)
     assert profile[0, 2] == -largest[0]
 
@@ -222,10 +222,10 @@ def test_weight_moves_s_shapes_by_centimetres_and_arcs_hardly():
     for turn in (0.5, 1.0, 2.5):
         chord = np.sinc(turn / 2 / np.pi) * 0.6
         start, end = np.array([[0.0, 0.0, turn / 2]]), np.array([[chord, 0.0, -turn / 2]])
-        arc = elastica.solve(length, start, end)
-        assert response.weight_deviation(heavy.solve(length, start, end, q, arc.params))[0] < 2.5e-4
+        arc = weightless.solve(length, start, end)
+        assert heavy.weight_deviation(heavy.solve(length, start, end, q, arc.params))[0] < 2.5e-4
     start, end = np.array([[0.0, 0.0, 0.6]]), np.array([[0.57, 0.0, 0.6]])
-    s_shape = elastica.solve(length, start, end)
+    s_shape = weightless.solve(length, start, end)
     assert s_shape.inflections[0] == 1
-    moved = response.weight_deviation(heavy.solve(length, start, end, q, s_shape.params))[0]
+    moved = heavy.weight_deviation(heavy.solve(length, start, end, q, s_shape.params))[0]
     assert 5e-3 < moved < 28e-3

@@ -7,13 +7,15 @@ import pytest
 from scipy import optimize, stats
 
 from bench import kerf_bench
-from planner import materials, sheet_metals
-from planner.hotwire import kerf, kerf_cuts, kerf_energy, kerf_general, kerf_measured, wire
-from planner.hotwire.kerf import TEST_WIRE, HotWire, KerfFlag
-from planner.hotwire.kerf_limit import most_power
+from planner.catalogue import materials
+from planner.hotwire import wire
+from planner.hotwire.kerf import models, test_cuts
+from planner.hotwire.kerf import width as kerf_width
+from planner.hotwire.kerf.models import most_power
+from planner.hotwire.kerf.width import TEST_WIRE, HotWire, KerfFlag
 from planner.issues import TandemError
 
-TABLES = kerf_cuts.dissertation_tables()
+TABLES = test_cuts.dissertation_tables()
 FOAMS = sorted(TABLES)
 MODELS = ["energy", "general", "measured", "dissertation"]
 LINES = ["energy", "general", "dissertation"]
@@ -27,7 +29,7 @@ def codes(error: pytest.ExceptionInfo[TandemError]) -> list[str]:
 @pytest.mark.parametrize("foam", FOAMS)
 def test_the_dissertations_form_gives_its_printed_values(foam: str) -> None:
     table = TABLES[foam]
-    got = kerf.width(foam, TEST_WIRE, table.power, table.cuts.speed, 0.05, model="dissertation")
+    got = kerf_width.width(foam, TEST_WIRE, table.power, table.cuts.speed, 0.05, model="dissertation")
     assert table.calculated.shape == (32,)
     assert np.abs(got.width - table.calculated).max() < 0.01e-3
 
@@ -40,16 +42,16 @@ def test_the_dissertations_form_by_hand() -> None:
     flow = 0.43 * conductivity * rise * nusselt
     flow += 0.8 * 0.9 * 0.7 * np.pi * 0.4e-3 * 0.43 * 5.670374419e-8 * rise**4
     expected = flow / (260 * 1500 * 30 * 0.05 * 2e-3) - 0.4e-3
-    got = kerf.width("xps_30", TEST_WIRE, 35.9, 2e-3, 0.05, model="dissertation").width
+    got = kerf_width.width("xps_30", TEST_WIRE, 35.9, 2e-3, 0.05, model="dissertation").width
     assert float(got) == pytest.approx(expected, rel=1e-3)
-    assert float(kerf.width("xps_30", TEST_WIRE, 35.9, 2e-3, 0.43, model="dissertation").width) < 0.0
+    assert float(kerf_width.width("xps_30", TEST_WIRE, 35.9, 2e-3, 0.43, model="dissertation").width) < 0.0
 
 
 def test_the_energy_balance_by_hand() -> None:
     ideal = 47.5 / 0.43 / (14.0 * 1450.0 * (280.0 - 20.0) * 7e-3)
     fit = materials.foam("eps_af").kerf
     assert fit is not None
-    got = kerf.width("eps_af", TEST_WIRE, 47.5, 7e-3, 0.05)
+    got = kerf_width.width("eps_af", TEST_WIRE, 47.5, 7e-3, 0.05)
     assert float(got.width) == pytest.approx(fit.chi * ideal - fit.offset, rel=1e-12)
     assert 2.4e-3 < float(got.width) < 2.5e-3
 
@@ -72,7 +74,7 @@ def test_the_built_in_fits_are_those_of_the_tables(foam: str) -> None:
     leverage = new @ np.linalg.inv(columns.T @ columns) @ new
     spread = np.sqrt(residual @ residual / (len(ideal) - 2))
     half = stats.t.ppf(0.95, len(ideal) - 2) * spread * np.sqrt(1.0 + leverage)
-    assert kerf_energy.margin(data.kerf, np.array(2e-3)) * 1e3 == pytest.approx(half, rel=1e-3)
+    assert models.margin(data.kerf, np.array(2e-3)) * 1e3 == pytest.approx(half, rel=1e-3)
 
 
 def test_the_valid_cells_are_86_and_lost_ones_are_never_used() -> None:
@@ -103,14 +105,14 @@ def test_the_general_constants_are_a_plain_least_squares_fit() -> None:
         widths.append(cuts.width)
     stacked = np.concatenate(rows)
     chi, product = np.linalg.solve(stacked.T @ stacked, stacked.T @ np.concatenate(widths))
-    found = kerf_general.constants()
+    found = models.constants()
     assert (found.chi, found.chi_lambda) == (pytest.approx(chi), pytest.approx(product))
 
 
 def test_the_measured_model_is_the_energy_balance_with_a_conditioned_residual() -> None:
-    table, prior = TABLES["eps_af"], kerf_measured.prior()
+    table, prior = TABLES["eps_af"], models.prior()
     cuts = table.cuts.only(table.valid)
-    law = kerf.width("eps_af", TEST_WIRE, table.power[table.valid], cuts.speed, 0.05).width
+    law = kerf_width.width("eps_af", TEST_WIRE, table.power[table.valid], cuts.speed, 0.05).width
     old = np.stack([np.log(cuts.power_per_length), np.log(cuts.speed)], axis=1)
     new = np.array([np.log(45.0 / 0.43), np.log(6.3e-3)])
     scale = np.array([prior.power_length, prior.speed_length])
@@ -120,44 +122,44 @@ def test_the_measured_model_is_the_energy_balance_with_a_conditioned_residual() 
 
     total = covariance(old, old) + prior.noise**2 * np.eye(len(old))
     residual = covariance(new[None], old) @ np.linalg.solve(total, cuts.width - law)
-    base = kerf.width("eps_af", TEST_WIRE, 45.0, 6.3e-3, 0.05).width
-    got = kerf.width("eps_af", TEST_WIRE, 45.0, 6.3e-3, 0.05, model="measured")
+    base = kerf_width.width("eps_af", TEST_WIRE, 45.0, 6.3e-3, 0.05).width
+    got = kerf_width.width("eps_af", TEST_WIRE, 45.0, 6.3e-3, 0.05, model="measured")
     assert float(got.width) == pytest.approx(float(base + residual[0]), rel=1e-9)
-    far = kerf.width("eps_af", TEST_WIRE, 20.0, 1e-3, 0.05, model="measured").width
+    far = kerf_width.width("eps_af", TEST_WIRE, 20.0, 1e-3, 0.05, model="measured").width
     assert float(far) == pytest.approx(
-        float(kerf.width("eps_af", TEST_WIRE, 20.0, 1e-3, 0.05).width), rel=1e-3
+        float(kerf_width.width("eps_af", TEST_WIRE, 20.0, 1e-3, 0.05).width), rel=1e-3
     )
 
 
 @pytest.mark.parametrize("model", LINES)
 @pytest.mark.parametrize("foam", FOAMS)
-def test_backward_is_the_inverse_of_forward(foam: str, model: kerf.Model) -> None:
+def test_backward_is_the_inverse_of_forward(foam: str, model: kerf_width.Model) -> None:
     wanted = rng.uniform(0.7e-3, 4e-3, (7, 1))
     power, speed = rng.uniform(30.0, 60.0, 5), rng.uniform(2e-3, 12e-3, 5)
-    found = kerf.speed_for(foam, TEST_WIRE, power, wanted, 0.05, model)
+    found = kerf_width.speed_for(foam, TEST_WIRE, power, wanted, 0.05, model)
     assert found.shape == (7, 5)
-    assert kerf.width(foam, TEST_WIRE, power, found, 0.05, model).width == pytest.approx(
+    assert kerf_width.width(foam, TEST_WIRE, power, found, 0.05, model).width == pytest.approx(
         np.broadcast_to(wanted, (7, 5)), rel=1e-9
     )
-    needed = kerf.power_for(foam, TEST_WIRE, speed, wanted, 0.05, model)
-    assert kerf.width(foam, TEST_WIRE, needed, speed, 0.05, model).width == pytest.approx(
+    needed = kerf_width.power_for(foam, TEST_WIRE, speed, wanted, 0.05, model)
+    assert kerf_width.width(foam, TEST_WIRE, needed, speed, 0.05, model).width == pytest.approx(
         np.broadcast_to(wanted, (7, 5)), rel=1e-9
     )
 
 
 def test_each_point_along_a_wire_has_its_own_kerf() -> None:
     speed = np.linspace(3e-3, 9e-3, 12).reshape(4, 3)
-    together = kerf.width("xps_30", TEST_WIRE, 45.0, speed, 0.05)
+    together = kerf_width.width("xps_30", TEST_WIRE, 45.0, speed, 0.05)
     assert together.width.shape == together.low.shape == together.flag.shape == (4, 3)
-    one = kerf.width("xps_30", TEST_WIRE, 45.0, float(speed[2, 1]), 0.05)
+    one = kerf_width.width("xps_30", TEST_WIRE, 45.0, float(speed[2, 1]), 0.05)
     assert float(one.width) == together.width[2, 1]
     assert np.all(np.diff(together.width.ravel()) < 0.0)
     assert np.all((together.low <= together.width) & (together.width <= together.high))
 
 
 def test_the_longer_wire_needs_the_power_in_proportion() -> None:
-    short = kerf.width("eps_a120", TEST_WIRE, 43.0, 6e-3, 0.05)
-    long = kerf.width("eps_a120", HotWire(0.0004, 0.86), 86.0, 6e-3, 0.05)
+    short = kerf_width.width("eps_a120", TEST_WIRE, 43.0, 6e-3, 0.05)
+    long = kerf_width.width("eps_a120", HotWire(0.0004, 0.86), 86.0, 6e-3, 0.05)
     assert float(short.width) == pytest.approx(float(long.width), rel=1e-12)
 
 
@@ -175,21 +177,21 @@ def test_the_longer_wire_needs_the_power_in_proportion() -> None:
 )
 def test_flags(foam: str, given: tuple[float, float, float], expected: KerfFlag) -> None:
     power, speed, thickness = given
-    flag = int(kerf.width(foam, TEST_WIRE, power, speed, thickness).flag)
+    flag = int(kerf_width.width(foam, TEST_WIRE, power, speed, thickness).flag)
     assert KerfFlag(flag) == expected
-    assert len(kerf.explain(flag)) == bin(flag).count("1")
+    assert len(kerf_width.explain(flag)) == bin(flag).count("1")
 
 
 def test_burnt_and_dragging_cells_of_the_tables_are_flagged() -> None:
     for foam, table in TABLES.items():
-        flag = kerf.width(foam, TEST_WIRE, table.power, table.cuts.speed, 0.05).flag
+        flag = kerf_width.width(foam, TEST_WIRE, table.power, table.cuts.speed, 0.05).flag
         assert np.all(flag[table.burnt] & KerfFlag.TOO_HOT)
         assert np.all(flag[table.dragging] & KerfFlag.TOO_COLD)
         assert np.mean(flag[table.valid & ~table.dragging] == 0) > 0.65
 
 
 def test_a_thicker_wire_is_flagged_and_no_kerf_is_below_it() -> None:
-    got = kerf.width("eps_a120", HotWire(0.001, 0.43), 36.0, 10e-3, 0.05)
+    got = kerf_width.width("eps_a120", HotWire(0.001, 0.43), 36.0, 10e-3, 0.05)
     assert int(got.flag) & KerfFlag.OTHER_WIRE
     assert float(got.width) == float(got.low) == 0.001
     made = wire.make("kanthal_d", diameter_mm=0.4, temperature_c=300.0)
@@ -198,10 +200,10 @@ def test_a_thicker_wire_is_flagged_and_no_kerf_is_below_it() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("foam", ["xps_30", "eps_af"])
-def test_curves_are_read_linearly_within_a_micrometre(foam: str, model: kerf.Model) -> None:
-    table = kerf.curve(foam, TEST_WIRE, 45.0, 0.05, model=model)
+def test_curves_are_read_linearly_within_a_micrometre(foam: str, model: kerf_width.Model) -> None:
+    table = kerf_width.curve(foam, TEST_WIRE, 45.0, 0.05, model=model)
     speed = np.linspace(0.5e-3, 50e-3, 40_001)
-    exact = kerf.width(foam, TEST_WIRE, 45.0, speed, 0.05, model)
+    exact = kerf_width.width(foam, TEST_WIRE, 45.0, speed, 0.05, model)
     assert np.abs(table.at(speed) - exact.width).max() < 1e-6
     assert np.abs(np.interp(speed, table.speed, table.low) - exact.low).max() < 1e-6
     assert np.abs(np.interp(speed, table.speed, table.high) - exact.high).max() < 1e-6
@@ -210,19 +212,19 @@ def test_curves_are_read_linearly_within_a_micrometre(foam: str, model: kerf.Mod
 
 
 def test_curves_between_given_speeds() -> None:
-    table = kerf.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=[8e-3, 2e-3])
+    table = kerf_width.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=[8e-3, 2e-3])
     assert (table.speed[0], table.speed[-1]) == (2e-3, 8e-3)
-    single = kerf.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=5e-3)
-    expected = float(kerf.width("xps_30", TEST_WIRE, 45.0, 5e-3, 0.05).width)
+    single = kerf_width.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=5e-3)
+    expected = float(kerf_width.width("xps_30", TEST_WIRE, 45.0, 5e-3, 0.05).width)
     assert single.at(np.array(5e-3)) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_curve_of_absurd_power_ends() -> None:
     with pytest.raises(TandemError) as caught:
-        kerf.curve("xps_30", TEST_WIRE, 1e15, 0.05)
+        kerf_width.curve("xps_30", TEST_WIRE, 1e15, 0.05)
     assert codes(caught) == ["kerf.melts"]
     with pytest.raises(TandemError) as caught:  # nearly at rest: metres of kerf
-        kerf.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=[1e-12, 50e-3])
+        kerf_width.curve("xps_30", TEST_WIRE, 45.0, 0.05, speeds=[1e-12, 50e-3])
     assert codes(caught) == ["kerf.input"]
 
 
@@ -232,7 +234,7 @@ def test_what_is_not_a_positive_number_is_refused(bad: float, place: int) -> Non
     given = [45.0, 5e-3, 0.05]
     given[place] = bad
     with pytest.raises(TandemError) as caught:
-        kerf.width("xps_30", TEST_WIRE, *given)
+        kerf_width.width("xps_30", TEST_WIRE, *given)
     assert codes(caught) == ["kerf.input"]
     assert caught.value.issues[0].field == ("power_w", "speed_m_s", "thickness_m")[place]
     with pytest.raises(TandemError):
@@ -242,57 +244,57 @@ def test_what_is_not_a_positive_number_is_refused(bad: float, place: int) -> Non
 def test_shapes_that_do_not_fit_and_no_values_at_all() -> None:
     for speed in (np.full(3, 5e-3), np.zeros(0)):
         with pytest.raises(TandemError) as caught:
-            kerf.width("xps_30", TEST_WIRE, np.full(2, 45.0), speed, 0.05)
+            kerf_width.width("xps_30", TEST_WIRE, np.full(2, 45.0), speed, 0.05)
         assert codes(caught) == ["kerf.input"]
 
 
 def test_foams_and_models_without_data_are_named() -> None:
     with pytest.raises(TandemError) as caught:
-        kerf.width("balsa", TEST_WIRE, 45.0, 5e-3, 0.05)
+        kerf_width.width("balsa", TEST_WIRE, 45.0, 5e-3, 0.05)
     assert codes(caught) == ["kerf.unknown_foam"]
     for model in MODELS:
         with pytest.raises(TandemError) as caught:
-            kerf.width("eps", TEST_WIRE, 45.0, 5e-3, 0.05, model)
+            kerf_width.width("eps", TEST_WIRE, 45.0, 5e-3, 0.05, model)
         assert codes(caught) == ["kerf.no_data"]
         assert "tandem kerf fit" in str(caught.value)
     with pytest.raises(TandemError) as caught:
-        kerf.width("xps_30", TEST_WIRE, 45.0, 5e-3, 0.05, "guess")  # type: ignore[arg-type]
+        kerf_width.width("xps_30", TEST_WIRE, 45.0, 5e-3, 0.05, "guess")  # type: ignore[arg-type]
     assert codes(caught) == ["kerf.model"]
     with pytest.raises(TandemError) as caught:
-        kerf.speed_for("xps_30", TEST_WIRE, 45.0, 2e-3, 0.05, "measured")
+        kerf_width.speed_for("xps_30", TEST_WIRE, 45.0, 2e-3, 0.05, "measured")
     assert codes(caught) == ["kerf.model"]
 
 
 def test_kerfs_that_cannot_be_are_refused_with_a_remedy() -> None:
     for wanted in (0.3e-3, [1e-3, 0.4e-3]):
         with pytest.raises(TandemError) as caught:
-            kerf.speed_for("xps_30", TEST_WIRE, 45.0, wanted, 0.05)
+            kerf_width.speed_for("xps_30", TEST_WIRE, 45.0, wanted, 0.05)
         assert codes(caught) == ["kerf.impossible"]
         assert caught.value.issues[0].hint
     with pytest.raises(TandemError) as caught:  # the foam takes more heat away than 5 W give
-        kerf.speed_for("xps_30", TEST_WIRE, 5.0, 2e-3, 0.05, "general")
+        kerf_width.speed_for("xps_30", TEST_WIRE, 5.0, 2e-3, 0.05, "general")
     assert codes(caught) == ["kerf.impossible"]
     with pytest.raises(TandemError) as caught:
-        kerf.power_for("xps_30", TEST_WIRE, 1.0, 10e-3, 0.05, "dissertation")
+        kerf_width.power_for("xps_30", TEST_WIRE, 1.0, 10e-3, 0.05, "dissertation")
     assert codes(caught) == ["kerf.impossible"]
 
 
 def test_a_power_that_melts_the_wire_is_refused_with_the_range_of_the_tests() -> None:
     """The limit against the heat balance of a wire in air, solved for its temperature by scipy."""
     most = most_power(TEST_WIRE)
-    air = float(kerf_cuts.air_table()["conductivity"].max())
+    air = float(test_cuts.air_table()["conductivity"].max())
 
     def surplus(hot: float) -> float:
         around = np.pi * TEST_WIRE.diameter * 0.7 * 5.670374419e-8 * (hot**4 - 293.15**4)
         return float(around + np.pi * air * (hot - 293.15) - most / TEST_WIRE.length)
 
     assert optimize.brentq(surplus, 400.0, 3000.0) - 273.15 == pytest.approx(1300.0, abs=0.1)  # Kanthal D
-    kerf.width("xps_30", TEST_WIRE, 0.99 * most, 5e-3, 0.05)
+    kerf_width.width("xps_30", TEST_WIRE, 0.99 * most, 5e-3, 0.05)
     for ask in (
-        lambda: kerf.width("xps_30", TEST_WIRE, [40.0, 1.01 * most], 5e-3, 0.05),
-        lambda: kerf.curve("xps_30", TEST_WIRE, 4000.0, 0.05),
-        lambda: kerf.speed_for("xps_30", TEST_WIRE, 1e4, 2e-3, 0.05),
-        lambda: kerf.power_for("xps_30", TEST_WIRE, 0.045, 15e-3, 0.05),
+        lambda: kerf_width.width("xps_30", TEST_WIRE, [40.0, 1.01 * most], 5e-3, 0.05),
+        lambda: kerf_width.curve("xps_30", TEST_WIRE, 4000.0, 0.05),
+        lambda: kerf_width.speed_for("xps_30", TEST_WIRE, 1e4, 2e-3, 0.05),
+        lambda: kerf_width.power_for("xps_30", TEST_WIRE, 0.045, 15e-3, 0.05),
     ):
         with pytest.raises(TandemError) as caught:
             ask()
@@ -311,6 +313,6 @@ def test_figures_of_materials_are_listed_with_values_and_units() -> None:
     for (name, key), (_, source) in rows.items():
         both = materials.wire_materials() | materials.foams()
         assert both[name].sources[key] == source
-    sheets = {(name, key): value for name, _, key, value, _ in sheet_metals.figures()}
+    sheets = {(name, key): value for name, _, key, value, _ in materials.sheet_metal_figures()}
     assert sheets["aa1050_o", "tensile"] == "65 to 95 MPa"
     assert sheets["aa1050_o", "wall_angle_single"] == "65 deg"

@@ -11,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import cli, foam_file, kerf_commands, materials, stock_file
-from planner.hotwire import kerf, kerf_csv, kerf_fit
-from planner.hotwire.kerf import TEST_WIRE
-from planner.hotwire.kerf_cuts import Cuts, dissertation_tables
+from planner.catalogue import materials
+from planner.cli import command_line
+from planner.cli import kerf as kerf_commands
+from planner.hotwire.kerf import calibration, width
+from planner.hotwire.kerf.test_cuts import Cuts, dissertation_tables
+from planner.hotwire.kerf.width import TEST_WIRE
 from planner.issues import TandemError
 from planner.problem import Stock
+from planner.reading import materials as material_file
+from planner.reading import stock
 
 FOAM = dataclasses.replace(materials.foam("eps_a120"), name="mine", kerf=None)
 CHI, OFFSET = 1.05, 0.45e-3
@@ -33,16 +37,16 @@ def none(some: Cuts) -> np.ndarray:
     return np.zeros(len(some), bool)
 
 
-def fitted(some: Cuts, **faces: np.ndarray) -> kerf_fit.FitReport:
+def fitted(some: Cuts, **faces: np.ndarray) -> calibration.FitReport:
     masks = {name: faces.get(name, none(some)) for name in ("burnt", "dragging", "good")}
-    return kerf_fit.robust(FOAM, some, masks["burnt"], masks["dragging"], masks["good"], 0.05, 0.0004)
+    return calibration.robust(FOAM, some, masks["burnt"], masks["dragging"], masks["good"], 0.05, 0.0004)
 
 
 def issues_of(text: str, tmp_path: Path, **given: float | None) -> list[tuple[str, int | None, str | None]]:
     path = tmp_path / "tests.csv"
     path.write_text(text)
     with pytest.raises(TandemError) as caught:
-        kerf_csv.read(path, 0.0004, given.get("length", 0.43), given.get("thickness", 0.05))
+        calibration.read_cuts(path, 0.0004, given.get("length", 0.43), given.get("thickness", 0.05))
     assert all(issue.hint for issue in caught.value.issues)
     return [(issue.code, issue.line, issue.field) for issue in caught.value.issues]
 
@@ -63,10 +67,10 @@ def test_three_wrong_readings_do_not_turn_the_line() -> None:
     report = fitted(dataclasses.replace(some, width=wrong), good=~none(some))
     right = np.ones(18, bool)
     right[[0, 9, 15]] = False
-    wanted = kerf_fit.least_squares(FOAM, some.only(right), 0.05, 0.0004)
+    wanted = calibration.least_squares(FOAM, some.only(right), 0.05, 0.0004)
     assert report.fit.chi == pytest.approx(wanted.chi, rel=0.01)
     assert report.fit.offset == pytest.approx(wanted.offset, abs=0.01e-3)
-    plain = kerf_fit.least_squares(FOAM, dataclasses.replace(some, width=wrong), 0.05, 0.0004)
+    plain = calibration.least_squares(FOAM, dataclasses.replace(some, width=wrong), 0.05, 0.0004)
     assert report.fit.spread < 0.1 * plain.spread
 
 
@@ -76,7 +80,7 @@ def test_the_interval_holds_nine_of_ten_new_cuts() -> None:
         report = fitted(cuts(0.15e-3, seed), good=~none(cuts()))
         foam = dataclasses.replace(FOAM, kerf=report.fit)
         new = cuts(0.15e-3, seed + 1000)
-        got = kerf.width(foam, TEST_WIRE, new.power_per_length * 0.43, new.speed, 0.05)
+        got = width.width(foam, TEST_WIRE, new.power_per_length * 0.43, new.speed, 0.05)
         inside.append((got.low <= new.width) & (new.width <= got.high))
     assert np.mean(inside) == pytest.approx(0.9, abs=0.04)
 
@@ -102,7 +106,7 @@ def test_burnt_faces_tell_the_speed_below_which_the_foam_burns() -> None:
     report = fitted(some, burnt=burnt, good=~burnt)
     assert report.fit.tests.burnt_speed == pytest.approx(6e-3)
     foam = dataclasses.replace(FOAM, kerf=report.fit)
-    assert int(kerf.width(foam, TEST_WIRE, 40.0, 6e-3, 0.05).flag) & kerf.KerfFlag.TOO_HOT
+    assert int(width.width(foam, TEST_WIRE, 40.0, 6e-3, 0.05).flag) & width.KerfFlag.TOO_HOT
 
 
 def test_cuts_that_fit_no_line() -> None:
@@ -127,7 +131,7 @@ def test_sides_of_squares_are_one_kerf_short(tmp_path: Path) -> None:
         "Power_W; speed_mm_s; nominal_side_mm; measured_side_mm; wire_length_mm; thickness_mm; face\n"
         "47,5;5;100;97,63;430;50;\n\n47,5;7;100;98,58;430;50;ok\n41.3;7;100;98.73;430;50;Burnt\n"
     )
-    read = kerf_csv.read(path, 0.0004, None, None)
+    read = calibration.read_cuts(path, 0.0004, None, None)
     assert read.cuts.width == pytest.approx([2.37e-3, 1.42e-3, 1.27e-3])
     assert read.cuts.power_per_length == pytest.approx(np.array([47.5, 47.5, 41.3]) / 0.43)
     assert read.thickness == pytest.approx(0.05)
@@ -171,10 +175,10 @@ def test_every_fault_of_a_file_is_named_with_its_line(tmp_path: Path) -> None:
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
-    (tmp_path / "large.csv").write_text("1" * (kerf_csv.MAX_BYTES + 1))
+    (tmp_path / "large.csv").write_text("1" * (calibration.MAX_BYTES + 1))
     for name in ("nowhere.csv", "binary.csv", "large.csv", "."):
         with pytest.raises(TandemError) as caught:
-            kerf_csv.read(tmp_path / name, 0.0004, 0.43, 0.05)
+            calibration.read_cuts(tmp_path / name, 0.0004, 0.43, 0.05)
         assert [i.code for i in caught.value.issues] == ["kerf.file"]
 
 
@@ -182,12 +186,12 @@ def test_foam_files_come_back_as_they_were(tmp_path: Path) -> None:
     burnt = cuts().speed < 5.5e-3
     report = fitted(cuts(0.1e-3), burnt=burnt, good=~burnt)
     foam = dataclasses.replace(FOAM, kerf=report.fit)
-    foam_file.write(tmp_path / "mine.yaml", foam, "cuts of a test")
-    back = foam_file.read(tmp_path / "mine.yaml")
+    material_file.write_foam(tmp_path / "mine.yaml", foam, "cuts of a test")
+    back = material_file.read_foam(tmp_path / "mine.yaml")
     assert (back.name, back.density, back.conductivity) == ("mine", 22.0, 0.036)
     assert back.sources["kerf"] == "cuts of a test"
     speed = np.linspace(2e-3, 12e-3, 50)
-    first, second = (kerf.width(one, TEST_WIRE, 45.0, speed, 0.05) for one in (foam, back))
+    first, second = (width.width(one, TEST_WIRE, 45.0, speed, 0.05) for one in (foam, back))
     assert np.abs(first.width - second.width).max() < 1e-9
     assert np.abs(first.high - second.high).max() < 1e-9
     assert np.array_equal(first.flag, second.flag)
@@ -199,10 +203,10 @@ def test_a_foam_file_without_cuts_serves_the_general_model(tmp_path: Path) -> No
         "tandem_foam: 1\nname: bare\ndensity_kg_m3: 14\nspecific_heat_j_kg_k: 1450\n"
         "melt_temperature_c: 280\nconductivity_w_m_k: 0.04\n"
     )
-    foam = foam_file.read(path)
-    ours = kerf.width(foam, TEST_WIRE, 45.0, 7e-3, 0.05, "general")
-    assert float(ours.width) == float(kerf.width("eps_af", TEST_WIRE, 45.0, 7e-3, 0.05, "general").width)
-    assert int(ours.flag) & kerf.KerfFlag.UNTESTED
+    foam = material_file.read_foam(path)
+    ours = width.width(foam, TEST_WIRE, 45.0, 7e-3, 0.05, "general")
+    assert float(ours.width) == float(width.width("eps_af", TEST_WIRE, 45.0, 7e-3, 0.05, "general").width)
+    assert int(ours.flag) & width.KerfFlag.UNTESTED
 
 
 @pytest.mark.parametrize(
@@ -222,12 +226,12 @@ def test_a_foam_file_without_cuts_serves_the_general_model(tmp_path: Path) -> No
 def test_faults_of_foam_files(change: tuple[str, str], line: int, field: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     report = fitted(cuts(0.1e-3), good=~none(cuts()))
-    foam_file.write(path, dataclasses.replace(FOAM, kerf=report.fit), "x")
+    material_file.write_foam(path, dataclasses.replace(FOAM, kerf=report.fit), "x")
     text = path.read_text()
     assert change[0] in text
     path.write_text(text.replace(*change))
     with pytest.raises(TandemError) as caught:
-        foam_file.read(path)
+        material_file.read_foam(path)
     found = [(i.code, i.line, i.field) for i in caught.value.issues]
     assert ("kerf.foam_file", line, field) in found
     assert all(i.file == str(path) and i.hint for i in caught.value.issues)
@@ -235,11 +239,11 @@ def test_faults_of_foam_files(change: tuple[str, str], line: int, field: str, tm
 
 def test_foam_files_that_are_missing_or_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(TandemError) as caught:
-        foam_file.read(tmp_path / "nowhere.yaml")
+        material_file.read_foam(tmp_path / "nowhere.yaml")
     assert caught.value.issues[0].code == "problem.missing_file"
     (tmp_path / "file").write_text("")
     with pytest.raises(TandemError) as caught:
-        foam_file.write(tmp_path / "file" / "foam.yaml", FOAM, "x")
+        material_file.write_foam(tmp_path / "file" / "foam.yaml", FOAM, "x")
     assert caught.value.issues[0].code == "output.folder"
 
 
@@ -267,20 +271,20 @@ def test_the_command_fits_a_foam_and_answers(tmp_path: Path) -> None:
     done = run("fit", "tests.csv", *given, "--name", "graphite", "-o", "graphite.yaml")
     assert done.returncode == 0, done.stderr
     assert "20 cuts used; left out as too hot 12, as too cold 0" in done.stdout
-    assert foam_file.read(tmp_path / "graphite.yaml").name == "graphite"
+    assert material_file.read_foam(tmp_path / "graphite.yaml").name == "graphite"
     asked = run("width", "graphite.yaml", "--power-w", "47.5", "--speed-mm-s", "8")
     built_in = run("width", "eps_af_plus", "--power-w", "47.5", "--speed-mm-s", "8")
     assert asked.returncode == built_in.returncode == 0
     assert asked.stdout.startswith("kerf 2.5")
     assert built_in.stdout.startswith("kerf 2.5")
     refused = run("fit", "tests.csv", "--density-kg-m3", "14")
-    assert refused.returncode == cli.BAD_INPUT
+    assert refused.returncode == command_line.BAD_INPUT
     assert refused.stderr.count("kerf.file") == 2
 
 
 def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     kerf_commands.run(kerf_commands.Speed("eps_af", power_w=47.5, kerf_mm=1.5))
-    speed = float(kerf.speed_for("eps_af", TEST_WIRE, 47.5, 1.5e-3, 0.05)) * 1e3
+    speed = float(width.speed_for("eps_af", TEST_WIRE, 47.5, 1.5e-3, 0.05)) * 1e3
     assert f"at 47.5 W and {speed:.2f} mm/s" in capsys.readouterr().out
     kerf_commands.run(kerf_commands.Power("eps_af", speed_mm_s=4.0, kerf_mm=2.0, thickness_mm=200.0))
     shown = capsys.readouterr().out
@@ -296,12 +300,12 @@ def test_speed_and_power_at_the_command_line(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_block_of_a_foam_of_ones_own(tmp_path: Path) -> None:
-    foam_file.write(tmp_path / "mine.yaml", dataclasses.replace(FOAM, density=18.5), "weighed")
+    material_file.write_foam(tmp_path / "mine.yaml", dataclasses.replace(FOAM, density=18.5), "weighed")
     (tmp_path / "wrong.yaml").write_text("name: wrong\n")
 
     def block(name: str) -> Stock:
-        spec = stock_file.StockFile.model_validate({"size_mm": (100, 100, 100), "foam": {"file": name}})
-        return stock_file.stock(spec, tmp_path)
+        spec = stock.StockFile.model_validate({"size_mm": (100, 100, 100), "foam": {"file": name}})
+        return stock.stock(spec, tmp_path)
 
     assert block("mine.yaml").mass == pytest.approx(0.0185)
     for name, code in (("nowhere.yaml", "problem.missing_file"), ("wrong.yaml", "kerf.foam_file")):

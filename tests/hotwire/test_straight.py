@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.claims import (
+from planner.catalogue.materials import foams
+from planner.claims.claim import (
     ContactOnlyIn,
     CutsSurface,
     FeedWindow,
@@ -16,16 +17,14 @@ from planner.claims import (
     KerfWithin,
     StraightWire,
 )
-from planner.claims_dialogue import OperatorDialogue
-from planner.geometry.rigid import exp_twist, from_rpy, interpolate, inverse, transform
-from planner.geometry.shapes import Shape
-from planner.hotwire import straight
-from planner.hotwire.straight_lines import distance_to_polyline
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.segments import Segment
+from planner.geometry.rigid import Shape, exp_twist, from_rpy, interpolate, inverse, transform
+from planner.hotwire.straight import job
+from planner.hotwire.straight.order import distance_to_polyline
 from planner.issues import Severity
-from planner.materials import foams
 from planner.problem import Part, Ruled, Stock
 from planner.processes import PROCESSES
-from planner.segments import Segment
 from planner.targets import FEED_SHARE, ScrewFreedom, Targets
 from tests.hotwire import foam_blocks as blocks
 
@@ -48,7 +47,7 @@ def square(name: str, x: float, z: float, side: float) -> Ruled:
 
 
 def make(*ruled: Ruled, block: Stock | None = None, **more: object) -> Targets:
-    return straight.StraightJob(blocks.operation(**more), blocks.setup(block), blocks.part(*ruled)).targets()
+    return job.StraightJob(blocks.operation(**more), blocks.setup(block), blocks.part(*ruled)).targets()
 
 
 def rows(targets: Targets, segment: str) -> np.ndarray:
@@ -231,7 +230,7 @@ def test_links_keep_away_from_the_block_and_go_above_rather_than_below(sides: li
 def test_a_trimmed_side_is_cut_half_a_kerf_outside_the_datum_block_and_loses_its_oversize() -> None:
     block = blocks.stock((0.2, 0.2, 0.1), oversize=np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.02]]))
     op = blocks.operation(cuts=[{"trim": ["top", "left"]}])
-    targets = straight.StraightJob(op, blocks.setup(block), None).targets()
+    targets = job.StraightJob(op, blocks.setup(block), None).targets()
     top, left = (targets.pose["left"][rows(targets, f"cut/trim_{s}")] for s in ("top", "left"))
     np.testing.assert_allclose(top[:, 2, 3], 0.1 + HALF, atol=1e-9)
     np.testing.assert_allclose(left[:, 0, 3], -0.1 - HALF, atol=1e-9)
@@ -268,7 +267,7 @@ def held(grip: np.ndarray, **more: object) -> Targets:
     low = np.column_stack([0.09 * np.cos(a), 0.09 * np.sin(a), np.zeros(6)])
     high = low * 0.9 + [0.0, 0.0, 0.1]
     part = Part(ruled=(Ruled("sides", low, high, np.ones(6, dtype=np.bool_), True),))
-    return straight.StraightJob(
+    return job.StraightJob(
         blocks.operation(arms=["left", "right"], **more), blocks.setup(block, plate=0.03), part
     ).targets()
 
@@ -346,7 +345,7 @@ def test_claims_come_from_the_problem_alone() -> None:
     assert [str(f.segment) for f in feeds] == ["cut/sq", "cut/sq_in", "cut/sq_out"]
     assert holds.mass == pytest.approx(0.004 * 30, rel=0.2)
     np.testing.assert_allclose(holds.cog, [0.0, 0.0, 0.05])
-    made = straight.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
+    made = job.StraightJob(dataclasses.replace(setup, stock=block) and op, setup, part).targets()
     assert len(made.claims) == len(claims)
 
 

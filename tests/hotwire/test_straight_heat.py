@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
-from planner.claims import KerfCurve
-from planner.geometry.airfoil import naca
+from planner.catalogue.materials import ROOM_TEMPERATURE, foams
+from planner.claims.claim import KerfCurve
 from planner.geometry.matching import Match
 from planner.geometry.rulings import resample
-from planner.geometry.wing import Panel, skin
-from planner.hotwire import kerf, straight
-from planner.hotwire.straight_offset import beside, end_speeds, make_row
+from planner.geometry.wing import Panel, naca, wing_surface
+from planner.hotwire.kerf import width as kerf_width
+from planner.hotwire.straight import job as straight_job
+from planner.hotwire.straight.offset import beside, end_speeds, make_row
 from planner.issues import Issue, TandemError
-from planner.materials import ROOM, foams
 from planner.problem import Ruled
 from planner.targets import FEED_SHARE
 from tests.hotwire import foam_blocks as blocks
 
 FOAM = foams()["eps_a120"]
-WIRE = kerf.HotWire(0.0004, 0.4)
+WIRE = kerf_width.HotWire(0.0004, 0.4)
 HOT = {"kerf.too_hot", "kerf.too_cold", "kerf.unsettled"}
 KINDS = ("blunt", "sharp", "thick", "reflexed", "few")
 
@@ -51,15 +51,15 @@ def wing(
 ) -> Ruled:
     """A swept, washed out panel of 200 mm chord within the block of ``foam_blocks``, z up from 30 mm."""
     panel = Panel(section(root_kind), section(tip_kind), 0.2, 0.2 * taper, 0.19, 0.05, 0.02, 0.0, edge)
-    made = skin(panel, match)
+    made = wing_surface(panel, match)
     shift = np.array([-0.1, -0.095, 0.045])
     return Ruled("skin", made.start + shift, made.end + shift, made.corner, True)
 
 
 def slot(feed: float, width: float) -> tuple[KerfCurve, float]:
     """The curve of a wire that melts ``width`` [m] at ``feed`` [m/s], and its power [W]."""
-    power = float(kerf.power_for(FOAM, WIRE, feed, width, 0.2))
-    return kerf.curve(FOAM, WIRE, power, 0.2, np.array([1e-3, 50e-3])), power
+    power = float(kerf_width.power_for(FOAM, WIRE, feed, width, 0.2))
+    return kerf_width.curve(FOAM, WIRE, power, 0.2, np.array([1e-3, 50e-3])), power
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -75,7 +75,7 @@ def test_half_kerfs_of_random_pairs_of_sections_are_those_of_their_own_speeds(se
     assert made.settled
     # the closed form of the energy balance, at the speeds that the ends have
     speed = end_speeds(made.lines, feed, box)
-    heat = FOAM.density * FOAM.specific_heat * (FOAM.melt_temperature - ROOM)
+    heat = FOAM.density * FOAM.specific_heat * (FOAM.melt_temperature - ROOM_TEMPERATURE)
     balance = FOAM.kerf.chi * power / WIRE.length / (heat * speed) - FOAM.kerf.offset
     inside = (speed > 1e-3) & (speed < 50e-3)
     np.testing.assert_allclose(2.0 * made.half[inside], np.maximum(balance, WIRE.diameter)[inside], atol=2e-6)
@@ -96,7 +96,7 @@ def issues(part: Ruled, **more: object) -> dict[str, Issue]:
     setup = blocks.setup(blocks.stock(foam=FOAM))
     step = {"step_mm": 8.0, "shape_tol_mm": 0.4, "margin_mm": 10} | more
     try:
-        found = straight.StraightJob(blocks.operation(**step), setup, blocks.part(part)).targets().issues
+        found = straight_job.StraightJob(blocks.operation(**step), setup, blocks.part(part)).targets().issues
     except TandemError as error:
         found = error.issues
     return {issue.code: issue for issue in found}
@@ -143,7 +143,7 @@ def test_an_end_that_stands_still_has_no_slot_of_its_own() -> None:
 def test_the_slot_is_that_of_the_speed_at_which_clocks_go() -> None:
     square = blocks.prism("sq", [(-0.02, 0.03), (-0.02, 0.07), (0.02, 0.07), (0.02, 0.03)], closed=True)
     setup = blocks.setup(blocks.stock(foam=FOAM))
-    job = straight.StraightJob(blocks.operation(power_w=30.0, feed_mm_s=6), setup, blocks.part(square))
+    job = straight_job.StraightJob(blocks.operation(power_w=30.0, feed_mm_s=6), setup, blocks.part(square))
     shown = job.targets().exhibits["kerf_sq"]["series"][0]["y"]
-    wanted = kerf.width(FOAM, WIRE, 30.0, FEED_SHARE * 6e-3, 0.2).width
+    wanted = kerf_width.width(FOAM, WIRE, 30.0, FEED_SHARE * 6e-3, 0.2).width
     assert np.median(shown) == pytest.approx(float(wanted) * 1e3, abs=2e-3)

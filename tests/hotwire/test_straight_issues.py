@@ -10,10 +10,10 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
-from planner.hotwire import straight
-from planner.hotwire.straight_operation import Straight
+from planner.catalogue.materials import foams
+from planner.hotwire.operation import Straight
+from planner.hotwire.straight import job
 from planner.issues import Issue, Severity, TandemError
-from planner.materials import foams
 from planner.problem import Part, Ruled, Setup, Stock
 from tests.hotwire import foam_blocks as blocks
 
@@ -24,7 +24,7 @@ XPS = foams()["xps_30"]
 def issues(part: Part | None, setup: Setup | None = None, **more: object) -> dict[str, Issue]:
     """Issues by code, of a refusal or of targets."""
     try:
-        found = straight.StraightJob(blocks.operation(**more), setup or blocks.setup(), part).targets().issues
+        found = job.StraightJob(blocks.operation(**more), setup or blocks.setup(), part).targets().issues
     except TandemError as error:
         found = error.issues
     assert all(str(issue) for issue in found)

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 import planner
-from planner.motion.joints import Dense, guarded
-from planner.segments import Segment
+from planner.claims.segments import Segment
+from planner.motion.trajectory.joint_path import Dense, guarded
 from tests.hotwire import foam_blocks as blocks
 
 PROBLEM = {

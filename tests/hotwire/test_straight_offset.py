@@ -7,9 +7,10 @@ import pytest
 import shapely
 from scipy.optimize import brentq
 
-from planner.claims import KerfCurve
+from planner.claims.claim import KerfCurve
 from planner.geometry.rulings import resample
-from planner.hotwire.straight_lines import (
+from planner.hotwire.straight.offset import Beside, beside, end_speeds, make_row
+from planner.hotwire.straight.order import (
     Lines,
     chord,
     distance_to_polyline,
@@ -18,7 +19,6 @@ from planner.hotwire.straight_lines import (
     grown,
     move_across,
 )
-from planner.hotwire.straight_offset import Beside, beside, end_speeds, make_row
 from planner.problem import Ruled
 from tests.hotwire import foam_blocks as blocks
 

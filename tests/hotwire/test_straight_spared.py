@@ -7,9 +7,8 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
-from planner.hotwire import straight
-from planner.hotwire.straight_order import wanted
-from planner.hotwire.straight_section import depths
+from planner.hotwire.straight import job
+from planner.hotwire.straight.order import depths, wanted
 from planner.issues import Issue, Severity, TandemError
 from planner.problem import Part, Ruled
 from tests.hotwire import foam_blocks as blocks
@@ -21,7 +20,7 @@ FLOOR = [(0.0, 0.05), (-0.15, 0.05)]
 
 def issues(part: Part, **more: object) -> list[Issue]:
     try:
-        return list(straight.StraightJob(blocks.operation(**more), blocks.setup(), part).targets().issues)
+        return list(job.StraightJob(blocks.operation(**more), blocks.setup(), part).targets().issues)
     except TandemError as error:
         return list(error.issues)
 
@@ -155,7 +154,7 @@ def test_no_wire_of_a_job_takes_from_pieces_beside_one_another() -> None:
             for n, x, z in (("a", -0.05, 0.02), ("b", -0.01, 0.02), ("c", -0.05, 0.06), ("d", -0.01, 0.06))
         )
     )
-    targets = straight.StraightJob(blocks.operation(), blocks.setup(), part).targets()
+    targets = job.StraightJob(blocks.operation(), blocks.setup(), part).targets()
     pose = targets.pose["left"]
     level = (0.02 - pose[:, 1, 3]) / pose[:, 1, 0]
     way = (pose[:, :3, 3] + level[:, None] * pose[:, :3, 0])[:, [0, 2]]

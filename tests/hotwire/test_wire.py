@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from planner.catalogue.materials import foams, wire_material, wire_materials
 from planner.hotwire.wire import make
 from planner.issues import TandemError
-from planner.materials import foams, wire_material, wire_materials
 
 
 def test_kanthal_d_wire_has_the_handbooks_resistance():

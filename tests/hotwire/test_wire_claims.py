@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import ast
 import csv
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +12,20 @@ import pytest
 import yaml
 
 import planner
-from planner import foam_file, materials
-from planner.claims import SlitsAllowed
-from planner.claims_kerf import slot
-from planner.claims_wire import rectangle_torsion, stiffness
+from planner.catalogue import materials
+from planner.claims.claim import SlitsAllowed
+from planner.claims.wire_physics import rectangle_torsion, slot, stiffness
 from planner.geometry.rulings import resample
-from planner.hotwire import kerf, straight_claims, wire
-from planner.hotwire.straight_claimed import claimed, nesting
-from planner.hotwire.straight_leads import choose
-from planner.hotwire.straight_operation import SurfaceCut
-from planner.hotwire.straight_order import wanted
-from planner.hotwire.straight_section import depths
+from planner.hotwire import claims, wire
+from planner.hotwire.claims import claimed, nesting
+from planner.hotwire.kerf import width as kerf_width
+from planner.hotwire.operation import SurfaceCut
+from planner.hotwire.straight.cut import choose
+from planner.hotwire.straight.order import depths, wanted
 from planner.issues import TandemError
 from planner.problem import Ruled
-from planner.verify.slit_section import Section
-from planner.verify.slits import LONGER, OF_BLOCK, OF_CONTOUR
+from planner.reading import materials as material_file
+from planner.verify.wire.slits import BLOCK_DIAGONAL_SHARE, CONTOUR_SHARE, SLIT_LENGTH_FACTOR, Section
 from tests.hotwire import foam_blocks as blocks
 
 DATA = Path(planner.__file__).parent / "data"
@@ -38,26 +36,21 @@ SPAN = 0.4
 
 
 MADE_BY: dict[str, set[str]] = {
-    "claims_kerf": set(),
-    "claims_wire": set(),
-    "hotwire/straight_claims": {"planner.hotwire.straight_claimed", "planner.hotwire.straight_operation"},
-    "hotwire/straight_claimed": {"planner.hotwire.straight_operation"},
-    "hotwire/elastic_claims": {"planner.hotwire.operation"},
+    "claims.wire_physics": {"planner.geometry.arrays"},
+    "hotwire.claims": {"planner.geometry.arrays", "planner.hotwire.operation"},
 }
 OUTSIDE = {
-    "planner.claims",
-    "planner.claims_dialogue",
-    "planner.dialogue",
-    "planner.claims_kerf",
-    "planner.claims_wire",
+    "planner.claims.claim",
+    "planner.claims.dialogue",
+    "planner.claims.wire_physics",
     "planner.geometry.rulings",
     "planner.issues",
-    "planner.materials",
+    "planner.catalogue.materials",
     "planner.problem",
-    "planner.segments",
+    "planner.claims.segments",
     "planner.tooling",
     "planner.units",
-    "planner.wire_file",
+    "planner.reading.materials",
 }
 
 
@@ -65,27 +58,28 @@ OUTSIDE = {
 def test_what_makes_claims_uses_nothing_that_plans(module: str) -> None:
     """As the page on the proof says."""
     root = Path(planner.__file__).parent
-    tree = ast.parse((root / f"{module}.py").read_text(encoding="utf-8"))
-    froms = {
-        name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom)
-        for name in (
-            [f"planner.{alias.name}" for alias in node.names]
-            if node.module == "planner"
-            else [node.module or ""]
-        )
-    }
-    plain = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
-    own = {name for name in froms | plain if name.startswith("planner")}
+
+    def imported(path: Path) -> set[str]:
+        found = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {name.name for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                whole = {f"{node.module}.{alias.name}" for alias in node.names}
+                inside = {one for one in whole if (root.parent / f"{one.replace('.', '/')}.py").is_file()}
+                found |= inside | ({node.module} if inside != whole else set())
+        return {name for name in found if name.startswith("planner")}
+
+    name = f"planner.{module}"
+    own = imported(root.parent / f"{name.replace('.', '/')}.py")
     assert own <= OUTSIDE | MADE_BY[module]
     used_by = {
         path.relative_to(root).with_suffix("").as_posix()
         for path in root.rglob("*.py")
-        if re.search(rf"\b{Path(module).name}\b", path.read_text(encoding="utf-8"))
+        if name in imported(path)
     }
-    entries = {"hotwire/straight", "hotwire/elastic"}  # whose jobs hand the claims over
-    assert used_by <= set(MADE_BY) | entries
+    entries = {"hotwire/straight/job", "hotwire/elastic/job"}  # which hand the claims over
+    assert used_by and used_by <= {"hotwire/claims"} | entries
 
 
 # ---- the slot ----------------------------------------
@@ -114,7 +108,7 @@ def test_nine_of_ten_measured_cells_are_within_the_stated_interval_of_the_slot(n
     hits = 0
     for row in mine:
         power, speed = float(row["power_w"]), float(row["speed_mm_s"]) * 1e-3
-        told = kerf.width(name, kerf.TEST_WIRE, power, speed, 0.05)
+        told = kerf_width.width(name, kerf_width.TEST_WIRE, power, speed, 0.05)
         width = float(slot(None, power, materials.foam(name), DIAMETER, LENGTH).at(np.array(speed)))
         hits += abs(width - float(row["measured_mm"]) * 1e-3) <= float(told.high - told.low) / 2.0
     assert len(mine) >= 17
@@ -125,7 +119,7 @@ def test_nine_of_ten_measured_cells_are_within_the_stated_interval_of_the_slot(n
 def test_both_readings_of_the_model_agree(name: str) -> None:
     speed = np.geomspace(1e-3, 50e-3, 777)
     own = slot(None, 55.0, materials.foam(name), 0.0006, 0.7).at(speed)
-    planned = kerf.curve(name, kerf.HotWire(0.0006, 0.7), 55.0, 0.1, speed).at(speed)
+    planned = kerf_width.curve(name, kerf_width.HotWire(0.0006, 0.7), 55.0, 0.1, speed).at(speed)
     assert np.abs(own - planned).max() < 1.5e-6
 
 
@@ -138,7 +132,7 @@ def test_the_slot_in_a_foam_of_ones_own_follows_its_file(tmp_path: Path) -> None
         "power_per_length_w_m: [50, 100], speed_mm_s: [2, 10], thickness_mm: 50, wire_diameter_mm: 0.4}\n"
     )
     width = 1.25 * 30.0 / 0.5 / (20.0 * 1400.0 * 200.0) / 0.004 - 0.0003
-    got = slot(None, 30.0, foam_file.read(path), 0.0004, 0.5).at(np.array([0.004, 0.049]))
+    got = slot(None, 30.0, material_file.read_foam(path), 0.0004, 0.5).at(np.array([0.004, 0.049]))
     np.testing.assert_allclose(got, [width, 0.0004], rtol=1e-5)
 
 
@@ -276,7 +270,7 @@ def test_both_readings_of_a_trimmed_side_agree(
 
 def slits(seed: int) -> SlitsAllowed:
     setup = blocks.setup()
-    found = straight_claims.claims(blocks.operation(cuts="all"), setup, blocks.part(*plate(seed)))
+    found = claims.straight_claims(blocks.operation(cuts="all"), setup, blocks.part(*plate(seed)))
     (one,) = (claim for claim in found if isinstance(claim, SlitsAllowed))
     return one
 
@@ -298,8 +292,8 @@ def test_slits_that_the_search_finds_are_allowed(seed: int, lead: str | tuple[fl
         if not section.surrounded:
             continue
         least = section.least(None if lead == "auto" else np.array(lead))
-        spare = OF_CONTOUR * section.length + OF_BLOCK * section.diagonal
-        assert start.through <= LONGER * least + spare
+        spare = CONTOUR_SHARE * section.length + BLOCK_DIAGONAL_SHARE * section.diagonal
+        assert start.through <= SLIT_LENGTH_FACTOR * least + spare
         middle = 0.5 * (own.start + own.end)[start.first] @ section.axes
         way = start.way @ section.axes
         far = np.array([start.length])
@@ -319,7 +313,7 @@ def test_a_plate_of_even_thickness() -> None:
         blocks.prism("rim", rim, closed=True),
         blocks.prism("hole", hole, corner=False, closed=True, hole=True),
     )
-    found = straight_claims.claims(blocks.operation(cuts="all"), blocks.setup(), part)
+    found = claims.straight_claims(blocks.operation(cuts="all"), blocks.setup(), part)
     (claim,) = (one for one in found if isinstance(one, SlitsAllowed))
     assert [str(one.segment) for one in claim.contours] == ["cut/rim", "cut/hole"]
     section = Section.of(claim.contours, 1, claim.box)

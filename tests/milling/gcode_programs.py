@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from planner.issues import Issue, TandemError
-from planner.milling import gcode
-from planner.milling.gcode_file import GCodeFile
+from planner.milling.gcode import reader
+from planner.milling.operation import GCodeFile
 
 HEAD = "G21 G90 G17 G94\nM3 S6000\nF600\n"
 
@@ -20,9 +20,9 @@ def spec(folder: Path, text: str | bytes, **stated: Any) -> GCodeFile:
     )
 
 
-def read(folder: Path, text: str | bytes, **stated: Any) -> gcode.Program:
+def read(folder: Path, text: str | bytes, **stated: Any) -> reader.Program:
     """The file as read, with what the problem states."""
-    return gcode.read(spec(folder, text, **stated).dialect("operations.0.gcode"))
+    return reader.read(spec(folder, text, **stated).dialect("operations.0.gcode"))
 
 
 def refused(folder: Path, text: str | bytes, **stated: Any) -> tuple[Issue, ...]:

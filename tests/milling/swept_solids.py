@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 from manifold3d import Manifold, OpType
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from planner.geometry.arrays import FloatArray
 
 
 def shell(radius: float, corner: float, length: float, around: int = 64, arc: int = 12) -> FloatArray:

@@ -6,18 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.milling import body
-from planner.milling.mill_claims import claims
-from planner.milling.milling import MillingJob
-from planner.milling.work import work
+from planner.geometry.arrays import FloatArray
+from planner.milling import check
+from planner.milling.claims import claims
+from planner.milling.job import MillingJob
+from planner.milling.process_plan import work
 from planner.tooling import Cutter
-from planner.verify import mill_body
+from planner.verify.milling import tool_motion
 from tests.milling.small_mill import WALL, problem
-
-FloatArray = NDArray[np.float64]
 
 BEHIND = np.array([[0.08, 0.02], [0.12, 0.02], [0.12, 0.05], [0.3, 0.05]])
 CUTTERS = [
@@ -74,38 +72,38 @@ PATHS = [_path(), *(_leaning(seed) for seed in range(3))]
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
 def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
     tip, axis = PATHS[path]
-    for solid in mill_body.solids(cutter):
+    for solid in tool_motion.solids(cutter):
         points = _near(tip, axis, solid.start, solid.end, solid.radius)
-        wanted = mill_body.signed(solid, *_all(points, tip, axis))
-        got, place = mill_body.sweep(points, tip, axis, solid)
-        _agrees(wanted, got, mill_body.SIGHT)
-        seen = np.flatnonzero(got < mill_body.SIGHT)
+        wanted = tool_motion.signed(solid, *_all(points, tip, axis))
+        got, place = tool_motion.sweep(points, tip, axis, solid)
+        _agrees(wanted, got, tool_motion.SIGHT)
+        seen = np.flatnonzero(got < tool_motion.SIGHT)
         np.testing.assert_allclose(got[seen], wanted[seen, place[seen]], rtol=0.0, atol=1e-12)
-        near = np.flatnonzero(wanted.min(axis=1) < mill_body.SIGHT)[::10]
-        assert all(mill_body.comes_near(points[[i]], tip, axis, solid) for i in near)
+        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT)[::10]
+        assert all(tool_motion.comes_near(points[[i]], tip, axis, solid) for i in near)
         for below in (-0.005, -0.0001):
-            deep, _ = mill_body.sweep(points, tip, axis, solid, below)
-            _agrees_below(wanted, deep, mill_body.SIGHT, below)
+            deep, _ = tool_motion.sweep(points, tip, axis, solid, below)
+            _agrees_below(wanted, deep, tool_motion.SIGHT, below)
 
 
 @pytest.mark.parametrize("path", range(len(PATHS)))
 @pytest.mark.parametrize("cutter", CUTTERS, ids=lambda cutter: cutter.kind)
 def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) -> None:
     tip, axis = PATHS[path]
-    for section in body.sections(cutter):
+    for section in check.sections(cutter):
         points = _near(tip, axis, section.start, section.end, section.radius)[::4]
-        step = max(body.DENSE * section.radius, body.LEAST)
-        tips, axes, to = body.between(tip, axis, section.end, step)
+        step = max(check.DENSE * section.radius, check.LEAST)
+        tips, axes, to = check.between(tip, axis, section.end, step)
         wanted = section.off(*_all(points, tips, axes))
-        got, where = body.off(points, tip, axis, section)
-        _agrees(wanted, got, body.SIGHT)
-        for i in np.flatnonzero(got < body.SIGHT):
+        got, where = check.distance_off(points, tip, axis, section)
+        _agrees(wanted, got, check.SIGHT)
+        for i in np.flatnonzero(got < check.SIGHT):
             assert np.isclose(wanted[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
-        near = np.flatnonzero(wanted.min(axis=1) < body.SIGHT)[::10]
-        assert all(body.comes_near(points[[i]], tip, axis, section) for i in near)
+        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT)[::10]
+        assert all(check.comes_near(points[[i]], tip, axis, section) for i in near)
         for below in (-0.005, -0.0001):
-            deep, _ = body.off(points, tip, axis, section, below)
-            _agrees_below(wanted, deep, body.SIGHT, below)
+            deep, _ = check.distance_off(points, tip, axis, section, below)
+            _agrees_below(wanted, deep, check.SIGHT, below)
 
 
 def _agrees(wanted: FloatArray, got: FloatArray, sight: float) -> None:
@@ -127,25 +125,25 @@ def _agrees_below(wanted: FloatArray, got: FloatArray, sight: float, below: floa
 
 def test_the_least_of_all_is_told_where_nothing_is_as_deep_as_asked_for() -> None:
     tip, axis = PATHS[1]
-    solid = mill_body.solids(CUTTERS[2])[0]
+    solid = tool_motion.solids(CUTTERS[2])[0]
     points = _near(tip, axis, solid.start, solid.end, solid.radius)
-    least = mill_body.signed(solid, *_all(points, tip, axis)).min(axis=1)
+    least = tool_motion.signed(solid, *_all(points, tip, axis)).min(axis=1)
     outer = np.flatnonzero(least > 2e-4)
-    got, place = mill_body.sweep(points[outer], tip, axis, solid, -1e-3)
+    got, place = tool_motion.sweep(points[outer], tip, axis, solid, -1e-3)
     k = int(got.argmin())
     assert k == int(least[outer].argmin())
     assert got[k] == pytest.approx(least[outer[k]], abs=1e-9)
     back, beside = _all(points[outer[[k]]], tip[place[[k]]], axis[place[[k]]])
-    assert mill_body.signed(solid, back, beside)[0, 0] == pytest.approx(got[k], abs=1e-12)
+    assert tool_motion.signed(solid, back, beside)[0, 0] == pytest.approx(got[k], abs=1e-12)
 
 
 def test_a_holder_whose_flat_end_goes_into_the_part_is_found_where_near_places_do_not_show_it() -> None:
     """A holder of 60 mm leans over a path and back; the front face of its nose goes into a part far from the
     axis, while the middle of the holder is nearer at many other places. Those alone are told to be clear."""
     tip, axis = PATHS[1]
-    solid = mill_body.Solid("holder", 0.06, 0.1, 0.06)
+    solid = tool_motion.Solid("holder", 0.06, 0.1, 0.06)
     points = _near(tip, axis, solid.start, solid.end, solid.radius)
-    wanted = mill_body.signed(solid, *_all(points, tip, axis))
+    wanted = tool_motion.signed(solid, *_all(points, tip, axis))
     count = int(np.ceil((solid.end - solid.start) / solid.radius))
     depth = solid.start + (np.arange(count) + 0.5) / count * (solid.end - solid.start)
     middles = (tip[:, None] + depth[None, :, None] * axis[:, None]).reshape(-1, 3)
@@ -154,17 +152,17 @@ def test_a_holder_whose_flat_end_goes_into_the_part_is_found_where_near_places_d
     deep = np.flatnonzero((wanted.min(axis=1) < -1e-3) & (seen > 0.0))
     assert len(deep) > 5
     for i in deep:
-        got, _ = mill_body.sweep(points[[i]], tip, axis, solid, -1e-4)
+        got, _ = tool_motion.sweep(points[[i]], tip, axis, solid, -1e-4)
         assert got[0] == pytest.approx(wanted[i].min(), abs=1e-9)
-    section = body.Section("holder", 0.06, 0.1, 0.06)
-    assert np.all(body.off(points[deep], tip, axis, section)[0] < -9e-4)
+    section = check.Section("holder", 0.06, 0.1, 0.06)
+    assert np.all(check.distance_off(points[deep], tip, axis, section)[0] < -9e-4)
 
 
 def test_what_is_far_off_is_left_out_by_boxes() -> None:
     tip, axis = _path()
     away = np.array([[0.0, 0.5, 0.0], [0.2, 0.6, 0.05]])
-    assert not mill_body.comes_near(away, tip, axis, mill_body.solids(CUTTERS[0])[0])
-    assert not body.comes_near(away, tip, axis, body.sections(CUTTERS[0])[0])
+    assert not tool_motion.comes_near(away, tip, axis, tool_motion.solids(CUTTERS[0])[0])
+    assert not check.comes_near(away, tip, axis, check.sections(CUTTERS[0])[0])
 
 
 def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planner.milling import flank
-from planner.milling.point import ridge_step, tips
-from planner.milling.rulings import Strip, strips
+from planner.milling.flank import Strip, strips
+from planner.milling.point_cut import ridge_step, tips
 from planner.problem import Ruled
 from planner.tooling import Cutter
 

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from planner.issues import Severity, TandemError
-from planner.milling import gcode
+from planner.milling.gcode import reader
 from tests.milling.gcode_programs import HEAD, read, refused, spec
 
 EXAMPLE = "N20X148.867Y188.395Z-1.739I-0.54361197J0.04997284K0.8378476\n8F5000\n"
@@ -244,7 +244,7 @@ def test_a_missing_file_is_named_with_the_problems_field(tmp_path: Path) -> None
     own = spec(tmp_path, "")
     own.file.unlink()
     with pytest.raises(TandemError) as caught:
-        gcode.read(own.dialect("operations.0.gcode"))
+        reader.read(own.dialect("operations.0.gcode"))
     (issue,) = caught.value.issues
     assert (issue.code, issue.field) == ("problem.missing_file", "operations.0.gcode.file")
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.milling import gcode_arcs
+from planner.milling.gcode import moves
 from tests.milling.gcode_programs import HEAD, read
 
 PLANES = {"G17": "XYZ IJ", "G18": "ZXY KI", "G19": "YZX JK"}
@@ -94,12 +94,12 @@ def test_chords_and_centres(
         point[a], point[b] = 0.3 + radius * math.cos(angle), -0.2 + radius * math.sin(angle)
         ends.append(point)
     start, end = ends
-    got = gcode_arcs.sweep_of(start, end, (0.3, -0.2), normal, clockwise)
+    got = moves.sweep_of(start, end, (0.3, -0.2), normal, clockwise)
     assert math.isclose(got, sweep, rel_tol=1e-6, abs_tol=1e-6 / radius)
-    points = np.vstack([start, gcode_arcs.points(start, end, (0.3, -0.2), got, normal, chord)])
+    points = np.vstack([start, moves.points(start, end, (0.3, -0.2), got, normal, chord)])
     chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
     sagitta = radius * (1.0 - np.sqrt(np.clip(1.0 - (chords / (2 * radius)) ** 2, 0.0, 1.0)))
     assert (sagitta <= chord * (1 + 1e-6) + 1e-12).all()
     if abs(turn - math.pi) > 0.05 and radius > 1e-3:
-        by_radius = gcode_arcs.centre_of(start, end, radius if turn < math.pi else -radius, normal, clockwise)
+        by_radius = moves.centre_of(start, end, radius if turn < math.pi else -radius, normal, clockwise)
         np.testing.assert_allclose(by_radius, (0.3, -0.2), atol=1e-6)

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.milling.mill_claims import program_file
-from planner.milling.values import ToolPath
-from planner.verify import gcode_moves
+from planner.milling.claims import program_file
+from planner.milling.tool_path import ToolPath
+from planner.verify.milling import gcode_moves
 from tests.milling.gcode_programs import read, spec
 
 HERE = Path(__file__).parent

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.milling.gcode_cut import Passes, passes
-from planner.milling.gcode_file import GCodeCut
+from planner.milling.gcode.passes import Passes, passes
+from planner.milling.operation import GCodeCut
 from tests.milling.gcode_programs import HEAD, spec
 
 TOLERANCE = 1e-4

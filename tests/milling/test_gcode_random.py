@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.milling import gcode, gcode_regular
+from planner.milling.gcode import reader
 from tests.milling.gcode_programs import HEAD, spec
 from tests.milling.plain_evaluator import evaluate
 
@@ -72,7 +72,7 @@ def number(own: random.Random) -> str:
 def rows(text: str) -> np.ndarray:
     """The program as read, as rows like those of the plain evaluator; rapid feeds are -1."""
     with tempfile.TemporaryDirectory() as folder:
-        path = gcode.read(spec(Path(folder), text, tool_axis="ijk").dialect("gcode")).path
+        path = reader.read(spec(Path(folder), text, tool_axis="ijk").dialect("gcode")).path
     feed = np.where(np.isfinite(path.feed), path.feed * 60e3, -1.0)
     assert [kind == "rapid" for kind in path.kind] == (feed < 0).tolist()
     return np.column_stack([path.tip * 1e3, path.axis, feed, path.line])
@@ -94,14 +94,14 @@ def test_random_programs_are_read_as_by_a_plain_evaluator(seed: int, size: int, 
 def test_it_does_not_matter_where_a_file_is_parted(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
     text = START + program(5, 400, 0.95)
     whole = rows(text)
-    monkeypatch.setattr(gcode, "CHUNK", chunk)
+    monkeypatch.setattr(reader, "CHUNK", chunk)
     np.testing.assert_array_equal(rows(text), whole)
 
 
 def test_stretches_are_read_as_their_lines_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     text = START + program(6, 600, 1.0)
     stretched = rows(text)
-    monkeypatch.setattr(gcode_regular, "ready", lambda modal, dialect: False)
+    monkeypatch.setattr(reader, "ready", lambda modal, dialect: False)
     np.testing.assert_allclose(rows(text), stretched, atol=1e-9)
 
 
@@ -109,13 +109,13 @@ def test_faults_in_stretches_are_those_of_lines(monkeypatch: pytest.MonkeyPatch,
     text = "G21 G90 G94 G0 X0 Y0 Z0\n" + "G1 X1\nX2\nF0\nX3\n" * 20
 
     def issues() -> list[tuple[str, str | None, int | None, int, str]]:
-        faults = gcode.Faults(tmp_path / "job.nc")
-        with pytest.raises(gcode.TandemError):
-            list(gcode.blocks(spec(tmp_path, text).dialect("gcode"), faults))
+        faults = reader.Faults(tmp_path / "job.nc")
+        with pytest.raises(reader.TandemError):
+            list(reader.blocks(spec(tmp_path, text).dialect("gcode"), faults))
         return sorted((i.code, i.field, i.line, i.count, i.message.split(" [")[0]) for i in faults.issues())
 
     stretched = issues()
-    monkeypatch.setattr(gcode_regular, "ready", lambda modal, dialect: False)
+    monkeypatch.setattr(reader, "ready", lambda modal, dialect: False)
     one_by_one = issues()
     # of F0 and of a cut without feed, both field F, each way of reading tells the one that it meets first
     assert [i[:2] for i in stretched] == [i[:2] for i in one_by_one]
@@ -125,11 +125,11 @@ def test_faults_in_stretches_are_those_of_lines(monkeypatch: pytest.MonkeyPatch,
 STREAM = """
 import resource, sys
 from pathlib import Path
-from planner.milling import gcode
-from planner.milling.gcode_file import GCodeFile
+from planner.milling.gcode import reader
+from planner.milling.operation import GCodeFile
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 spec = GCodeFile(file=Path(sys.argv[1]), origin={}, tool_axis="ijk")
-count = sum(len(block.path) for block in gcode.blocks(spec.dialect("gcode")))
+count = sum(len(block.path) for block in reader.blocks(spec.dialect("gcode")))
 print(count, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from planner.milling.gcode_rotary import CONVENTIONS, convention, pieces
+from planner.milling.gcode.state import CONVENTIONS, convention, pieces
 from tests.milling.gcode_programs import HEAD, read
 
 Z = np.array([0.0, 0.0, 1.0])

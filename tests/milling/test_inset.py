@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from planner import processes
-from planner.claims_milling import MillsSurface
-from planner.milling import inset
-from planner.milling.work import work
+from planner.claims.milling import MillsSurface
+from planner.milling import face as milling_face
+from planner.milling.process_plan import work
 from planner.problem import Mesh
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_rules_milling import Job
@@ -35,8 +35,8 @@ def disk(rings: int = 30, around: int = 180) -> Mesh:
 @pytest.mark.parametrize("margin", [0.004, 0.0171])
 def test_the_rest_of_a_disk_is_a_smaller_disk(margin: float) -> None:
     front = disk()
-    area = inset.inner(front, margin)
-    left = inset.clipped(front, area)
+    area = milling_face.inner(front, margin)
+    left = milling_face.clipped(front, area)
     corners = left.vertices[left.faces]
     flat = 0.5 * np.cross(corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2])
     assert flat.min() > 0.0
@@ -48,7 +48,7 @@ def test_the_rest_of_a_disk_is_a_smaller_disk(margin: float) -> None:
 
 
 def test_a_margin_that_leaves_nothing() -> None:
-    assert inset.inner(disk(), 0.051).is_empty
+    assert milling_face.inner(disk(), 0.051).is_empty
 
 
 def test_lines_keep_the_margin_from_every_edge(tmp_path: Path) -> None:

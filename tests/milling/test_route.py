@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from planner import processes
+from planner.claims.segments import Segment
 from planner.milling.operation import Milling
-from planner.milling.route import DOWN, lay_out
-from planner.milling.values import Run, plain_path
-from planner.segments import Segment
+from planner.milling.tool_path import LEAST_PLUNGE, Run, lay_out, plain_path
 from tests.milling.small_mill import BALL, PANEL, WALL, problem
 
 LINE = [{"polyline_mm": [[-30, 0, 0], [30, 0, 0]]}]
@@ -29,10 +28,10 @@ def test_a_tool_always_comes_down_to_a_pass_and_rises_from_it(height: float) -> 
     route = lay_out(op, [Run("one", path, 0, 1, 0.0), Run("two", path, 0, 1, 0.0)], BOX)
     assert [str(s) for s in route.segment[:4]] == ["approach", "mill/one_in", "mill/one", "mill/one_out"]
     assert route.segment[4] == Segment("link")
-    top = max(0.08, height + DOWN)
+    top = max(0.08, height + LEAST_PLUNGE)
     np.testing.assert_allclose(route.tip[[0, 3, 4, 7], 2], top)
     ways = np.linalg.norm(np.diff(route.tip, axis=0), axis=1)
-    assert (ways[[0, 2, 3, 4, 6]] >= DOWN - 1e-12).all()
+    assert (ways[[0, 2, 3, 4, 6]] >= LEAST_PLUNGE - 1e-12).all()
 
 
 def test_the_report_names_feeds_and_leaves_out_what_no_pass_has(tmp_path: Path) -> None:

@@ -6,21 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims_milling import SparesPart
-from planner.milling import body
+from planner.claims.milling import SparesPart
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
+from planner.milling import check
 from planner.problem import Mesh
-from planner.segments import Segment
 from planner.tooling import Cutter
-from planner.verify import mill_body
-from planner.verify.mill_rims import edges, near_places, rim_size, rim_step
+from planner.verify.milling import tool_motion
+from planner.verify.milling.tool_motion import edges, near_places, rim_size, rim_step
 from tests.milling.small_mill import BALL, PANEL, WALL
 from tests.milling.swept_solids import heights, shell, signed, swept
 from tests.verify.test_rules_milling import Job
-
-FloatArray = NDArray[np.float64]
 
 BEHIND = np.array([[0.04, 0.02], [0.1, 0.02]])
 CUTTERS = [
@@ -28,7 +26,7 @@ CUTTERS = [
     Cutter("bull", 0.005, 0.0015, 0.015, 0.04, 0.005, BEHIND),
     Cutter("cylinder", 0.004, 0.0, 0.015, 0.04, 0.004, BEHIND),
 ]
-PIECES = mill_body.solids(Cutter("cylinder", 0.004, 0.0, 0.015, 0.04, 0.003, BEHIND))
+PIECES = tool_motion.solids(Cutter("cylinder", 0.004, 0.0, 0.015, 0.04, 0.003, BEHIND))
 FACETS = 12e-6
 """What 64 facets around a cutter of 5 mm hide [m], 12 on its corner, and turns between places."""
 
@@ -62,12 +60,12 @@ def test_what_a_cutter_sweeps_is_what_booleans_say(cutter: Cutter, lean: float) 
     rows = rng.integers(0, len(tip), 200)
     points = tip[rows] + rng.uniform(-1.6, 1.6, (200, 3)) * [cutter.radius, cutter.radius, 0.002]
     wanted = signed(solid, points)
-    proof, _ = mill_body.sweep(points, *fine(tip, axis, 25), mill_body.solids(cutter)[0])
-    own, _ = body.off(points, tip, axis, body.sections(cutter)[0])
+    proof, _ = tool_motion.sweep(points, *fine(tip, axis, 25), tool_motion.solids(cutter)[0])
+    own, _ = check.distance_off(points, tip, axis, check.sections(cutter)[0])
     outside = (wanted > FACETS) & (wanted < 1.5e-3)
     assert outside.sum() > 25 and (wanted < -FACETS).sum() > 25
     # a round edge hides s^2 / 8 r between places s apart, a sharp one leaves stairs half as deep as s at most
-    step = body.DENSE * cutter.radius
+    step = check.DENSE * cutter.radius
     stairs = 0.25 * step if cutter.corner == 0.0 else step**2 / (8.0 * cutter.corner)
     for got, hidden in ((proof, 3e-6), (own, stairs)):
         np.testing.assert_allclose(got[outside], wanted[outside], atol=FACETS + hidden)
@@ -100,7 +98,7 @@ def test_ridges_between_lines_stay_as_high_as_booleans_leave_them(bend: float) -
     wanted = heights(solid, points, normals, 0.5e-3)
     ways = [fine(tip[i : i + 2], axis[i : i + 2], 80) for i in range(0, 14, 2)]
     tips, axes = (np.concatenate(part) for part in zip(*ways, strict=True))
-    got, _ = mill_body.sweep(points, tips, axes, mill_body.solids(cutter)[0])
+    got, _ = tool_motion.sweep(points, tips, axes, tool_motion.solids(cutter)[0])
     inner = np.abs(points[:, 1]) < 0.6e-3
     assert wanted[inner].max() == pytest.approx(1e-6 / 8.0 * (1 / 0.003 + bend), rel=0.05)
     np.testing.assert_allclose(got, wanted, atol=4e-6)
@@ -113,7 +111,7 @@ def test_what_a_ball_leaves_in_an_inner_edge_is_found() -> None:
     solid = swept(shell(0.003, 0.003, 0.015, 96, 48), tip, axis)
     points = np.array([[0.01, y, 0.0] for y in np.linspace(0.0, 0.003, 13)])
     wanted = signed(solid, points)
-    got, _ = mill_body.sweep(points, *fine(tip, axis, 100), mill_body.solids(CUTTERS[0])[0])
+    got, _ = tool_motion.sweep(points, *fine(tip, axis, 100), tool_motion.solids(CUTTERS[0])[0])
     np.testing.assert_allclose(got, wanted, atol=6e-6)
     assert got[0] == pytest.approx((np.sqrt(2.0) - 1.0) * 0.003, abs=2e-6)
 
@@ -190,9 +188,9 @@ def test_a_sharp_rim_that_goes_a_little_into_a_slope_is_found(slope: float, radi
         start = np.array([0.0, 0.0, (radius * np.sin(a) - deep) / np.cos(a)])
         tip = start + way * (np.cos(turn) * up + np.sin(turn) * level)
         axis = np.tile([0.0, 0.0, 1.0], (len(tip), 1))
-        (rim, _) = edges(mill_body.solids(cutter)[:1])
+        (rim, _) = edges(tool_motion.solids(cutter)[:1])
         places, _ = near_places(vertices[face.faces], rim, tip, axis, rim_size(face.tolerance))
-        off, _ = mill_body.sweep(places, tip, axis, rim)
+        off, _ = tool_motion.sweep(places, tip, axis, rim)
         assert 0.8 * wanted < -off.min() < 1.001 * wanted
 
 

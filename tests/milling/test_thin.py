@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.milling.thin import thinned
+from planner.milling.tool_path import thinned
 
 CHORD, LEVER = 2e-5, 0.05
 

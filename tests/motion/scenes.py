@@ -5,18 +5,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.motion_jobs import HOME, arc_wire, block, s_curve, two_arms
 from planner.cell import plant
-from planner.geometry.rigid import from_parts
-from planner.geometry.shapes import Shape
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape, from_parts
 from planner.motion.scene import Scene
-from planner.motion.subset import subset
+from planner.motion.search.subsampling import subset
 from planner.problem import Obstacle, Settings
 from planner.targets import Targets
 
-FloatArray = NDArray[np.float64]
 HIGH = from_parts(np.eye(3), np.array([0.0, 0.0, 0.5]))
 SIZE = (0.16, 0.7, 0.1)
 

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance, plant
-from planner.geometry.rigid import from_parts
-from planner.geometry.shapes import Shape
+from planner.geometry.rigid import Shape, from_parts
 from planner.issues import Issue, Remedy, TandemError
-from planner.motion import diagnose, remedy
-from planner.motion.chain import Chain
-from planner.motion.ladder import LARGEST_STEP
-from planner.motion.reach import Grid, Rungs, reach, sample
+from planner.motion import diagnosis, remedies
+from planner.motion.arm_kinematics import Chain
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, Found, search
+from planner.motion.search.ladder import LARGEST_STEP
+from planner.motion.search.ladder_search import Blocked, Found, search
+from planner.motion.search.reach import Grid, Rungs, reach, sample
 from planner.motion.solve import solve
 from planner.problem import Obstacle, Problem, Settings
 from planner.targets import Targets
@@ -127,7 +126,7 @@ def test_the_verdict_is_that_of_brute_force(seed: int) -> None:
         return
     assert found.dead is not None
     assert found.dead.index == end
-    (issue,) = diagnose.no_path(scene, targets, grid, found)
+    (issue,) = diagnosis.no_path(scene, targets, grid, found)
     assert issue.index == end
     if not found.dead.free.any():
         named = frozenset(name.partition("/")[0] for name in issue.bodies)
@@ -181,12 +180,12 @@ def test_the_change_that_is_named_opens_the_way() -> None:
 
 
 def test_where_no_change_helps_what_was_tried_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remedy, "SIZES", (0.5,))
-    monkeypatch.setattr(remedy, "PLANS", 1)
+    monkeypatch.setattr(remedies, "SIZES", (0.5,))
+    monkeypatch.setattr(remedies, "PLANS", 1)
     job, targets = walled()
     bodies = ("left/link_3", "wall")
     issue = Issue("motion.collision", "nothing is free", index=4, bodies=bodies, hint="move it")
-    (told,) = remedy.advised(job, [targets], 0, [issue], lambda _: False)
+    (told,) = remedies.advised(job, [targets], 0, [issue], lambda _: False)
     assert told.remedy is None
     assert str(told.hint) == "move it; tried without success: wall moved by up to 500 mm; no more was tried"
 
@@ -198,4 +197,4 @@ def test_a_floor_and_what_bases_and_stock_stand_on_are_not_to_be_moved() -> None
     job = problem(
         two_arms(obstacles=(bench, floor, box("post", (0.1, 0.1, 0.5), (0.6, 0.6, 0.25)))), targets, HIGH
     )
-    assert [o.name for o in job.cell.obstacles if remedy.movable(job, o)] == ["post"]
+    assert [o.name for o in job.cell.obstacles if remedies.movable(job, o)] == ["post"]

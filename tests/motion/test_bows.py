@@ -8,28 +8,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from bench.motion_bows import held, standing
 from planner.cell import clearance, plant
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import from_parts, from_rpy, interpolate, inverse
 from planner.issues import TandemError
-from planner.motion import diagnose, entry
-from planner.motion.avoid import Avoid
-from planner.motion.joints import dense, tcp_ways
+from planner.motion import diagnosis, transit
 from planner.motion.operation import plan_operation
-from planner.motion.paths import find
 from planner.motion.scene import Scene, cutting
-from planner.motion.search import Blocked, Found
+from planner.motion.search.ladder_search import Blocked, Found
+from planner.motion.search.path_search import find_path
+from planner.motion.search.subsampling import Coordinates, levels, own_turn
 from planner.motion.solve import check, solve
-from planner.motion.spread import Coordinates, levels, own_turn
+from planner.motion.trajectory.hinges import Avoid
+from planner.motion.trajectory.joint_path import dense, tcp_ways
 from planner.plans import OperationPlan
 from planner.problem import Cell, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.targets import Targets
 from tests.motion.scenes import box
 
-FloatArray = NDArray[np.float64]
 EVERY = ("spin", "slide", "x", "y", "z", "tilt_x", "tilt_y", "turn")
 ALONG = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 """The holder's hand points to the other arm."""
@@ -117,9 +116,9 @@ def test_turning_axis_6_alone_has_no_path_where_all_freedoms_have_one() -> None:
     cell, stock, turn_only = held(60, freedoms=("spin", "turn"))
     place = hand_at(cell, stock, straight)
     scene = scene_of(cell, stock, turn_only, place)
-    grid, blocked = find(scene, turn_only)
+    grid, blocked = find_path(scene, turn_only)
     assert isinstance(blocked, Blocked)
-    issues = diagnose.no_path(scene, turn_only, grid, blocked)
+    issues = diagnosis.no_path(scene, turn_only, grid, blocked)
     assert "motion.singular" in {issue.code for issue in issues if issue.arm == "right"}
     assert all("place: auto" in str(issue.hint) for issue in issues)
     cell, stock, every = held(60)
@@ -132,7 +131,7 @@ def test_turning_axis_6_alone_has_no_path_where_all_freedoms_have_one() -> None:
 def test_few_freedoms_are_used_where_they_will_do(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
     cell, stock, targets, place = facing
     scene = scene_of(cell, stock, targets, place)
-    _, found = find(scene, targets)
+    _, found = find_path(scene, targets)
     assert isinstance(found, Found)
     names = [f.name for f in targets.freedoms]
     still = [k for k, name in enumerate(names) if name not in ("spin", "block_turn")]
@@ -145,7 +144,7 @@ def test_a_path_goes_through_corners_where_the_nominal_pose_jumps() -> None:
     place = hand_at(cell, stock, (0.0, -20.0, -10.0, 0.0, 0.0, 0.0))
     paths = []
     for targets in (turned, level):
-        _, found = find(scene_of(cell, stock, targets, place), targets)
+        _, found = find_path(scene_of(cell, stock, targets, place), targets)
         assert isinstance(found, Found)
         paths.append(found)
     assert np.abs(np.diff(own_turn(turned, 0))).max() > np.deg2rad(59.0)
@@ -155,7 +154,7 @@ def test_a_path_goes_through_corners_where_the_nominal_pose_jumps() -> None:
 def test_moves_are_straight_in_the_held_frame(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
     cell, stock, targets, place = facing
     scene = scene_of(cell, stock, targets, place)
-    _, found = find(scene, targets)
+    _, found = find_path(scene, targets)
     assert isinstance(found, Found)
     samples = dense(scene, targets, found.path.branch, found.q, least=4)
     poses = {arm: scene.chains[arm].pose(q) for arm, q in samples.q.items()}
@@ -177,7 +176,7 @@ def test_moves_are_straight_in_the_held_frame(facing: tuple[Cell, Stock, Targets
 def test_hinges_follow_the_kind_of_segment(facing: tuple[Cell, Stock, Targets, FloatArray]) -> None:
     cell, stock, targets, place = facing
     scene = scene_of(cell, stock, targets, place)
-    _, found = find(scene, targets)
+    _, found = find_path(scene, targets)
     assert isinstance(found, Found)
     assert scene.model is not None
     q = np.concatenate([found.q[arm] for arm in targets.arms], axis=1)
@@ -233,9 +232,9 @@ def test_a_table_in_the_way_of_everything_is_told_with_the_freedoms(
     middle = (float(place[0, 3]), float(place[1, 3]), float(place[2, 3]) - 0.25)
     walled = dataclasses.replace(cell, obstacles=(box("wall", (0.5, 0.5, 0.1), middle),))
     scene = scene_of(walled, stock, few, place)
-    grid, found = find(scene, few)
+    grid, found = find_path(scene, few)
     assert isinstance(found, Blocked)
-    (issue,) = diagnose.no_path(scene, few, grid, found)
+    (issue,) = diagnosis.no_path(scene, few, grid, found)
     assert issue.code == "motion.collision"
     assert "spin and block_turn" in issue.message
 
@@ -245,10 +244,10 @@ def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
 ) -> None:
     cell, stock, targets, place = facing
     scene = scene_of(cell, stock, targets, place)
-    _, found = find(scene, targets)
+    _, found = find_path(scene, targets)
     assert isinstance(found, Found)
     ends = {arm: q[[0, -1]] for arm, q in found.q.items()}
-    assert entry.ends_free(scene, ends).all()
+    assert transit.ends_free(scene, ends).all()
     first = {arm: q[0] for arm, q in ends.items()}
     inward = [
         dataclasses.replace(arm, home=first["right" if arm.name == "left" else "left"]) for arm in cell.arms
@@ -257,8 +256,8 @@ def test_a_path_begins_and_ends_where_the_arms_can_come_one_by_one(
     there = scene_of(crowded, stock, targets, place)
     alone = clearance.free(there.model, {"right": ends["right"]}, 0.01)  # type: ignore[arg-type]
     other = clearance.free(there.model, {"left": ends["left"]}, 0.01)  # type: ignore[arg-type]
-    assert np.array_equal(entry.ends_free(there, ends), alone | other)
-    ways, back = entry.both_ways(scene, targets, found.q)
+    assert np.array_equal(transit.ends_free(there, ends), alone | other)
+    ways, back = transit.both_ways(scene, targets, found.q)
     for arm in targets.arms:
         np.testing.assert_array_equal(ways.way[arm][0], scene.chains[arm].home)
         np.testing.assert_array_equal(ways.way[arm][-1], found.q[arm][0])

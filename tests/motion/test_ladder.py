@@ -8,11 +8,11 @@ import itertools
 import numpy as np
 import pytest
 
-from planner.motion.chain import TWO_PI
-from planner.motion.ladder import LARGEST_STEP, TIE_SHARE, Ladder, joint_path, steps
-from planner.motion.reach import Grid, Rungs, reach, sample
-from planner.motion.search import Choice, Found, search, speed_limits
-from planner.motion.subset import subset
+from planner.motion.arm_kinematics import TWO_PI
+from planner.motion.search.ladder import LARGEST_STEP, TIE_SHARE, Ladder, joint_path, steps
+from planner.motion.search.ladder_search import Choice, Found, search, speed_limits
+from planner.motion.search.reach import Grid, Rungs, reach, sample
+from planner.motion.search.subsampling import subset
 from tests.motion.scenes import box, one_arm, pair
 
 SPEED = np.ones(6)

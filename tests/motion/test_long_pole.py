@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import planner
-from planner import problem_file, processes
+from planner import processes
 from planner.issues import TandemError
 from planner.motion.solve import solve
 from planner.problem import Problem
+from planner.reading import problem as problem_file
 
 FILE = Path(__file__).parents[2] / "problems" / "shell_piece_held" / "long_pole.yaml"
 

@@ -12,12 +12,17 @@ def _run(code: str) -> str:
 
 
 def test_timing_loads_no_plots() -> None:
-    said = _run("import sys, planner.motion.timing; print([n for n in sys.modules if 'matplotlib' in n])")
+    said = _run(
+        "import sys, planner.motion.trajectory.timing; print([n for n in sys.modules if 'matplotlib' in n])"
+    )
     assert said == "[]"
 
 
 def test_plots_are_loaded_when_they_are_asked_for() -> None:
-    code = "import planner.motion.timing, toppra.algorithm.algorithm as a; print(a.plt.Figure.__name__)"
+    code = "import planner.motion.trajectory.timing, toppra.algorithm.algorithm as a; "
+    code += "print(a.plt.Figure.__name__)"
     assert _run(code) == "Figure"
-    code = "import planner.motion.timing, matplotlib.pyplot; print(matplotlib.pyplot.Figure.__name__)"
+    code = (
+        "import planner.motion.trajectory.timing, matplotlib.pyplot; print(matplotlib.pyplot.Figure.__name__)"
+    )
     assert _run(code) == "Figure"

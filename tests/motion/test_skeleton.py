@@ -10,12 +10,14 @@ import pytest
 from bench.motion_jobs import spiral_pair
 from planner.cell import plant
 from planner.geometry.rigid import inverse
-from planner.motion import corridor, diagnose, skeleton
-from planner.motion.paths import find
-from planner.motion.reach import sample
+from planner.motion import diagnosis
 from planner.motion.scene import Scene
-from planner.motion.search import Blocked, Found, search
-from planner.motion.trajopt import path_cost
+from planner.motion.search import skeleton
+from planner.motion.search.ladder_search import Blocked, Found, search
+from planner.motion.search.path_search import find_path
+from planner.motion.search.reach import sample
+from planner.motion.trajectory import trajopt
+from planner.motion.trajectory.trajopt import path_cost
 from planner.problem import Obstacle, Settings
 from planner.targets import Targets
 from tests.motion.scenes import block, box, one_arm, pair
@@ -37,8 +39,8 @@ def facing(count: int, tilt: float = 0.0, obstacles: tuple[Obstacle, ...] = ()) 
 
 def path(scene: Scene, targets: Targets) -> Found:
     assert skeleton.suits(targets)
-    _, found = find(scene, targets)
-    assert isinstance(found, Found), diagnose.no_path(scene, targets, _, found)
+    _, found = find_path(scene, targets)
+    assert isinstance(found, Found), diagnosis.no_path(scene, targets, _, found)
     return found
 
 
@@ -89,15 +91,15 @@ def test_faults_are_named_as_targets_of_the_job() -> None:
     scene, targets = facing(400)
     far = {arm: pose.copy() for arm, pose in targets.pose.items()}
     far["right"][300, 0, 3] += 3.0
-    grid, found = find(scene, dataclasses.replace(targets, pose=far))
+    grid, found = find_path(scene, dataclasses.replace(targets, pose=far))
     assert isinstance(found, Blocked)
-    (issue,) = diagnose.no_path(scene, dataclasses.replace(targets, pose=far), grid, found)
+    (issue,) = diagnosis.no_path(scene, dataclasses.replace(targets, pose=far), grid, found)
     assert (issue.code, issue.arm, issue.index) == ("motion.no_reach", "right", 300)
     assert targets.name(300) in issue.message
 
 
 def test_rows_around_moves() -> None:
-    near = corridor.around(10, np.array([0, 6]), 2)
+    near = trajopt.targets_around(10, np.array([0, 6]), 2)
     assert near.tolist() == [True, True, True, True, True, True, True, True, True, False]
-    assert not corridor.around(5, np.zeros(0, dtype=np.intp), 3).any()
-    assert corridor.around(4, np.array([2]), 10**6).all()
+    assert not trajopt.targets_around(5, np.zeros(0, dtype=np.intp), 3).any()
+    assert trajopt.targets_around(4, np.array([2]), 10**6).all()

@@ -11,16 +11,17 @@ import pytest
 
 from planner.geometry.rigid import exp_twist, from_parts
 from planner.issues import TandemError
-from planner.motion import diagnose, operation, timing
-from planner.motion.joints import dense
+from planner.motion import diagnosis, operation
 from planner.motion.operation import plan_operation
 from planner.motion.placement import Search
-from planner.motion.reach import sample
 from planner.motion.scene import Scene
-from planner.motion.search import Found, search
+from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.reach import sample
 from planner.motion.solve import _require_home, check, solve, stands
+from planner.motion.trajectory import timing
+from planner.motion.trajectory.joint_path import dense
 from planner.problem import Change, Problem, Settings
-from planner.stock_file import PEDESTAL
+from planner.reading.stock import PEDESTAL
 from planner.targets import Targets
 from planner.tooling import wire_holder
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, one_arm, pair, s_curve, two_arms
@@ -155,7 +156,7 @@ def test_a_straight_move_that_leaves_the_branch_is_named() -> None:
     lost = samples.q["arm"].copy()
     lost[3] = np.nan
     with pytest.raises(TandemError) as caught:
-        diagnose.require_moves(
+        diagnosis.require_moves(
             scene, targets, found.path.branch, dataclasses.replace(samples, q={"arm": lost})
         )
     assert caught.value.issues[0].code == "motion.linear_move"

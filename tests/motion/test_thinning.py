@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from shapely import LineString, Point
 
-from planner import corners
-from planner.claims import FollowsPoses
-from planner.motion import thinning
+from planner.claims import corner_rounding
+from planner.claims.claim import FollowsPoses
 from planner.motion.operation import plan_operation
-from planner.motion.rounding import MOST_RAMP
-from planner.motion.timing import SHORTEST
+from planner.motion.trajectory import thinning
+from planner.motion.trajectory.joint_path import MOST_RAMP
+from planner.motion.trajectory.timing import SHORTEST
 from planner.problem import Settings
 from planner.targets import Action
 from planner.units import MM
@@ -38,16 +38,16 @@ def short_moves(plan):
 
 def test_dense_targets_are_joined_and_none_is_farther_off_than_a_corner_may_be():
     cell, targets = s_targets(1500)
-    assert (targets.travel[1:] / FEED).max() < thinning.LEAST_TIME
+    assert (targets.travel[1:] / FEED).max() < thinning.LEAST_MOVE_TIME_S
     plan = plan_operation("dense", cell, targets, Settings(), HIGH)
     assert plan.targets.count < 0.7 * targets.count
     assert not short_moves(plan)
-    assert np.diff(plan.time).min() >= thinning.LEAST_TIME
+    assert np.diff(plan.time).min() >= thinning.LEAST_MOVE_TIME_S
     way = plan.targets.poses(plan.values)["arm"][:, :3, 3]
     line = LineString(way / MM)  # shapely measures in the plane; the curve lies in it
     assert np.ptp(way[:, 2]) < 1e-9
     off = max(line.distance(Point(*place[:2] / MM)) for place in targets.pose["arm"][:, :3, 3])
-    assert off < corners.DEVIATION
+    assert off < corner_rounding.CORNER_DEVIATION_MM
 
 
 def test_joined_moves_are_as_long_as_their_parts_and_no_faster_than_any_of_them():
@@ -88,9 +88,9 @@ def test_where_a_least_feed_is_asked_for_and_the_way_bends_short_moves_are_told(
     targets = dataclasses.replace(targets, feed=np.full(400, 0.15), feed_min=np.full(400, 0.02))
     plan = plan_operation("teeth", cell, targets, Settings(), HIGH)
     (issue,) = short_moves(plan)
-    assert issue.limit == thinning.LEAST_TIME
+    assert issue.limit == thinning.LEAST_MOVE_TIME_S
     assert issue.value is not None
-    assert issue.value < thinning.LEAST_TIME
+    assert issue.value < thinning.LEAST_MOVE_TIME_S
     assert plan.targets.count >= 398
     free = dataclasses.replace(targets, feed_min=np.zeros(400))
     slower = plan_operation("teeth", cell, free, Settings(), HIGH)

@@ -8,16 +8,22 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from planner.motion import timing
-from planner.motion.joints import JointPath, Piece, dense, joint_path
 from planner.motion.operation import plan_operation
-from planner.motion.reach import sample
-from planner.motion.rounding import Corners
-from planner.motion.search import Found, search, speed_limits
-from planner.motion.timing import Limits, Profile, TimingError, clock, least_times, parameterise
-from planner.motion.timing_drake import parameterise_drake
+from planner.motion.search.ladder_search import Found, search, speed_limits
+from planner.motion.search.reach import sample
+from planner.motion.trajectory import timing
+from planner.motion.trajectory.joint_path import Corners, JointPath, Piece, dense, joint_path
+from planner.motion.trajectory.timing import (
+    Limits,
+    Profile,
+    TimingError,
+    clock,
+    least_times,
+    parameterise,
+    parameterise_drake,
+)
 from planner.problem import Settings
-from planner.verify import time_law
+from planner.verify.replay import moves as replay_moves
 from tests.motion.scenes import HIGH, one_arm, s_curve
 
 
@@ -137,9 +143,9 @@ def test_corners_ask_for_no_more_than_the_joints_have(seed: int) -> None:
     duration = np.diff(ticks.time)
     shorter = np.minimum(duration[:-1], duration[1:])  # the law takes shares of each move by itself
     share[1:-1] = rounded[1:-1, None] * shorter[:, None] / np.stack([duration[:-1], duration[1:]], axis=1)
-    law = time_law.make(duration, np.diff(spline.x), stop, share, np.zeros(40))
+    law = replay_moves.time_law_of(duration, np.diff(spline.x), stop, share, np.zeros(40))
     at = np.linspace(0.0, ticks.time[-1], 400_001)
-    node, rest = time_law.offsets(law, moves, at)
+    node, rest = replay_moves.offsets(law, moves, at)
     found = values[node] + rest
     hard = np.diff(found, 2, axis=0) / np.diff(at)[0] ** 2
     inner = (at[1:-1] > ticks.time[1]) & (at[1:-1] < ticks.time[-2])  # between the ramps

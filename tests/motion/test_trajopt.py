@@ -7,10 +7,10 @@ import itertools
 
 import numpy as np
 
-from planner.motion.avoid import Avoid
-from planner.motion.reach import sample
-from planner.motion.search import Found, search
-from planner.motion.trajopt import improve, path_cost
+from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.reach import sample
+from planner.motion.trajectory.hinges import Avoid
+from planner.motion.trajectory.trajopt import improve, path_cost
 from planner.targets import ScrewFreedom
 from tests.motion.scenes import one_arm, pair
 

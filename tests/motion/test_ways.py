@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from planner.cell import plant
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, inverse
 from planner.issues import TandemError
-from planner.motion import entry, transit
-from planner.motion.joints import dense
+from planner.motion import transit
 from planner.motion.operation import plan_operation
-from planner.motion.reach import sample
 from planner.motion.rrt import connect, way_free
 from planner.motion.scene import Scene
-from planner.motion.search import Found, search
-from planner.motion.subset import subset
+from planner.motion.search.ladder_search import Found, search
+from planner.motion.search.reach import sample
+from planner.motion.search.subsampling import subset
+from planner.motion.trajectory.joint_path import dense
 from planner.problem import Settings
-from planner.segments import Segment
 from planner.targets import Targets
 from tests.motion.scenes import HIGH, SIZE, arc_wire, block, box, pair, two_arms
 
@@ -98,8 +98,8 @@ def test_arms_enter_and_leave_free_of_everything() -> None:
     scene, targets = pair(40)
     found = search(scene, targets, sample(targets))
     assert isinstance(found, Found)
-    ways = entry.entry(scene, targets, found.q)
-    leaves = entry.leave(scene, targets, found.q, ways.order)
+    ways = transit.entry(scene, targets, found.q)
+    leaves = transit.leave(scene, targets, found.q, ways.order)
     assert scene.model is not None
     standing = {a: scene.chains[a].home for a in targets.arms}
     for arm in ways.order:
@@ -114,7 +114,7 @@ def test_a_hand_in_a_box_at_home_is_refused() -> None:
     hand = scene.chains["left"].pose(scene.chains["left"].home)[:3, 3]
     blocked, targets = pair(20, (box("crate", (0.1, 0.1, 0.1), tuple(hand)),))
     with pytest.raises(TandemError) as caught:
-        entry.require_home(blocked, targets)
+        transit.require_home(blocked, targets)
     assert caught.value.issues[0].code == "motion.home"
     assert "crate" in caught.value.issues[0].bodies
 
@@ -126,7 +126,7 @@ def test_a_first_target_inside_a_box_has_no_entry() -> None:
     spot = scene.chains["left"].pose(found.q["left"][0])[:3, 3]
     blocked, _ = pair(20, (box("crate", (0.05, 0.05, 0.05), tuple(spot)),))
     with pytest.raises(TandemError) as caught:
-        entry.entry(blocked, targets, found.q)
+        transit.entry(blocked, targets, found.q)
     issue = caught.value.issues[0]
     assert issue.code == "motion.entry"
     assert issue.arm == "left"

@@ -10,13 +10,14 @@ import numpy as np
 import py_opw_kinematics as opw
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from planner.catalogue import RobotData, robot
-from planner.cell.robots import forward
+from planner.catalogue.robots import RobotData, robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import to_quaternion
-from planner.post import krl_moves, rapid_moves
-from planner.post.confdata import confdata
-from planner.post.krl_status import status, turn
+from planner.post.krl import linear_moves
+from planner.post.krl.data import status, turn
 from planner.post.program import Track
+from planner.post.rapid import syntax
+from planner.post.rapid.syntax import confdata
 
 SINGULAR = np.sin(np.deg2rad(5.0))
 """Targets are as far from the singular posture of the wrist as plans keep by default."""
@@ -98,13 +99,13 @@ def read_back(arm: RobotData, q: np.ndarray) -> tuple[float, float]:
     track = Track(position, quaternion, q, ones, ones, ones, ones, "world")
     stop = np.zeros(len(q), dtype=bool)
     if arm.family == "KUKA":
-        rows = krl_moves.rows(track, stop, krl_moves.written(poses[0]))
-        text = [line for line in krl_moves.lines(rows, "krc4").move if line.startswith("SLIN")]
+        rows = linear_moves.rows(track, stop, linear_moves.written(poses[0]))
+        text = [line for line in linear_moves.lines(rows, "krc4").move if line.startswith("SLIN")]
         values = np.array([[float(v) for v in re.findall(r"[XYZABC] (-?[\d.]+)", t)] for t in text])
         turns = Rotation.from_euler("ZYX", values[:, 3:], degrees=True)
         poses = poses[np.flatnonzero(~rows.still)]
     else:
-        text = rapid_moves.move_lines(arm, track, None, np.full(len(q), "z1"), "t", "w")
+        text = syntax.move_lines(arm, track, None, np.full(len(q), "z1"), "t", "w")
         found = [re.match(r"MoveL \[\[([^]]*)\],\[([^]]*)\]", line) for line in text]
         values = np.array([[float(v) for v in ",".join(m.groups()).split(",")] for m in found if m])
         turns = Rotation.from_quat(values[:, 3:], scalar_first=True)

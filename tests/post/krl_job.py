@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from planner.handshake import Handshake
+from planner.claims.dialogue import Handshake
 from planner.targets import Action
 from tests.post import synthetic
 

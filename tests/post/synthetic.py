@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
-from planner.claims import HoldsStock
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
+from planner.claims.claim import HoldsStock
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import PlainTool, bow, gripper_plate
 

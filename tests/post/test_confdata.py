@@ -7,9 +7,9 @@ import py_opw_kinematics as opw
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from planner.catalogue import robot
-from planner.cell.robots import forward, link_frames
-from planner.post.confdata import confdata
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward, link_frames
+from planner.post.rapid.syntax import confdata
 
 ABB = ("irb140", "irb120", "irb1200_7_70", "irb4600_40", "irb6640_185", "irb6700_200")
 

@@ -8,11 +8,12 @@ import re
 import numpy as np
 import pytest
 
-from planner import corners
-from planner.claims import CutsSurface, KerfCurve, StraightWire
-from planner.claims_milling import MillsAlong, SparesPart
-from planner.post import krl_moves, rapid_moves
-from planner.segments import Segment
+from planner.claims import corner_rounding
+from planner.claims.claim import CutsSurface, KerfCurve, StraightWire
+from planner.claims.milling import MillsAlong, SparesPart
+from planner.claims.segments import Segment
+from planner.post.krl import linear_moves
+from planner.post.rapid import syntax as rapid_syntax
 from planner.tooling import bow
 from tests.post import synthetic
 from tests.post.reading import moves, numbers, programs
@@ -69,12 +70,12 @@ def test_corners_stay_within_what_is_allowed_by_the_points_of_their_curves():
             ways[1] *= np.linalg.norm(ways[0]) / np.linalg.norm(ways[1])
         times = np.ones(2) if even else rng.uniform(0.05, 1.0, 2)
         position = np.concatenate([np.zeros((1, 3)), np.cumsum(ways, axis=0)])
-        reach, _ = corners.room(position, still, times, np.array([False, True]))
+        reach, _ = corner_rounding.room(position, still, times, np.array([False, True]))
         share = reach[0] / np.linalg.norm(ways, axis=1).min()
         off = passed((ways[0], times[0]), (ways[1], times[1]), share)
-        assert off <= corners.DEVIATION * (1.0 + 1e-6)
+        assert off <= corner_rounding.CORNER_DEVIATION_MM * (1.0 + 1e-6)
         if even and share < 0.5:
-            assert off == pytest.approx(corners.DEVIATION, rel=1e-3)
+            assert off == pytest.approx(corner_rounding.CORNER_DEVIATION_MM, rel=1e-3)
 
 
 def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
@@ -85,7 +86,7 @@ def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
     turned = np.stack([np.cos(0.5 * angle), 0.0 * angle, 0.0 * angle, np.sin(0.5 * angle)], axis=1)
     turned[2::2] *= -1.0  # the same orientations
     time = np.array([0.1, 0.05, 0.08, 0.03, 0.2])
-    reach, turn = corners.room(position, turned, time, np.arange(5) == 4)
+    reach, turn = corner_rounding.room(position, turned, time, np.arange(5) == 4)
     step = np.linalg.norm(np.diff(position, axis=0), axis=1)
     assert reach[:4] == pytest.approx(0.5 * np.minimum(step[:-1], step[1:]))
     assert turn[:4] == pytest.approx(
@@ -105,21 +106,21 @@ def test_a_cutter_may_spin_as_its_way_asks():
     allowed = 0.15 * 0.2  # mm: a share of its tolerance
     lean = allowed / (0.15 * 0.01)
     spin = 100.0 * allowed / 0.5
-    assert corners.levers(alone, "left", synthetic.tool()) == pytest.approx([lean, lean, spin])
+    assert corner_rounding.levers(alone, "left", synthetic.tool()) == pytest.approx([lean, lean, spin])
     spared = SparesPart(
         (Segment.read("mill/a"),), "left", None, np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.0, 2e-4
     )
     both = dataclasses.replace(made, claims=(way, spared))
-    assert corners.levers(both, "left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
-    assert corners.levers(made, "left", synthetic.tool()) == pytest.approx([100.0] * 3)
+    assert corner_rounding.levers(both, "left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
+    assert corner_rounding.levers(made, "left", synthetic.tool()) == pytest.approx([100.0] * 3)
 
 
 def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
-    rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_moves.OWN_ZONES.values()])
-    for sizes in (rapid, rapid_moves.TURN_ZONES.values(), krl_moves.DISTANCES, krl_moves.ANGLES):
+    rapid = sorted([15.0, 8.0, 1.0, 0.3, *rapid_syntax.OWN_ZONES.values()])
+    for sizes in (rapid, rapid_syntax.TURN_ZONES.values(), linear_moves.DISTANCES, linear_moves.ANGLES):
         found = np.sort(np.array(list(sizes)))
-        coarse = found[1:] > corners.ACCURACY
-        assert (found[1:] / found[:-1] <= corners.ZONE_STEP + 1e-9)[coarse].all()
+        coarse = found[1:] > corner_rounding.PATH_ACCURACY_MM
+        assert (found[1:] / found[:-1] <= corner_rounding.ZONE_STEP + 1e-9)[coarse].all()
 
 
 def test_a_rounded_corner_passes_its_target_closely():
@@ -130,14 +131,16 @@ def test_a_rounded_corner_passes_its_target_closely():
     # from here in another direction
     position[40:] += np.array([40.0, 0.0, 0.0]) * np.arange(count - 40)[:, None]
     still = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-    reach, turn = corners.room(position, still, np.full(count - 1, 1.0), np.zeros(count - 1, dtype=bool))
+    reach, turn = corner_rounding.room(
+        position, still, np.full(count - 1, 1.0), np.zeros(count - 1, dtype=bool)
+    )
     steps = np.diff(position, axis=0)
     half = 0.5 * np.minimum(*np.linalg.norm([steps[:-1], steps[1:]], axis=2))
     assert np.allclose(reach[:38], half[:38], rtol=1e-12)
     share = reach[39] / min(np.linalg.norm(steps[39]), np.linalg.norm(steps[40]))
     assert 0.0 < share < 0.02
     off = passed((steps[39], 1.0), (steps[40], 1.0), share)
-    assert 0.1 * corners.DEVIATION < off <= corners.DEVIATION
+    assert 0.1 * corner_rounding.CORNER_DEVIATION_MM < off <= corner_rounding.CORNER_DEVIATION_MM
     assert reach[-1] == 0.0 and not turn.any()
 
 
@@ -153,7 +156,9 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
     )
     turn = np.concatenate([still, turned])
     duration = np.where(np.arange(20) == 10, 40.0, 0.5)
-    reach, reach_turn = corners.room(way, turn, duration, np.arange(20) == 19, corners.lever(bow(span=0.65)))
+    reach, reach_turn = corner_rounding.room(
+        way, turn, duration, np.arange(20) == 19, corner_rounding.lever(bow(span=0.65))
+    )
     assert (reach[:19] > 0.0).all() and reach[19] == 0.0
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     assert (reach[:19] <= 0.5 * np.minimum(step[:-1], step[1:]) + 1e-12).all()
@@ -162,12 +167,16 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
     leave = np.append(way[11] - way[10], 325.0 * np.sqrt(2.0))  # turning is taken by its chord
     come = np.append(way[10] - way[9], 0.0)
     off = passed((come, duration[9]), (leave, duration[10]), reach[9] / step[9])
-    assert 0.1 * corners.DEVIATION <= off <= corners.DEVIATION
+    assert 0.1 * corner_rounding.CORNER_DEVIATION_MM <= off <= corner_rounding.CORNER_DEVIATION_MM
 
 
 def test_turning_counts_at_the_end_of_the_wire():
-    assert corners.lever(bow(span=0.65)) == pytest.approx(325.0)
-    assert corners.lever(bow(span=0.1)) == corners.LEVER == corners.lever(synthetic.tool())
+    assert corner_rounding.lever(bow(span=0.65)) == pytest.approx(325.0)
+    assert (
+        corner_rounding.lever(bow(span=0.1))
+        == corner_rounding.TURNING_LEVER_MM
+        == corner_rounding.lever(synthetic.tool())
+    )
 
 
 def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
@@ -193,11 +202,13 @@ def test_a_straight_wire_turns_wider_in_the_air_than_in_the_foam():
     made = synthetic.operation(job, {"left": synthetic.sweep(7)}, labels, actions=(), coupled=False).targets
     straight = dataclasses.replace(made, claims=(wire, surface))
     expected = [0.5, 0.045, 0.045, 0.045, 0.5, 0.5]
-    np.testing.assert_allclose(corners.deviations(straight, made.segment[1:]), expected)
+    np.testing.assert_allclose(corner_rounding.deviations(straight, made.segment[1:]), expected)
     for other in (made, dataclasses.replace(straight, coupled=True)):
-        np.testing.assert_allclose(corners.deviations(other, made.segment[1:]), corners.DEVIATION)
+        np.testing.assert_allclose(
+            corner_rounding.deviations(other, made.segment[1:]), corner_rounding.CORNER_DEVIATION_MM
+        )
     position = np.stack([np.arange(7.0) * 3.0, np.abs(np.arange(7.0) - 3.0), np.zeros(7)], axis=1)
     still, even = np.tile([1.0, 0, 0, 0], (7, 1)), np.full(6, 0.1)
-    reach, _ = corners.room(position, still, even, np.arange(6) == 5, 100.0, np.array(expected))
+    reach, _ = corner_rounding.room(position, still, even, np.arange(6) == 5, 100.0, np.array(expected))
     step, change = np.hypot(3.0, 1.0), 2.0 / 0.1
     assert reach[2] == pytest.approx(step * 0.045 / (0.1 * change / 4.0))

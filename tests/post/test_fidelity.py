@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.catalogue import robot, robot_names
+from planner.catalogue.robots import robot, robot_names
 from tests.post import fidelity
 
 

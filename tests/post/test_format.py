@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.issues import TandemError
-from planner.post.rapid_format import (
+from planner.post.program import number, plain, short
+from planner.post.rapid.syntax import (
     RESERVED,
     action_lines,
     box,
@@ -20,7 +21,6 @@ from planner.post.rapid_format import (
     quoted,
     write_lines,
 )
-from planner.post.text import number, plain, short
 from planner.targets import Action
 
 

@@ -10,14 +10,14 @@ import re
 import numpy as np
 import pytest
 
-from planner.handshake import Handshake, PartnerSignals
+from planner.claims.dialogue import Handshake, PartnerSignals
 from planner.issues import TandemError
-from planner.post import handshake_drift, write
+from planner.post import handshake, write
 from planner.post.handshake import meeting_rows, stretched
 from planner.post.steps import build
 from planner.post.write import notes
 from planner.targets import Action
-from planner.verify.rapid_reader import read_task
+from planner.verify.rapid.reader import read_task
 from tests.post import reading, synthetic
 from tests.post.reading import programs
 
@@ -332,7 +332,7 @@ def test_the_drift_is_what_very_many_pairs_of_instants_show():
     b = a + np.array([20.0, 0.0, 0.0]) + rng.normal(size=(41, 3))
     meets = np.zeros(40, dtype=np.int64)
     meets[[0, 1, 4, 9, 10, 20, 39]] = np.arange(1, 8)
-    got, expected = handshake_drift.change(a, b, meets), brute(a, b, meets)
+    got, expected = handshake.distance_change(a, b, meets), brute(a, b, meets)
     assert np.abs(got / expected - 1.0).max() < 0.02
 
 
@@ -343,7 +343,7 @@ def test_the_drift_of_parallel_tools_in_closed_form():
     for every in (1, 2, 5):
         meets = (np.arange(10) % every == every - 1).astype(np.int64)
         expected = np.hypot(20.0, every) - 20.0
-        assert handshake_drift.change(a, b, meets) == pytest.approx(np.full(10, 1e-3 * expected), rel=1e-6)
+        assert handshake.distance_change(a, b, meets) == pytest.approx(np.full(10, 1e-3 * expected), rel=1e-6)
 
 
 def test_the_drift_is_told_in_a_note_and_in_the_headers():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from planner.controller_file import ControllerFile, controllers
-from planner.handshake import SignalWire
+from planner.claims.dialogue import SignalWire
 from planner.issues import TandemError
+from planner.reading.controller import ControllerFile, controllers
 
 ARMS = ("left", "right")
 TWICE = {"output": "DIPARTNER"}

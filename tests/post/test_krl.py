@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import inverse
 from planner.issues import TandemError
-from planner.post import krl_moves
+from planner.post.krl import linear_moves
 from planner.targets import Action
 from tests.post import krl_job, synthetic
 from tests.post.krl_job import body, data, flat, moves
@@ -324,6 +324,6 @@ def test_a_pose_that_is_nearer_than_least_speeds_go_in_the_least_time_is_the_one
     position, angles = np.zeros((9, 3)), np.zeros((9, 3))
     position[:, 0] = x
     angles[8, 2] = 0.01
-    krl_moves._settle(position, angles)
+    linear_moves._settle(position, angles)
     assert position[:, 0].tolist() == [0.0, 1.0, 1.0, 1.0007, 1.0007, 2.0, 2.0, 2.0, 2.0]
     assert angles[8, 2] == 0.01

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner.controller_file import ControllerFile, controllers
 from planner.issues import TandemError
+from planner.reading.controller import ControllerFile, controllers
 
 
 def read(arms=("left",), **fields):

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from planner.geometry.rigid import from_rpy
 from planner.issues import TandemError
-from planner.post.krl_format import NAME_LENGTH, RESERVED, abc, comment, frame, name, rotation
-from planner.post.krl_load import load_data
+from planner.post.krl.data import load_data
+from planner.post.krl.syntax import NAME_LENGTH, RESERVED, abc, comment, frame, name, rotation
 from planner.post.program import Load
 from tests.post import synthetic
 

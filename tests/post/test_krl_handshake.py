@@ -8,10 +8,10 @@ import re
 import numpy as np
 import pytest
 
-from planner import dialogue
+from planner.claims import dialogue
 from planner.issues import TandemError
 from planner.post.write import notes, refusals
-from planner.verify.rapid_reader import read_task
+from planner.verify.rapid.reader import read_task
 from tests.post import krl_job, reading, synthetic
 from tests.post import test_handshake as rapid_side
 from tests.post.reading import programs

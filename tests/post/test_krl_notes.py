@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import from_rpy
 from planner.issues import Severity
-from planner.post.krl_notes import MEMORY, notes
-from planner.post.krl_ptp import percent
+from planner.post.krl.controller_files import MEMORY, notes
+from planner.post.krl.program import ptp_percent
 from planner.post.steps import build
 from planner.post.write import notes as told
 from tests.post import krl_job, synthetic
@@ -57,7 +57,7 @@ def test_joint_moves_keep_the_tcp_below_its_limit_and_use_what_it_allows(name):
     whole = 0
     for _ in range(30):
         a, b = rng.uniform(arm.lower, arm.upper, (2, 6))
-        share = percent(arm, a, b, tcp, 0.25, 0.9) / 100.0
+        share = ptp_percent(arm, a, b, tcp, 0.25, 0.9) / 100.0
         seconds = (np.abs(b - a) / arm.velocity).max() / share
         s = np.linspace(0.0, 1.0, 3001)[:, None]
         points = (forward(arm, a + s * (b - a)) @ tcp)[:, :3, 3]
@@ -71,5 +71,5 @@ def test_joint_moves_keep_the_tcp_below_its_limit_and_use_what_it_allows(name):
 def test_a_move_of_the_last_axis_about_the_tcp_is_as_fast_as_the_settings_allow():
     arm = robot("kr60_ha")
     q = np.deg2rad([0.0, -90.0, 90.0, 0.0, 30.0, 0.0])
-    assert percent(arm, q, q + np.array([0, 0, 0, 0, 0, 1.0]), np.eye(4), 0.25, 0.9) == 90
-    assert percent(arm, q, q, np.eye(4), 0.25, 0.9) == 90
+    assert ptp_percent(arm, q, q + np.array([0, 0, 0, 0, 0, 1.0]), np.eye(4), 0.25, 0.9) == 90
+    assert ptp_percent(arm, q, q, np.eye(4), 0.25, 0.9) == 90

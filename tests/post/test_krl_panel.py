@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner import dialogue
+from planner.claims import dialogue
 from planner.issues import TandemError
-from planner.post import krl_panel
-from planner.post.krl_format import NAME_LENGTH, name
-from planner.post.text import plain
+from planner.post.krl import syntax as krl_syntax
+from planner.post.krl.syntax import NAME_LENGTH, name
+from planner.post.program import plain
 from planner.post.write import programs
 from planner.targets import Action
 from tests.post import krl_job
@@ -30,20 +30,20 @@ def texts(lines):
 @given(WORDS)
 def test_no_word_of_a_question_is_lost_and_no_text_is_cut(words):
     text = " ".join(words)
-    lines = krl_panel.asked(text, "krc4")
+    lines = krl_syntax.question_lines(text, "krc4")
     shown = texts(lines)
     assert " ".join(part for _, part in shown) == plain(text)
     assert all(len(part) <= 80 and 0 < len(origin) <= 24 for origin, part in shown)
     assert all(len(line) <= 200 and line.isascii() for line in lines)
     keys = [line for line in lines if line.startswith("tm_key[1]")]
     assert ['"Yes"' in key for key in keys] == [False] * (len(keys) - 1) + [True]
-    old = krl_panel.asked(text, "krc2")
+    old = krl_syntax.question_lines(text, "krc2")
     assert " ".join(line[3:] for line in old if line.startswith(";?")) == plain(text)
     assert max(map(len, old)) <= 104
 
 
 def test_a_long_question_has_several_dialogs_and_one_yes():
-    lines = krl_panel.asked(LONG, "krc4")
+    lines = krl_syntax.question_lines(LONG, "krc4")
     asked = krl_job.folded(lines)
     assert asked == [f"ASK {LONG.strip()}"]
     assert sum('"Next"' in line for line in lines) == len(texts(lines)) - 1 >= 3
@@ -62,9 +62,9 @@ def test_what_a_question_rests_on_is_read_first_and_what_it_does_not_is_a_note()
 
 
 def test_other_letters_are_written_as_a_panel_has_them():
-    ((origin, text),) = texts(krl_panel.told("Fräser Ø 12 für Säule, naïve", "krc4"))
+    ((origin, text),) = texts(krl_syntax.message_lines("Fräser Ø 12 für Säule, naïve", "krc4"))
     assert (origin, text) == ("Tandem", "Fraser O 12 fur Saule, naive")
-    assert krl_panel.told("Fräser", "krc2") == [";* Fraser"]
+    assert krl_syntax.message_lines("Fräser", "krc2") == [";* Fraser"]
     assert name("Säule links") == "saule_links"
 
 
@@ -74,18 +74,18 @@ def test_other_letters_are_written_as_a_panel_has_them():
 )
 def test_what_no_panel_can_show_is_refused(text, word):
     with pytest.raises(TandemError) as caught:
-        krl_panel.asked(text, "krc4")
+        krl_syntax.question_lines(text, "krc4")
     (issue,) = caught.value.issues
     assert issue.code == "post.name" and word in issue.message and issue.hint
-    assert krl_panel.asked("x" * 80, "krc4")
+    assert krl_syntax.question_lines("x" * 80, "krc4")
 
 
 @pytest.mark.parametrize("arm", ["a", "n" * NAME_LENGTH])
 def test_texts_with_the_longest_names_fit(arm):
     for form in (dialogue.WAITING, dialogue.TOGETHER, dialogue.FOOT):
         assert len(form.say(arm=arm)) <= 80
-    assert len(texts(krl_panel.during(dialogue.TOGETHER.say(arm=arm), ["x()"], "krc4"))) == 1
-    assert all(len(line) <= 200 for line in krl_panel.foot(arm, "krc4"))
+    assert len(texts(krl_syntax.during(dialogue.TOGETHER.say(arm=arm), ["x()"], "krc4"))) == 1
+    assert all(len(line) <= 200 for line in krl_syntax.robroot_check(arm, "krc4"))
 
 
 @pytest.mark.parametrize("text", ["set_krldlg", "TM_MSG", "tm answer", "KrlMsg_T"])
@@ -118,7 +118,7 @@ def values(line, angles):
 def test_the_foot_stops_the_program_over_a_tenth_of_a_millimetre_or_two_hundredths_of_a_degree(
     dialect, frame, stops
 ):
-    lines = krl_panel.foot("left", dialect)
+    lines = krl_syntax.robroot_check("left", dialect)
     shift, turn = (values(line, frame) for line in lines[:2])
     limits = [float(v) for v in re.findall(r">([\d.]+)", lines[2])]
     assert limits == [0.1, 0.02]

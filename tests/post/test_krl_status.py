@@ -10,9 +10,9 @@ import py_opw_kinematics as opw
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from planner.catalogue import robot, robot_names
-from planner.cell.robots import forward, link_frames
-from planner.post.krl_status import near_zero, status, turn
+from planner.catalogue.robots import robot, robot_names
+from planner.cell.kinematics import forward, link_frames
+from planner.post.krl.data import near_zero, status, turn
 
 KUKA = [name for name in robot_names() if robot(name).family == "KUKA"]
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from planner.issues import TandemError
-from planner.verify.rapid_reader import read_task
+from planner.verify.rapid.reader import read_task
 from tests.post import synthetic
 from tests.post.reading import programs
 

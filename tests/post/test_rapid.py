@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import from_quaternion
 from planner.targets import Action
-from planner.verify.rapid_reader import read_task
+from planner.verify.rapid.reader import read_task
 from tests.post import synthetic
 from tests.post.reading import flat, modules, moves, numbers, programs
 

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from planner.claims.segments import Segment
 from planner.issues import TandemError
-from planner.segments import Segment
 from planner.targets import Action
 from tests.post import synthetic
 from tests.post.reading import programs

@@ -8,7 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from planner.targets import Action
-from planner.verify import job, replay, setups
+from planner.verify import job
+from planner.verify.programs import setups
+from planner.verify.replay import playback
 from tests.post import synthetic
 from tests.post.reading import programs
 
@@ -24,7 +26,7 @@ def read(plan, problem):
 @pytest.mark.parametrize("model", ["irb140", "irb4600_40", "irb4400_60"])
 def test_the_text_alone_leads_back_to_the_planned_joints(model):
     plan, problem = synthetic.small(model=model)
-    motion = replay.replay(read(plan, problem), plan.bases)
+    motion = playback.replay(read(plan, problem), plan.bases)
     assert not motion.faults
     inside = motion.node_ids > 0
     for arm, q in plan.operations[0].q.items():
@@ -40,7 +42,7 @@ def test_the_text_alone_leads_back_to_the_planned_joints(model):
 
 def test_a_program_ends_where_it_began():
     plan, problem = synthetic.small()
-    motion = replay.replay(read(plan, problem), plan.bases)
+    motion = playback.replay(read(plan, problem), plan.bases)
     for arm in ("left", "right"):
         assert np.abs(motion.q[arm][0] - synthetic.HOME).max() < 1e-9
         assert np.abs(motion.q[arm][-1] - synthetic.HOME).max() < 1e-7
@@ -90,7 +92,7 @@ def test_setups_and_held_blocks_lead_back_to_the_planned_joints(made):
     of_stage = setups.spans(problem.setups, text).of_stage
     assert sorted(set(of_stage.tolist())) == list(range(len(problem.setups)))
     mounted = [{arm.name: arm.tool.tcp for arm in setup.cell.arms} for setup in problem.setups]
-    motion = replay.replay(text, plan.bases, [mounted[i] for i in of_stage])
+    motion = playback.replay(text, plan.bases, [mounted[i] for i in of_stage])
     assert not motion.faults
     reached = {arm: np.concatenate([motion.node_conf_q[arm], motion.q[arm]]) for arm in motion.q}
     for operation in plan.operations:

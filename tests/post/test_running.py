@@ -7,9 +7,9 @@ import re
 
 import pytest
 
-from planner import dialogue
-from planner.handshake import PartnerSignals
-from planner.post import running, write
+from planner.claims import dialogue
+from planner.claims.dialogue import PartnerSignals
+from planner.post import handshake, write
 from tests.post import krl_job
 from tests.verify import handshake_job
 
@@ -43,7 +43,7 @@ def cycle(lines, signals):
 
 def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does():
     controller = krl_job.two((ABB, KUKA))[1].cell.controller
-    lines = running.submit(controller, "right")
+    lines = handshake.krl_submit_lines(controller, "right")
     now = {"TANDEM_SEEN": False}
 
     def then(**signals):
@@ -64,11 +64,11 @@ def test_a_kuka_controller_may_be_started_first_and_stops_when_its_partner_does(
     )  # stopped: one side may be started again
     assert then(act=True, ready=True, partner=False) == (True, True)
     assert then(act=True, ready=False, partner=True) == (False, True)  # drives off
-    assert running.krl_term(controller, "right") == "$IN[2]"
+    assert handshake.krl_power_term(controller, "right") == "$IN[2]"
 
 
 def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_other_ones():
-    rows = running.rows(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
+    rows = handshake.rapid_running_rows(krl_job.two((ABB, KUKA))[1].cell.controller, "left")
     own, other = rows["EIO_CROSS"]
     assert own["Res"] == "doRunning"
     assert (own["Act1"], own["Oper1"], own["Act2"]) == ("soCycleOn", "AND", "soMotorsOn")
@@ -78,11 +78,19 @@ def test_an_abb_controller_drives_its_wire_from_the_system_and_stops_by_the_othe
     assert declared == ["doRunning", "diPartnerRunning", other["Res"]]
     longest = dataclasses.replace(PartnerSignals(), partner_running="d" * 24)
     assert len(longest.lost) <= 32
-    assert running.term(krl_job.two((ABB, KUKA))[1].cell.controller, "left") == "diPartnerRunning"
+    assert (
+        handshake.rapid_power_term(krl_job.two((ABB, KUKA))[1].cell.controller, "left") == "diPartnerRunning"
+    )
 
 
 @pytest.mark.parametrize(
-    "text", (running.STANDS, running.RUNS, dialogue.START_PARTNER.words, dialogue.UNANSWERED.words)
+    "text",
+    (
+        handshake.PARTNER_STANDS,
+        handshake.PARTNER_RUNS,
+        dialogue.START_PARTNER.words,
+        dialogue.UNANSWERED.words,
+    ),
 )
 def test_every_text_on_the_running_wire_is_in_some_program(text):
     files = [*handshake_job.programs().values(), *write.programs(*krl_job.two()).values()]

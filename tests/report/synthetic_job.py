@@ -7,21 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from planner import catalogue
-from planner.cell import robots
-from planner.claims import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    KerfCurve,
-    WireJoins,
-)
-from planner.geometry.rigid import from_rpy, inverse, log_pose
-from planner.geometry.shapes import Shape
+from planner.catalogue import robots
+from planner.cell import kinematics
+from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
+from planner.claims.segments import Segment
+from planner.geometry.rigid import Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool
 from planner.verify.result import CutFace, Proof, RuleResult
@@ -113,16 +106,16 @@ def _rows(count: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
 
 def _follow(arm: Arm, poses: np.ndarray) -> np.ndarray:
     """Joint angles (N, 6) that take the TCP along world poses, by Newton steps from a start posture."""
-    robot = catalogue.robot(arm.robot)
+    robot = robots.robot(arm.robot)
     wanted = inverse(arm.base) @ poses @ inverse(arm.tool.tcp)
     q = np.deg2rad([0.0, 10.0, 30.0, 0.0, -40.0, 0.0])
     out = np.empty((len(poses), 6))
     for i, goal in enumerate(wanted):
         for _ in range(30 if i == 0 else 5):
-            here = robots.forward(robot, q)
+            here = kinematics.forward(robot, q)
             twist = log_pose(inverse(here) @ goal)
             step = np.concatenate([here[:3, :3] @ twist[:3], here[:3, :3] @ twist[3:]])
-            jacobian = robots.jacobian(robot, q)
+            jacobian = kinematics.jacobian(robot, q)
             damped = jacobian.T @ jacobian + 1e-6 * np.eye(6)
             q = q + np.clip(np.linalg.solve(damped, jacobian.T @ step), -0.3, 0.3)
         out[i] = q

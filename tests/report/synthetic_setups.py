@@ -7,22 +7,15 @@ import dataclasses
 import numpy as np
 import synthetic_job as job
 
-from planner.catalogue import robot
-from planner.cell.robots import forward
-from planner.claims import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    HoldsStock,
-    KerfCurve,
-    StraightWire,
-)
+from planner.catalogue.materials import foam
+from planner.catalogue.robots import robot
+from planner.cell.kinematics import forward
+from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, HoldsStock, KerfCurve, StraightWire
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
-from planner.materials import foam
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Change, Part, Problem, Ruled, Setup, Stock
-from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import bow, gripper_plate
 

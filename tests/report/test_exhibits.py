@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.report import charts, exhibits, heatmap
+from planner.report import charts, exhibits
 
 BLOCK = np.array([[-0.3, -0.05, 0.0], [0.3, 0.05, 0.4]])
 S = np.linspace(0.0, 1.0, 30)
@@ -128,7 +128,7 @@ def test_map_shows_the_worst_of_each_cell_and_what_was_missed() -> None:
     value = np.full(len(uv), 1e-4)
     value[1000] = -2e-3
     value[(uv[:, 0] > 0.35) & (uv[:, 1] > 0.25)] = np.nan
-    grid, (u0, u1, v0, v1) = heatmap.binned(uv, value)
+    grid, (u0, u1, v0, v1) = charts.binned(uv, value)
     assert np.nanmin(np.where(np.isfinite(grid), grid, np.nan)) == -2e-3
     assert np.isnan(grid[0, -2]) and not np.isnan(grid[-1, 0])
     assert u0 == 0.0 and v0 == 0.0 and u1 >= 0.4 and v1 >= 0.3
@@ -139,7 +139,7 @@ def test_view_looks_along_the_normal(normal: tuple[float, float, float]) -> None
     n = np.array(normal) / np.linalg.norm(normal)
     points = np.random.default_rng(0).normal(size=(200, 3))
     points -= np.outer(points @ n, n)
-    across, up, found = heatmap.view(points)
+    across, up, found = charts.view(points)
     assert abs(abs(found @ n) - 1.0) < 1e-9
     np.testing.assert_allclose(np.cross(across, up), found, atol=1e-12)
 
@@ -152,7 +152,7 @@ def test_a_ruled_surface_is_laid_flat() -> None:
     rng = np.random.default_rng(1)
     row, share = rng.integers(0, 200, 500), rng.random(500)
     points = start[row] + share[:, None] * (end - start)[row]
-    uv, words = heatmap.unrolled(points, start, end)
+    uv, words = charts.unrolled(points, start, end)
     np.testing.assert_allclose(uv[:, 0], 0.15 * angle[row], atol=5e-4)
     np.testing.assert_allclose(
         uv[:, 1], np.hypot(0.1, 0.3) * share, atol=0.5 * np.hypot(0.1, 0.3) / 40 + 1e-4

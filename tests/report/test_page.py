@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import synthetic_job as job
 
-from planner import catalogue
-from planner.cell import robots
+from planner.catalogue import robots
+from planner.cell import kinematics
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import inputs, output, page, replay3d, setup_controller, setup_sheet
-from planner.report.page import Extra
+from planner.report import motion_charts, output, replay, setup_sheet
+from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
 
@@ -109,7 +109,7 @@ def test_report_is_whole_offline_and_has_every_part(files: dict[str, str]) -> No
 
 
 def test_same_plan_same_page(problem: Problem, plan: Plan, proof: Proof) -> None:
-    assert page.render(problem, plan, proof) == page.render(problem, plan, proof)
+    assert output.render(problem, plan, proof) == output.render(problem, plan, proof)
 
 
 def test_figures_at_a_glance_are_those_of_the_proof(
@@ -120,8 +120,8 @@ def test_figures_at_a_glance_are_those_of_the_proof(
     assert by_name["targets"] == str(plan.operations[0].targets.count)
     assert by_name["wire, hot length"] == "640.0"
     assert by_name["rules held"] == "2"
-    motion = inputs.motion(problem, plan, None)
-    robot = catalogue.robot("irb140")
+    motion = motion_charts.motion_series(problem, plan, None)
+    robot = robots.robot("irb140")
     margin = min(robot.limit_margin(plan.operations[0].q[arm]).min() for arm in job.ARMS)
     got = min(arm.limit_margin.min() for arm in motion.arms.values())
     assert got == pytest.approx(margin, abs=1e-12)
@@ -136,11 +136,11 @@ def test_verdict(
 ) -> None:
     rules = tuple(dataclasses.replace(rule, passed=ok or rule.passed) for rule in proof.rules)
     given = dataclasses.replace(proof, rules=rules, issues=issues)
-    assert f">{word}</span>" in page.render(problem, plan, given)
+    assert f">{word}</span>" in output.render(problem, plan, given)
 
 
 def test_without_proof_the_plan_speaks(problem: Problem, plan: Plan) -> None:
-    text = page.render(problem, plan, None)
+    text = output.render(problem, plan, None)
     _checked(text)
     assert "Planned, not proven" in text and "the plan&#x27;s targets" in text
 
@@ -171,7 +171,7 @@ def test_text_of_others_is_escaped(problem: Problem, plan: Plan) -> None:
     issue = Issue(
         "problem.field", bad, Severity.NOTE, hint=bad, field=bad, bodies=(bad,), unit=bad, value=1.0
     )
-    text = page.render(
+    text = output.render(
         named, plan, None, Extra(issues=(issue,), filtered=((bad, bad, bad),), programs=((bad, 1),))
     )
     assert bad not in text
@@ -183,7 +183,7 @@ def test_setup_sheet_states_where_the_tcps_are_at_the_mount(
 ) -> None:
     for arm in problem.cell.arms:
         q = plan.operations[0].q[arm.name][0]
-        tcp = arm.base @ robots.forward(catalogue.robot(arm.robot), q) @ arm.tool.tcp
+        tcp = arm.base @ kinematics.forward(robots.robot(arm.robot), q) @ arm.tool.tcp
         place = ", ".join(f"{v * 1e3:.2f}" for v in tcp[:3, 3]).replace("-0.00", "0.00").replace("-", "−")
         assert place in files["report.html"]
     assert "600.00 mm" in files["report.html"]  # the clamps stand 0.6 m apart in the synthetic job
@@ -194,7 +194,7 @@ def test_joint_speeds_from_a_plan_are_steps_over_time(problem: Problem, plan: Pl
     operation = plan.operations[0]
     steady = {arm: np.outer(operation.time, np.arange(1.0, 7.0)) * 0.01 for arm in job.ARMS}
     made = dataclasses.replace(plan, operations=(dataclasses.replace(operation, q=steady),))
-    motion = inputs.motion(problem, made, None)
+    motion = motion_charts.motion_series(problem, made, None)
     for arm in job.ARMS:
         np.testing.assert_allclose(
             motion.arms[arm].speed[1:], np.tile(np.arange(1.0, 7.0) * 0.01, (len(operation.time) - 1, 1))
@@ -202,7 +202,7 @@ def test_joint_speeds_from_a_plan_are_steps_over_time(problem: Problem, plan: Pl
 
 
 def test_wrist_angle_is_zero_where_axes_4_and_6_are_in_line(problem: Problem, plan: Plan) -> None:
-    motion = inputs.motion(problem, plan, None)
+    motion = motion_charts.motion_series(problem, plan, None)
     arm = motion.arms["left"]
     q = np.zeros((3, 6))
     q[:, 4] = [0.0, 0.3, np.pi - 0.2]
@@ -216,9 +216,9 @@ def test_report_without_replay_says_why(
     def refuse(*_: object) -> None:
         raise RuntimeError("no free port")
 
-    monkeypatch.setattr(replay3d, "Meshcat", refuse)
+    monkeypatch.setattr(replay, "Meshcat", refuse)
     with pytest.raises(TandemError) as caught:
-        replay3d.document(object(), problem, plan)  # type: ignore[arg-type]
+        replay.document(object(), problem, plan)  # type: ignore[arg-type]
     assert caught.value.issues[0].code == "report.replay_failed"
     made = output.files(problem, plan, proof)
     assert "replay.html" not in made and "report.replay_failed" in made["report.html"]
@@ -234,7 +234,7 @@ def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, p
 @pytest.mark.parametrize(("models", "place"), [(("irb140", "kr10_r1100"), 0), (("kr10_r1100", "irb140"), 1)])
 def test_setup_sheet_asks_for_the_running_wires_and_their_files(models: tuple[str, str], place: int) -> None:
     plan, problem = krl_job.two(models, actions=krl_job.ACTIONS)
-    shown = re.sub(r"<[^>]+>", " ", str(setup_controller.checks(problem, plan)))
+    shown = re.sub(r"<[^>]+>", " ", str(setup_sheet.controller_checks(problem, plan)))
     for arm, other in (("left", "right"), ("right", "left")):
         assert f"wire: doPartner of {arm} to diPartner of {other}" in shown
         wire = shown.partition(f"running wire: doRunning of {arm} to diPartnerRunning of {other}")[2]

@@ -10,14 +10,14 @@ import pytest
 import synthetic_job as job
 import trimesh
 
-from planner import catalogue
-from planner.cell import plant, robots
+from planner.catalogue import robots
+from planner.cell import kinematics, plant
+from planner.claims.segments import Segment
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import raster, replay3d, scene, solids
+from planner.report import raster, replay, scene
 from planner.report.scene import Scene
-from planner.report.track import track
-from planner.segments import Segment
+from planner.report.timeline import track
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def cell(problem: Problem, plan: Plan) -> Scene:
     return scene.extract(plant.build(problem.cell, problem.stock, plan.stock_pose, plan.bases))
 
 
-def _volume(solid: solids.Solid) -> float:
+def _volume(solid: raster.Solid) -> float:
     mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=True, merge_norm=True)
     return float(mesh.volume)
 
@@ -43,12 +43,12 @@ def _volume(solid: solids.Solid) -> float:
 def test_solids_have_their_volume_and_face_outward() -> None:
     """Volumes in closed form; a polygon of n sides has the area n/2 sin(2 pi/n) r^2."""
     polygon = 0.5 * 32 * np.sin(2 * np.pi / 32)
-    assert _volume(solids.box(0.1, 0.2, 0.3)) == pytest.approx(0.006, rel=1e-12)
-    assert _volume(solids.cylinder(0.1, 0.4)) == pytest.approx(polygon * 0.01 * 0.4, rel=1e-9)
-    assert _volume(solids.sphere(0.2, 96)) == pytest.approx(4 / 3 * np.pi * 0.008, rel=0.03)
+    assert _volume(raster.box(0.1, 0.2, 0.3)) == pytest.approx(0.006, rel=1e-12)
+    assert _volume(raster.cylinder(0.1, 0.4)) == pytest.approx(polygon * 0.01 * 0.4, rel=1e-9)
+    assert _volume(raster.sphere(0.2, 96)) == pytest.approx(4 / 3 * np.pi * 0.008, rel=0.03)
     ball = 4 / 3 * np.pi * 0.001
-    assert _volume(solids.capsule(0.1, 0.3, 96)) == pytest.approx(np.pi * 0.003 + ball, rel=0.03)
-    for solid in (solids.box(1, 2, 3), solids.cylinder(1, 2), solids.sphere(1), solids.capsule(1, 2)):
+    assert _volume(raster.capsule(0.1, 0.3, 96)) == pytest.approx(np.pi * 0.003 + ball, rel=0.03)
+    for solid in (raster.box(1, 2, 3), raster.cylinder(1, 2), raster.sphere(1), raster.capsule(1, 2)):
         corners = solid.vertices[solid.faces]
         face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert (np.einsum("fc,fc->f", face, solid.normals[solid.faces].mean(axis=1)) > -1e-12).all()
@@ -60,10 +60,10 @@ def test_a_ball_is_drawn_as_large_and_as_far_as_it_is() -> None:
     pose[:3, :3] = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # looks along world y, z is up
     camera = raster.Camera(pose, 900.0, 400, 300, (400, 300))
     far, radius = 4.0, 0.5
-    ball = solids.sphere(radius, 96)
+    ball = raster.sphere(radius, 96)
     moved = np.eye(4)
     moved[1, 3] = far
-    image = raster.draw(camera, [raster.Thing(ball.moved(moved), (0.5, 0.5, 0.5))])
+    image = raster.rendered(camera, [raster.Thing(ball.moved(moved), (0.5, 0.5, 0.5))])
     seen = image.thing == 0
     outline = camera.focal * radius / np.sqrt(far**2 - radius**2)
     assert seen.sum() == pytest.approx(np.pi * outline**2, rel=0.03)
@@ -75,9 +75,9 @@ def test_nearer_things_hide_farther_ones() -> None:
     camera = raster.frame(np.array([[-1.0, -1, -1], [1, 1, 1]]), np.array([0.0, 1.0, -0.3]), 320, 200)
     moved = np.eye(4)
     moved[1, 3] = -0.9
-    near, far = solids.box(0.3, 0.3, 0.3).moved(moved), solids.box(1.0, 1.0, 1.0)
+    near, far = raster.box(0.3, 0.3, 0.3).moved(moved), raster.box(1.0, 1.0, 1.0)
     for order in ((near, far), (far, near)):
-        image = raster.draw(camera, [raster.Thing(s, (0.5, 0.5, 0.5)) for s in order])
+        image = raster.rendered(camera, [raster.Thing(s, (0.5, 0.5, 0.5)) for s in order])
         x, y, _ = camera.project(np.array([0.0, -0.9, 0.0]))
         assert order[image.thing[int(y), int(x)]] is near
 
@@ -95,7 +95,7 @@ def test_bodies_are_where_the_kinematics_say(cell: Scene, problem: Problem, plan
     q = {arm: plan.operations[0].q[arm][::9] for arm in job.ARMS}
     poses = cell.poses(q)
     for arm in problem.cell.arms:
-        frames = arm.base @ robots.link_frames(catalogue.robot(arm.robot), q[arm.name])
+        frames = arm.base @ kinematics.link_frames(robots.robot(arm.robot), q[arm.name])
         flange = poses[f"{arm.name}/tool"]
         np.testing.assert_allclose(flange, frames[:, 6], atol=1e-9)
 
@@ -115,14 +115,14 @@ def test_wire_of_the_replay_ends_at_the_tcps(problem: Problem, plan: Plan) -> No
     run = track(problem, plan, 480)
     assert run.wire is not None and run.shown.any() and not run.shown[0] and not run.shown[-1]
     for arm, end in zip(problem.cell.arms, (0, -1), strict=True):
-        flange = robots.forward(catalogue.robot(arm.robot), run.q[arm.name][run.shown])
+        flange = kinematics.forward(robots.robot(arm.robot), run.q[arm.name][run.shown])
         tcp = (arm.base @ flange @ arm.tool.tcp)[:, :3, 3]
         gap = np.linalg.norm(run.wire[run.shown][:, end] - tcp, axis=1)
         assert gap.max() < 1e-3
 
 
 def test_replay_is_one_small_offline_file(cell: Scene, problem: Problem, plan: Plan) -> None:
-    text = replay3d.document(cell.model, problem, plan)
+    text = replay.document(cell.model, problem, plan)
     assert len(text) < 10_000_000
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="(?!data:)', text)
     found = re.search(r"<script type='application/json' id='track'>(.*?)</script>", text)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from planner import pipeline
-from planner.report import replay_bar, track
-from planner.report.track import Track
-from planner.segments import Segment
+from planner.claims.segments import Segment
+from planner.report import replay, timeline
+from planner.report.timeline import Track
 from tests import small_problem
 
 
@@ -33,7 +33,7 @@ def test_times_of_the_programs_lead_to_the_same_place_in_the_replay() -> None:
     shown = run([0, 4, 5, 7, 9], ["entry", "entry", "approach", "cut", "exit"])
     time = np.array([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5])
     labels = ["home", "home", "approach", "approach", "cut", "cut", "home"]
-    pairs = np.array(replay_bar.clock(shown, time, labels))
+    pairs = np.array(replay.replay_clock(shown, time, labels))
     at = np.interp([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 4.5], *pairs.T)
     np.testing.assert_allclose(at, [0.0, 4.0, 4.5, 5.0, 6.0, 7.0, 9.0])
 
@@ -41,7 +41,7 @@ def test_times_of_the_programs_lead_to_the_same_place_in_the_replay() -> None:
 def test_segments_that_the_programs_repeat_are_taken_in_order() -> None:
     shown = run([0, 1, 2, 3], ["cut", "cut", "link", "cut"])
     time = np.array([0.0, 2.0, 3.0, 5.0])
-    pairs = replay_bar.clock(shown, time, ["cut", "cut", "link", "cut"])
+    pairs = replay.replay_clock(shown, time, ["cut", "cut", "link", "cut"])
     wanted = [[0, 0], [0, 0], [2, 1], [2, 1], [3, 2], [3, 2], [5, 3], [5, 3]]
     np.testing.assert_allclose(pairs, wanted)
 
@@ -50,10 +50,10 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
     """Joint angles that the proof read out of the programs, against those of the replay."""
     outcome = pipeline.plan(pipeline.load(small_problem.write(tmp_path)))
     series = outcome.proof.series
-    shown = track.track(outcome.problem, outcome.plan, 600)
+    shown = timeline.track(outcome.problem, outcome.plan, 600)
     labels = [str(label) for label in series["label"]]
     at = np.flatnonzero(np.array(labels) == "cut/path")[5:-5]
-    pairs = np.array(replay_bar.clock(shown, np.asarray(series["time"]), labels))
+    pairs = np.array(replay.replay_clock(shown, np.asarray(series["time"]), labels))
     led = np.interp(series["time"][at], *pairs.T)
     for joint in range(6):
         got = np.interp(led, shown.time - shown.time[0], shown.q["left"][:, joint])
@@ -63,4 +63,4 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
 
 
 def test_without_a_proof_there_is_no_clock() -> None:
-    assert '"clock":[]' in replay_bar.bar("name", run([0, 1], ["cut", "cut"]))
+    assert '"clock":[]' in replay.time_bar("name", run([0, 1], ["cut", "cut"]))

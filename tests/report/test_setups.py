@@ -10,14 +10,14 @@ import pytest
 import synthetic_job as job
 import synthetic_setups as made
 
-from planner import catalogue
-from planner.cell import plant, robots
-from planner.claims import CutsSurface, FeedWindow, KerfCurve
+from planner.catalogue import robots
+from planner.cell import kinematics, plant
+from planner.claims.claim import CutsSurface, FeedWindow, KerfCurve
+from planner.claims.segments import Segment
 from planner.plans import Plan
 from planner.problem import Problem, Ruled
-from planner.report import inputs, moments, output, page, replay3d, scene, standing, sweep
-from planner.report.track import SETUP, track
-from planner.segments import Segment
+from planner.report import cell_picture, motion_charts, output, raster, replay, scene
+from planner.report.timeline import SETUP_SEGMENT, track
 from planner.verify.result import CutFace, Proof, RuleResult
 
 
@@ -44,7 +44,7 @@ def test_a_ruled_surface_has_its_area_and_its_normals() -> None:
     """A polygon of n sides inscribed in the unit circle is 2 n sin(pi / n) long; normals look outward."""
     for corner in ((), (0,), (0, 1, 7), tuple(range(12))):
         for closed, sides in ((True, 12), (False, 11)):
-            mesh = sweep.ruled_mesh(ruling(12, corner, closed))
+            mesh = raster.ruled_mesh(ruling(12, corner, closed))
             a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
             normal = 0.5 * np.cross(b - a, c - a)
             assert np.linalg.norm(normal, axis=1).sum() == pytest.approx(sides * 2.0 * np.sin(np.pi / 12))
@@ -55,7 +55,7 @@ def test_a_ruled_surface_has_its_area_and_its_normals() -> None:
 
 def test_no_triangle_spans_a_corner() -> None:
     """Vertices at a corner stand twice, so that shading does not round it."""
-    mesh = sweep.ruled_mesh(ruling(12, (3,), closed=True))
+    mesh = raster.ruled_mesh(ruling(12, (3,), closed=True))
     assert len(mesh.vertices) == 2 * (12 + 1 + 1)
 
 
@@ -66,7 +66,7 @@ def test_a_straight_wire_is_drawn_as_far_as_it_lies_in_the_block(seed: int) -> N
     lower, upper = np.array([-0.2, -0.1, 0.0]), np.array([0.2, 0.1, 0.3])
     ends = rng.uniform(-0.4, 0.5, (40, 2, 3))
     ends[:4, 1, 0] = ends[:4, 0, 0]  # across x
-    got = sweep.clipped(ends, lower, upper)
+    got = raster.clipped_wires(ends, lower, upper)
     share = np.linspace(0.0, 1.0, 20_001)[:, None]
     for wire, (start, end) in zip(got, ends, strict=True):
         points = start + share * (end - start)
@@ -84,18 +84,18 @@ def test_what_a_wire_sweeps_has_the_area_of_the_cut() -> None:
     ends = np.stack(
         [np.stack([0 * z, 0 * z - 1, z], axis=1), np.stack([0 * z, 0 * z + 1, z], axis=1)], axis=1
     )
-    mesh = sweep.surface(ends, np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.3]))
+    mesh = raster.swept_surface(ends, np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.3]))
     assert mesh is not None
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     assert 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() == pytest.approx(0.06)
-    assert sweep.surface(ends + 5.0, np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.3])) is None
+    assert raster.swept_surface(ends + 5.0, np.array([-0.1, -0.1, 0.0]), np.array([0.1, 0.1, 0.3])) is None
 
 
 def test_a_change_of_setup_is_shown_at_home_with_what_is_to_be_done(two: tuple[Problem, Plan]) -> None:
     problem, plan = two
     run = track(problem, plan, 600)
     assert (np.diff(run.time) > 0).all()
-    pauses = np.array([label == SETUP for label in run.segment])
+    pauses = np.array([label == SETUP_SEGMENT for label in run.segment])
     for arm in problem.cell.arms:
         np.testing.assert_allclose(run.q[arm.name][pauses], np.tile(arm.home, (pauses.sum(), 1)), atol=1e-9)
     (change,) = np.flatnonzero(np.diff(run.setup))
@@ -113,7 +113,7 @@ def test_a_held_block_moves_with_its_holder(held: tuple[Problem, Plan]) -> None:
     problem, plan = held
     run = track(problem, plan, 600)
     arm = problem.cell.arm("right")
-    flange = robots.forward(catalogue.robot(arm.robot), run.q["right"])
+    flange = kinematics.forward(robots.robot(arm.robot), run.q["right"])
     np.testing.assert_allclose(run.block, arm.base @ flange @ arm.tool.tcp @ problem.stock.grip, atol=1e-9)
     assert np.ptp(run.block[:, :3, 3], axis=0).max() > 0.1
 
@@ -147,17 +147,17 @@ def test_scenes_have_the_tools_and_the_block_of_their_setup(two: tuple[Problem, 
     q = {"left": plan.operations[0].q["left"][:3]}
     poses = scene.stand(seen, first, plan.places[0], q)
     edge = next(p for p in one if p.body == "left/edge")
-    tcp = job.problem().cell.arm("left").base @ robots.forward(catalogue.robot("irb140"), q["left"])
+    tcp = job.problem().cell.arm("left").base @ kinematics.forward(robots.robot("irb140"), q["left"])
     np.testing.assert_allclose(poses["left/edge"], tcp, atol=1e-9)
     np.testing.assert_allclose(
-        standing.ends(first.cell.arm("left")).mean(axis=0), edge.pose[:3, 3], atol=1e-12
+        scene.wire_ends(first.cell.arm("left")).mean(axis=0), edge.pose[:3, 3], atol=1e-12
     )
 
 
 def test_replay_of_setups_is_one_small_file(two: tuple[Problem, Plan]) -> None:
     problem, plan = two
     first = problem.setups[0]
-    text = replay3d.document(plant.build(first.cell, first.stock, plan.places[0], plan.bases), problem, plan)
+    text = replay.document(plant.build(first.cell, first.stock, plan.places[0], plan.bases), problem, plan)
     assert len(text) < 10_000_000
     assert '"setup"' in text
 
@@ -166,14 +166,14 @@ def test_there_is_a_picture_of_each_setup(two: tuple[Problem, Plan]) -> None:
     problem, plan = two
     first = problem.setups[0]
     model = plant.build(first.cell, first.stock, plan.places[0], plan.bases)
-    shown = moments.pictures(model, problem, plan)
+    shown = cell_picture.setup_pictures(model, problem, plan)
     assert [title for title, _ in shown] == ["Setup 1: sides", "Setup 2: faces"]
     assert all(picture.alpha.max() > 0.9 for _, picture in shown)
 
 
 def test_the_sheet_of_a_job_of_setups_says_what_to_do_in_each(two: tuple[Problem, Plan]) -> None:
     problem, plan = two
-    text = page.render(problem, plan, None)
+    text = output.render(problem, plan, None)
     sheet = text[text.index('id="setup"') :]
     one, other = sheet.split("<h3>Setup 2: faces</h3>")
     assert "<h3>Setup 1: sides</h3>" in one
@@ -190,7 +190,7 @@ def test_the_sheet_of_a_job_of_setups_says_what_to_do_in_each(two: tuple[Problem
 
 def test_the_sheet_of_a_held_block_says_how_it_is_held(held: tuple[Problem, Plan]) -> None:
     problem, plan = held
-    text = page.render(problem, plan, None)
+    text = output.render(problem, plan, None)
     assert "gripper_plate of arm right" in text and "120 × 120" in text
     assert "0.173 kg" in text and "0.173 kg at 0.00, 0.00, 90.00 mm" in text  # 0.2 x 0.24 x 0.18 m
     assert "bottom corner −x −y, TCP frame of right" in text
@@ -199,17 +199,17 @@ def test_the_sheet_of_a_held_block_says_how_it_is_held(held: tuple[Problem, Plan
 def test_the_kerf_is_that_of_the_feeds(two: tuple[Problem, Plan]) -> None:
     """The curve reads 1.75 mm at 3 mm/s and 1.3 mm at 6 mm/s; the bent wire's kerf lies between."""
     problem, plan = two
-    text = page.render(problem, plan, None)
+    text = output.render(problem, plan, None)
     assert re.search(r"<b>1\.30–1\.75<small>mm</small></b><span>kerf at the feeds allowed</span>", text)
     table = KerfCurve(np.array([1e-3, 3e-3, 5e-3]), *(np.array([2e-3, 1e-3, 3e-3]),) * 3)
     triangle = np.zeros((3, 3)), np.array([[0, 1, 2]])
     cut = CutsSurface(Segment.read("cut/a"), *triangle, table, 1e-4)
     assert (
-        inputs.kerf_range([cut], [FeedWindow(Segment.read("cut/a"), 2e-3, 4e-3)]) == "1.00–2.00"
+        motion_charts.kerf_range([cut], [FeedWindow(Segment.read("cut/a"), 2e-3, 4e-3)]) == "1.00–2.00"
     )  # least in between
-    assert inputs.kerf_range([cut], []) == "1.00–3.00"
+    assert motion_charts.kerf_range([cut], []) == "1.00–3.00"
     constant = CutsSurface(Segment.read("cut/a"), *triangle, KerfCurve.constant(1.4e-3), 1e-4)
-    assert inputs.kerf_range([constant], []) == "1.4"
+    assert motion_charts.kerf_range([constant], []) == "1.4"
 
 
 def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
@@ -222,8 +222,8 @@ def test_the_kerf_of_a_proven_cut_is_that_of_its_speeds() -> None:
     seen = np.array([4e-3, np.nan, 5e-3])
     face = CutFace(name, *three, 1e-4, 1.0, 0.95, 0.0, 0.0, speed=seen)
     proof = Proof("", (), (), {}, (face,), "")
-    assert inputs.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
-    assert inputs.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
+    assert motion_charts.kerf_shown([cut], [window], proof) == ("kerf of the cut", "1.33–1.67")
+    assert motion_charts.kerf_shown([cut], [window], None) == ("kerf at the feeds allowed", "1.00–2.00")
 
 
 def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Plan]) -> None:
@@ -235,7 +235,7 @@ def test_series_of_straight_and_bent_wires_are_told_apart(two: tuple[Problem, Pl
     series |= {name.replace("wire/1/", "wire/3/"): value for name, value in bent.items()}
     time = np.asarray(bent["wire/1/time"])
     series |= {"wire/1/time": time, "wire/1/feed": 0 * time + 0.004, "wire/1/label": ["cut/left"] * len(time)}
-    motion = inputs.motion(problem, plan, dataclasses.replace(proof, series=series))
+    motion = motion_charts.motion_series(problem, plan, dataclasses.replace(proof, series=series))
     (wire,) = motion.wires
     assert wire.max_curvature == 40.0
     assert len(motion.feed.time) == 2 * len(time) and motion.feed.upper[0] == 0.006
@@ -252,6 +252,6 @@ def test_the_proof_says_what_is_too_close(two: tuple[Problem, Plan], passed: boo
     rule = RuleResult("verify.clearance", "bodies keep apart", passed, 9.8, 10.0, "mm")
     series = {**job.proof(50).series, "clearance/distance": np.full(50, 0.0098)}
     proof = dataclasses.replace(job.proof(50), rules=(rule,), series=series)
-    text = page.render(*two, proof)
+    text = output.render(*two, proof)
     (kind,) = re.findall(r'<div class="(tile[^"]*)"><b>9\.8<small>mm</small>', text)
     assert ("bad" in kind) != passed

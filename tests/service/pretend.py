@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from planner.batch.job import Event, Finished
-from planner.service import serve
-from planner.service.limits import Limits
+from planner.service import app
+from planner.service.security import Limits
 from planner.service.service import Options
 from tests.service.support import Team
 
@@ -42,8 +42,8 @@ if __name__ == "__main__":
     port, data, database, *most = sys.argv[1:]
     Slow.most = int(most[0]) if most else None
     limits = Limits(open_jobs=10_000, kept_jobs=10_000)
-    serve.make_team = lambda options: Slow  # type: ignore[assignment]
+    app.make_team = lambda options: Slow  # type: ignore[assignment]
     options = Options(
         Path(data), port=int(port), database=database or None, workers=2, lease_s=LEASE_S, limits=limits
     )
-    serve.serve(options)
+    app.serve(options)

@@ -20,7 +20,7 @@ from fastapi.testclient import TestClient
 from planner.batch.job import Done, Event, Finished, Found, Job, Progress
 from planner.issues import Issue, Severity
 from planner.service.app import create_app
-from planner.service.limits import Limits
+from planner.service.security import Limits
 from planner.service.service import Options, Service
 from tests import small_problem
 

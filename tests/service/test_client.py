@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner import Client, plan_io
+from planner import Client, plans
 from planner.issues import TandemError
-from planner.service.auth import Auth
 from planner.service.database import Database, default_url
+from planner.service.security import Auth
 from tests import small_problem
 from tests.service.support import Process
 
@@ -41,7 +41,7 @@ def test_the_same_plan_comes_back_as_from_planning_here(served: tuple[Process, s
     assert there.verified
     assert isinstance(there, planner.Outcome)
     assert dict(there.programs) == dict(here.programs)
-    assert plan_io.dump(there.plan) == plan_io.dump(here.plan)
+    assert plans.dump(there.plan) == plans.dump(here.plan)
     np.testing.assert_array_equal(there.plan.operations[0].q["left"], here.plan.operations[0].q["left"])
     assert there.proof.rules == here.proof.rules
     assert there.issues == here.issues

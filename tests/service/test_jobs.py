@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from planner.service.limits import Limits
+from planner.service.security import Limits
 from tests import small_problem
 from tests.service.support import NOTE, TABLE, InProcess, codes, named
 

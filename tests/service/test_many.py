@@ -27,6 +27,10 @@ def served(tmp_path: Path) -> Iterator[Process]:
     process.stop()
 
 
+POOL = 40
+"""Threads that answer requests: what AnyIO has where nothing else is said."""
+
+
 def held(process: Process) -> int:
     """Open files of a process."""
     return len(list(Path(f"/proc/{process.pid}/fd").iterdir()))
@@ -107,7 +111,9 @@ def test_a_thousand_requests_at_once(served: Process, tmp_path: Path) -> None:
         assert {job: one["name"] for job, one in states.items()} == jobs
         time.sleep(2.0)
         print(f"files {files} -> {held(served)}, memory {megabytes:.0f} -> {memory_mb(served):.0f} MB")
-        assert held(served) <= files + 20
+        # each thread of the pool that has asked the store keeps a connection, of two files; how many have
+        # by the first measurement depends on the machine
+        assert held(served) <= files + 20 + 2 * POOL
         assert memory_mb(served) <= megabytes * 1.25 + 20
     assert not list((tmp_path / "data" / "files" / "incoming").iterdir())
     assert "Traceback" not in served.log.read_text()

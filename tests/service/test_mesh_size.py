@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.service.limits import Limits
-from planner.service.mesh_size import mesh_size
+from planner.service.security import Limits
+from planner.service.upload_reader import mesh_size
 from tests import small_problem
 from tests.service.support import TABLE, InProcess
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import pytest
 
-from planner.service.limits import Limits
+from planner.service.security import Limits
 from tests import small_problem
 from tests.service.support import TABLE, InProcess, named
 

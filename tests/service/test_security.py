@@ -11,11 +11,10 @@ from typing import Any
 import pytest
 from fastapi.testclient import TestClient
 
-from planner import service_commands
+from planner.cli import service
 from planner.issues import TandemError
-from planner.service.auth import Auth
 from planner.service.database import Database, default_url
-from planner.service.limits import Limits
+from planner.service.security import Auth, Limits
 from planner.service.service import Options, Service
 from tests.service.support import HERE, InProcess, Team, codes, named
 
@@ -173,8 +172,8 @@ def test_what_is_not_installed_is_told_with_the_install_line(
 
     monkeypatch.setattr(builtins, "__import__", without)
     for ask in (
-        lambda: service_commands.serve(service_commands.Serve(data=tmp_path)),
-        lambda: service_commands.token(service_commands.List(data=tmp_path)),
+        lambda: service.serve(service.Serve(data=tmp_path)),
+        lambda: service.token(service.List(data=tmp_path)),
     ):
         with pytest.raises(TandemError) as caught:
             ask()
@@ -183,15 +182,15 @@ def test_what_is_not_installed_is_told_with_the_install_line(
 
 
 def test_tokens_are_made_listed_and_revoked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    service_commands.token(service_commands.Add("ann", tmp_path))
+    service.token(service.Add("ann", tmp_path))
     token = capsys.readouterr().out.strip()
     auth = Auth(Database(default_url(tmp_path)))
     assert auth.owner(token)
     for wrong in ("ann", "", "a b", "x" * 65):
         with pytest.raises(TandemError) as caught:
-            service_commands.token(service_commands.Add(wrong, tmp_path))
+            service.token(service.Add(wrong, tmp_path))
         assert caught.value.issues[0].code == "service.token"
-    service_commands.token(service_commands.Revoke("ann", tmp_path))
+    service.token(service.Revoke("ann", tmp_path))
     assert not auth.any()
-    service_commands.token(service_commands.List(tmp_path))
+    service.token(service.List(tmp_path))
     assert "ann" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from planner import Client
 from planner.issues import TandemError
 from planner.service.database import Database, default_url
 from planner.service.jobs import Jobs
-from planner.service.limits import Limits
+from planner.service.security import Limits
 from tests.service.support import Process, until
 
 
@@ -34,7 +34,7 @@ def reading_s(pids: list[int]) -> float:
     """Processor time [s] of those that read what people upload."""
     ticks = 0
     for pid in pids:
-        if b"planner.service.examiner" in Path(f"/proc/{pid}/cmdline").read_bytes():
+        if b"planner.service.upload_processes" in Path(f"/proc/{pid}/cmdline").read_bytes():
             ticks += sum(map(int, Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[11:13]))
     return ticks / os.sysconf("SC_CLK_TCK")
 

@@ -15,12 +15,9 @@ from typing import Any
 
 import pytest
 
-from planner.service import files as files_module
 from planner.service import storage
-from planner.service.files import GRACE_S, Files, blob_of
-from planner.service.limits import Limits
-from planner.service.refusals import RefusedError
-from planner.service.storage import Storage
+from planner.service.security import Limits, RefusedError
+from planner.service.storage import GRACE_S, Files, Storage, blob_of
 from tests import small_problem
 from tests.service.support import TABLE, InProcess, named
 
@@ -141,7 +138,7 @@ def test_content_is_hashed_once_and_read_again_only_to_be_kept(
         def hexdigest(self) -> str:
             return self._digest.hexdigest()
 
-    monkeypatch.setattr(files_module, "hashlib", types.SimpleNamespace(sha256=Digest))
+    monkeypatch.setattr(storage, "hashlib", types.SimpleNamespace(sha256=Digest))
     content = os.urandom(3_000_000)
     for owner, reads in (("ann", 2), ("ann", 1), ("bob", 1)):  # it is new only once
         (blob,) = room.put(owner, [stream := Counted(content)])

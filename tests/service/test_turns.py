@@ -13,12 +13,10 @@ import anyio
 import pytest
 from starlette.requests import Request
 
-from planner.service.auth import Auth
 from planner.service.database import Database, default_url
-from planner.service.examined import Examined
-from planner.service.examiner import Examiners, Reading, broken_off
-from planner.service.limits import Limits
-from planner.service.refusals import RefusedError
+from planner.service.security import Auth, Limits, RefusedError
+from planner.service.upload_processes import Examiners, Reading, broken_off
+from planner.service.uploaded_files import Examined
 from tests import small_problem
 from tests.service.support import InProcess, codes, named, until
 

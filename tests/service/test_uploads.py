@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.service.limits import Limits
+from planner.service.security import Limits
 from tests import small_problem
 from tests.service.support import InProcess, codes, named
 

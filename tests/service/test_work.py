@@ -11,12 +11,11 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
-from planner.service.database import Database, default_url
-from planner.service.files import Blob
+from planner.service.database import JOBS, Database, default_url
 from planner.service.jobs import Jobs, NewJob
-from planner.service.limits import Limits
-from planner.service.tables import JOBS
-from planner.service.work import MOST_ATTEMPTS, Work
+from planner.service.runner import MOST_ATTEMPTS, Work
+from planner.service.security import Limits
+from planner.service.storage import Blob
 from tests.service import postgres
 
 

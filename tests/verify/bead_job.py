@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from planner import pipeline, processes
-from planner.claims import Claim
+from planner.claims.claim import Claim
 from planner.problem import Problem
 
 FEED, LEAST = 40.0, 36.0

@@ -7,13 +7,13 @@ import dataclasses
 
 import numpy as np
 
-from planner.cell.robots import forward
-from planner.claims_dialogue import OperatorDialogue, powered, unpowered
+from planner.cell.kinematics import forward
+from planner.claims.dialogue import OperatorDialogue, power_off_steps, power_on_steps
+from planner.claims.segments import Segment
 from planner.geometry.rigid import inverse
 from planner.plans import OperationPlan
-from planner.segments import Segment
 from planner.targets import Action, Targets
-from planner.verify import arm_ik, machines
+from planner.verify.replay import arm_model, inverse_kinematics
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,15 +32,15 @@ class Operation:
 
 def dialogue(arms, signal):
     """What programs of `operation_plan` switch and wait for; they tell nothing."""
-    return OperatorDialogue(arms, powered(signal, 5.0), unpowered(signal, 2.0))
+    return OperatorDialogue(arms, power_on_steps(signal, 5.0), power_off_steps(signal, 2.0))
 
 
 def joints(arm, tcp):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the world."""
-    machine = machines.of(arm.robot)
+    machine = arm_model.machine_of(arm.robot)
     flange = inverse(arm.base) @ tcp @ inverse(arm.tool.tcp)
-    branch = np.full(len(tcp), int(arm_ik.branch_of(machine, arm.home)))
-    q = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
+    branch = np.full(len(tcp), int(inverse_kinematics.branch_of(machine, arm.home)))
+    q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
     assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
     assert (q > machine.data.lower).all(), (arm.name, np.rad2deg(q.min(axis=0)))

@@ -8,11 +8,18 @@ import functools
 
 import numpy as np
 
-from planner import dialogue
-from planner.claims import ContactOnlyIn, OneOf, WireJoins
-from planner.claims_dialogue import DialogueStop, OperatorDialogue, asked, powered, told, unpowered
+from planner.claims import dialogue
+from planner.claims.claim import ContactOnlyIn, OneOf, WireJoins
+from planner.claims.dialogue import (
+    DialogueStop,
+    OperatorDialogue,
+    ask_step,
+    power_off_steps,
+    power_on_steps,
+    tell_step,
+)
+from planner.claims.segments import Segment
 from planner.post import write
-from planner.segments import Segment
 from planner.targets import Action
 from tests.verify import small_job, straight_job
 from tests.verify.small_job import AWAY, LENGTH, SIGNAL
@@ -54,13 +61,13 @@ def bent_claims():
     spoken = OperatorDialogue(
         ("left", "right"),
         (
-            told(dialogue.MOUNT, cold_mm=COLD_MM),
-            told(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            asked(dialogue.CLAMPED),
-            *powered(SIGNAL, 10.0),
-            asked(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
+            tell_step(dialogue.MOUNT, cold_mm=COLD_MM),
+            tell_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            ask_step(dialogue.CLAMPED),
+            *power_on_steps(SIGNAL, 10.0),
+            ask_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
         ),
-        (*unpowered(SIGNAL, 30.0), asked(dialogue.TAKEN_OFF)),
+        (*power_off_steps(SIGNAL, 30.0), ask_step(dialogue.TAKEN_OFF)),
         joined=True,
     )
     return {"panel": _with(small_job.claims()["panel"], spoken)}
@@ -87,10 +94,10 @@ def choice_claims():
 def _wire(longer, size="1.5 mm round"):
     (group,) = bent_claims().values()
     (spoken,) = (claim for claim in group if isinstance(claim, OperatorDialogue))
-    named = told(dialogue.WIRE, material="spring_steel", size=size)
+    named = tell_step(dialogue.WIRE, material="spring_steel", size=size)
     first = [named, *spoken.first]
-    first[1] = told(dialogue.MOUNT, cold_mm=COLD_MM + longer)
-    first[-1] = asked(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
+    first[1] = tell_step(dialogue.MOUNT, cold_mm=COLD_MM + longer)
+    first[-1] = ask_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
     group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
     return tuple(
         dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
@@ -142,16 +149,16 @@ def bow(model="irb140", count=12):
 
 def bow_claims():
     """What its process claims."""
-    on, off = powered(SIGNAL, 5.0), unpowered(SIGNAL, 10.0)
+    on, off = power_on_steps(SIGNAL, 5.0), power_off_steps(SIGNAL, 10.0)
     wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
     out = {}
     for number, (name, group) in enumerate(straight_job.claims().items()):
         segment = Segment("cut", straight_job.NAMES[number]).at("out")
-        steps = (*off, told(dialogue.SPACERS, kerf_mm=None), asked(dialogue.SPACED), *on)
+        steps = (*off, tell_step(dialogue.SPACERS, kerf_mm=None), ask_step(dialogue.SPACED), *on)
         spoken = OperatorDialogue(
             ("left",),
-            (told(dialogue.BOW_POWER, **wire), asked(dialogue.TAUT), *on),
-            (*off, asked(dialogue.COLD)),
+            (tell_step(dialogue.BOW_POWER, **wire), ask_step(dialogue.TAUT), *on),
+            (*off, ask_step(dialogue.COLD)),
             (DialogueStop(segment, "behind", steps),) if number == 0 else (),
         )
         out[name] = _with(group, spoken)

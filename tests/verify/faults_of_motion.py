@@ -104,28 +104,34 @@ def _other_axis(freedom: Any) -> Any:
 FREEDOMS: Final = (
     Fault("spin_beyond_its_range", "posed", {"targets:Targets._pose": _twice}),
     Fault("spin_of_wrong_frame", "posed", {"targets:Targets._pose": _before}),
-    Fault("posed_axis_wrong", "posed", {"posed:_freedom": result(_other_axis)}),
+    Fault("posed_axis_wrong", "posed", {"reading.poses:_freedom": result(_other_axis)}),
     Fault(
         "posed_range_wide",
         "posed",
-        {"posed:_freedom": fields(lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5)},
+        {"reading.poses:_freedom": fields(lower=lambda v: v * 0 + 1.0, upper=lambda v: v * 0 + 1.5)},
     ),
-    Fault("posed_turned", "posed", {"posed:_poses": result(_turned(0, 2.0))}),
-    Fault("posed_position_shifted", "posed", {"posed:_poses": result(_moved_pose(x=0.001))}),
-    Fault("posed_inch", "posed_two", {"posed:_poses": result(_moved_pose(z=0.0254))}),
-    Fault("posed_row_lost", "posed", {"posed:_rows": result(lambda rows: rows[:3] + rows[4:])}),
+    Fault("posed_turned", "posed", {"reading.poses:_poses": result(_turned(0, 2.0))}),
+    Fault("posed_position_shifted", "posed", {"reading.poses:_poses": result(_moved_pose(x=0.001))}),
+    Fault("posed_inch", "posed_two", {"reading.poses:_poses": result(_moved_pose(z=0.0254))}),
+    Fault("posed_row_lost", "posed", {"reading.poses:_rows": result(lambda rows: rows[:3] + rows[4:])}),
 )
 
 KINEMATICS: Final = (
-    Fault("opw_a1_off", "posed", {"motion.opw:inverse": _link("a1", 0.001)}),
-    Fault("opw_joint_offset", "flank", {"motion.opw:inverse": result(_joint_off(1, 0.1))}),
-    Fault("opw_joint_offset_krl", "posed_krl", {"motion.opw:inverse": result(_joint_off(2, 0.1))}),
+    Fault("opw_a1_off", "posed", {"motion.arm_kinematics:inverse_kinematics": _link("a1", 0.001)}),
+    Fault(
+        "opw_joint_offset", "flank", {"motion.arm_kinematics:inverse_kinematics": result(_joint_off(1, 0.1))}
+    ),
+    Fault(
+        "opw_joint_offset_krl",
+        "posed_krl",
+        {"motion.arm_kinematics:inverse_kinematics": result(_joint_off(2, 0.1))},
+    ),
     Fault(
         "kinematics_longer",
         "posed",
         {
-            "motion.opw:inverse": _link("c3", 0.001),
-            "cell.robots:link_frames": given(
+            "motion.arm_kinematics:inverse_kinematics": _link("c3", 0.001),
+            "cell.kinematics:link_frames": given(
                 0,
                 lambda robot: dataclasses.replace(
                     robot, opw=dataclasses.replace(robot.opw, c3=robot.opw.c3 + 0.001)
@@ -136,21 +142,23 @@ KINEMATICS: Final = (
     Fault(
         "catalogue_opw_off",
         "posed",
-        {"catalogue:robot": fields(opw=lambda opw: dataclasses.replace(opw, c2=opw.c2 + 0.001))},
+        {"catalogue.robots:robot": fields(opw=lambda opw: dataclasses.replace(opw, c2=opw.c2 + 0.001))},
     ),
     Fault(
         "catalogue_offset_off",
         "ruled",
         {
-            "catalogue:robot": fields(
+            "catalogue.robots:robot": fields(
                 opw=lambda opw: dataclasses.replace(opw, offsets=opw.offsets + np.deg2rad(0.1))
             )
         },
     ),
-    Fault("tool_off_in_motion", "posed", {"motion.chain:Chain.of": fields(tcp=_moved_pose(z=0.001))}),
+    Fault(
+        "tool_off_in_motion", "posed", {"motion.arm_kinematics:Chain.of": fields(tcp=_moved_pose(z=0.001))}
+    ),
 )
 
-WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.entry:_way": _straight_way}),)
+WAYS: Final = (Fault("ways_unchecked", "behind", {"motion.transit:_way": _straight_way}),)
 
 TIME: Final = (
     Fault("clock_ten_times", "spif", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.1 * op.time})}),
@@ -182,15 +190,15 @@ TIME: Final = (
         "posed_fast",
         {
             "motion.operation:speed_limits": result(_scaled(100.0)),
-            "motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r),
+            "motion.trajectory.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r),
         },
     ),
     Fault(
         "acceleration_unbounded",
         "posed_fast",
-        {"motion.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)},
+        {"motion.trajectory.timing:Limits": lambda old: lambda s, a, least, r: old(s, 1e4 * a, least, r)},
     ),
-    Fault("tcp_speed_lost", "elastic", {"motion.timing:least_times": result(_scaled(0.05))}),
+    Fault("tcp_speed_lost", "elastic", {"motion.trajectory.timing:least_times": result(_scaled(0.05))}),
     Fault(
         "posed_too_fast", "posed_two", {"motion.solve:solve": _plan_moved(lambda op: {"time": 0.2 * op.time})}
     ),

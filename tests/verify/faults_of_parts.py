@@ -107,7 +107,9 @@ FAULTS: Final = (
         {"geometry.mesh:read_mesh": fields(vertices=_moved(z=0.002))},
     ),
     Fault(
-        "mesh_rulings_shifted", "ruled_mesh", {"part_surface_file:build_mesh": _ruled(end=_moved(z=0.002))}
+        "mesh_rulings_shifted",
+        "ruled_mesh",
+        {"reading.part_surfaces:build_mesh": _ruled(end=_moved(z=0.002))},
     ),
     Fault("sheet_mesh_unit", "spif", {"geometry.mesh:read_mesh": given(1, lambda unit: 1.05 * unit)}),
     Fault(
@@ -134,7 +136,7 @@ FAULTS: Final = (
         "sheet_mesh_aside",
         "spif",
         {
-            "part_sheet_file:build": fields(
+            "reading.sheet:build": fields(
                 formed=lambda f: of(f, mesh=lambda m: of(m, vertices=_moved(x=0.003)))
             )
         },
@@ -143,40 +145,42 @@ FAULTS: Final = (
     Fault(
         "airfoil_upside_down",
         "wing",
-        {"geometry.airfoil_file:read_airfoil": result(lambda r: (r[0][::-1] * [1.0, -1.0], r[1]))},
+        {"geometry.wing:read_airfoil": result(lambda r: (r[0][::-1] * [1.0, -1.0], r[1]))},
     ),
     Fault(
         "airfoil_thinner",
         "wing",
-        {"geometry.airfoil_file:read_airfoil": result(lambda r: (r[0] * [1.0, 0.9], r[1]))},
+        {"geometry.wing:read_airfoil": result(lambda r: (r[0] * [1.0, 0.9], r[1]))},
     ),
-    Fault("naca_half_thickness", "wing", {"geometry.airfoil:naca": result(lambda p: p * [1.0, 0.5])}),
+    Fault("naca_half_thickness", "wing", {"geometry.wing:naca": result(lambda p: p * [1.0, 0.5])}),
     Fault("wing_twist_up", "wing", {"geometry.wing:_placed": given(3, lambda twist: -twist)}),
     Fault(
         "wing_sections_swapped",
         "wing",
-        {"geometry.wing:skin": given(0, lambda p: dataclasses.replace(p, root=p.tip, tip=p.root))},
+        {"geometry.wing:wing_surface": given(0, lambda p: dataclasses.replace(p, root=p.tip, tip=p.root))},
     ),
-    Fault("wing_trailing_edge_lost", "wing", {"geometry.airfoil:thickened": given(1, lambda least: 0.0)}),
+    Fault("wing_trailing_edge_lost", "wing", {"geometry.wing:thickened": given(1, lambda least: 0.0)}),
     # drawings
-    Fault("dxf_unit", "ruled_file", {"geometry.dxf:read_dxf": given(1, lambda unit: 1.02 * unit)}),
-    Fault("dxf_mirrored", "ruled_file", {"geometry.dxf:read_dxf": result(_mirrored_curve)}),
-    Fault("dxf_points_lost", "ruled_file", {"geometry.dxf:read_dxf": result(_fewer_points)}),
+    Fault("dxf_unit", "ruled_file", {"reading.part_ruled:read_dxf": given(1, lambda unit: 1.02 * unit)}),
+    Fault("dxf_mirrored", "ruled_file", {"reading.part_ruled:read_dxf": result(_mirrored_curve)}),
+    Fault("dxf_points_lost", "ruled_file", {"reading.part_ruled:read_dxf": result(_fewer_points)}),
     # guides and rulings
-    Fault("guides_end_lower", "ruled", {"part_ruled_file:build": _ruled(end=_moved(z=-0.001))}),
-    Fault("guides_paired_askew", "ruled", {"part_ruled_file:build": result(_askew)}),
+    Fault("guides_end_lower", "ruled", {"reading.part_ruled:build_ruled": _ruled(end=_moved(z=-0.001))}),
+    Fault("guides_paired_askew", "ruled", {"reading.part_ruled:build_ruled": result(_askew)}),
     Fault("guides_as_polygon", "ruled", {"geometry.curves:curve_points": _flat_curves}),
     Fault(
         "surface_inside_out",
         "ruled",
-        {"geometry.laying:backwards": lambda old: lambda ruled: ruled},
+        {"geometry.placing:backwards": lambda old: lambda ruled: ruled},
     ),
-    Fault("outline_inside_out", "held", {"geometry.laying:outwards": lambda old: _inside_out}),
-    Fault("hole_smaller", "plate", {"part_plate_file:build": result(_shrunk_holes)}),
-    Fault("hole_aside", "plate", {"part_plate_file:build": result(_holes_beside)}),
-    Fault("hole_as_piece", "plate", {"part_plate_file:build": result(_filled)}),
+    Fault("outline_inside_out", "held", {"geometry.placing:outwards": lambda old: _inside_out}),
+    Fault("hole_smaller", "plate", {"reading.part:build_plate": result(_shrunk_holes)}),
+    Fault("hole_aside", "plate", {"reading.part:build_plate": result(_holes_beside)}),
+    Fault("hole_as_piece", "plate", {"reading.part:build_plate": result(_filled)}),
     Fault(
-        "part_laid_lower", "ruled", {"part_file:_ruled": fields(start=_moved(z=-0.002), end=_moved(z=-0.002))}
+        "part_laid_lower",
+        "ruled",
+        {"reading.part:_ruled": fields(start=_moved(z=-0.002), end=_moved(z=-0.002))},
     ),
     # lofts
     Fault("loft_flatter", "elastic", {"geometry.curves:tessellate": result(_flatter)}),

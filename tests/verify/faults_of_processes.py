@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims import KerfCurve
-from planner.hotwire.straight_lines import Lines
+from planner.claims.claim import KerfCurve
+from planner.hotwire.straight.order import Lines
 from planner.targets import Action, ScrewFreedom, Targets
 from tests.verify.planner_faults import Fault, always, fields, given, of, result, value
 
@@ -245,21 +245,21 @@ ELASTIC: Final = (
     Fault("elastic_other_side_of_kerf", "elastic", {"geometry.mesh:offset": given(1, lambda d: -d)}),
     Fault("elastic_no_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.0))}),
     Fault("elastic_half_kerf", "elastic", {"geometry.mesh:offset": given(1, _scaled(0.5))}),
-    Fault("elastic_kerf_curve", "elastic_heat", {"hotwire.heat:Heat.kerf_curve": _curve_wider(2.5)}),
+    Fault("elastic_kerf_curve", "elastic_heat", {"hotwire.operation:Heat.kerf_curve": _curve_wider(2.5)}),
     Fault("elastic_wire_too_soft", "elastic_thin", {"hotwire.wire:Wire.bending": result(_scaled(0.3))}),
     Fault("elastic_weight_upward", "elastic_thin", {"hotwire.wire:Wire.load": result(_scaled(-1.0))}),
-    Fault("elastic_wire_shifted", "elastic", {"hotwire.elastic:_targets": _poses(0, _shift(z=0.002))}),
-    Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic:_targets": _own_poses(_turn(2, 0.03))}),
-    Fault("elastic_feed_times_ten", "elastic", {"hotwire.elastic:_targets": fields(feed=_scaled(10.0))}),
-    Fault("elastic_travel_in_mm", "elastic", {"hotwire.elastic:_targets": fields(travel=_scaled(1e-3))}),
-    Fault("elastic_no_heating", "elastic", {"hotwire.elastic:_actions": result(_short_waits)}),
-    Fault("elastic_power_late", "elastic", {"hotwire.elastic:_actions": result(_late)}),
-    Fault("elastic_signal_other", "elastic", {"hotwire.elastic:_actions": result(_renamed)}),
-    Fault("elastic_not_asked", "elastic", {"hotwire.elastic:_actions": result(_without("confirm"))}),
+    Fault("elastic_wire_shifted", "elastic", {"hotwire.elastic.job:_targets": _poses(0, _shift(z=0.002))}),
+    Fault("elastic_clamp_turned", "elastic", {"hotwire.elastic.job:_targets": _own_poses(_turn(2, 0.03))}),
+    Fault("elastic_feed_times_ten", "elastic", {"hotwire.elastic.job:_targets": fields(feed=_scaled(10.0))}),
+    Fault("elastic_travel_in_mm", "elastic", {"hotwire.elastic.job:_targets": fields(travel=_scaled(1e-3))}),
+    Fault("elastic_no_heating", "elastic", {"hotwire.elastic.job:_actions": result(_short_waits)}),
+    Fault("elastic_power_late", "elastic", {"hotwire.elastic.job:_actions": result(_late)}),
+    Fault("elastic_signal_other", "elastic", {"hotwire.elastic.job:_actions": result(_renamed)}),
+    Fault("elastic_not_asked", "elastic", {"hotwire.elastic.job:_actions": result(_without("confirm"))}),
     Fault("elastic_told_too_long", "elastic", {"hotwire.wire:Wire.cold_length": result(_scaled(1.01))}),
-    Fault("elastic_told_too_near", "elastic", {"hotwire.elastic:mount_figures": result(_nearer)}),
-    Fault("elastic_section_lost", "elastic", {"hotwire.elastic_path:cut_places": result(_thin_out)}),
-    Fault("elastic_length_longer", "elastic", {"hotwire.elastic_wires:from_states": given(2, _scaled(1.02))}),
+    Fault("elastic_told_too_near", "elastic", {"hotwire.elastic.job:mount_figures": result(_nearer)}),
+    Fault("elastic_section_lost", "elastic", {"hotwire.elastic.path:cut_places": result(_thin_out)}),
+    Fault("elastic_length_longer", "elastic", {"hotwire.elastic.path:from_states": given(2, _scaled(1.02))}),
 )
 
 
@@ -272,44 +272,44 @@ def _swapped_halves(half: Any) -> Any:
 
 STRAIGHT: Final = (
     Fault(
-        "straight_other_side_of_kerf", "ruled", {"hotwire.straight_offset:beside": fields(half=_scaled(-1.0))}
+        "straight_other_side_of_kerf", "ruled", {"hotwire.straight.offset:beside": fields(half=_scaled(-1.0))}
     ),
-    Fault("straight_half_kerf", "ruled", {"hotwire.straight_offset:beside": fields(half=_scaled(0.3))}),
-    Fault("straight_no_kerf", "plate", {"hotwire.straight_offset:beside": fields(half=_scaled(0.0))}),
+    Fault("straight_half_kerf", "ruled", {"hotwire.straight.offset:beside": fields(half=_scaled(0.3))}),
+    Fault("straight_no_kerf", "plate", {"hotwire.straight.offset:beside": fields(half=_scaled(0.0))}),
     Fault(
         "straight_kerf_ends_swapped",
         "tapered",
-        {"hotwire.straight_offset:beside": fields(half=_swapped_halves)},
+        {"hotwire.straight.offset:beside": fields(half=_swapped_halves)},
     ),
-    Fault("straight_kerf_doubled", "plate", {"hotwire.heat:Heat.kerf_curve": _curve_wider(1.5)}),
+    Fault("straight_kerf_doubled", "plate", {"hotwire.operation:Heat.kerf_curve": _curve_wider(1.5)}),
     Fault(
         "straight_shifted",
         "ruled",
-        {"hotwire.straight_cut:make_cut": result(lambda c: of(c, on=_lifted(0.0008)))},
+        {"hotwire.straight.cut:make_cut": result(lambda c: of(c, on=_lifted(0.0008)))},
     ),
     Fault(
         "straight_pose_off",
         "ruled",
-        {"hotwire.straight_frames:poses": result(lambda p: p @ _shift(z=0.0008))},
+        {"hotwire.straight.job:poses": result(lambda p: p @ _shift(z=0.0008))},
     ),
     Fault(
         "straight_pose_turned",
         "wing",
-        {"hotwire.straight_frames:poses": result(lambda p: p @ _turn(2, 0.01))},
+        {"hotwire.straight.job:poses": result(lambda p: p @ _turn(2, 0.01))},
     ),
-    Fault("straight_slide_too_far", "ruled", {"hotwire.straight_frames:freedoms": result(_far_slide)}),
-    Fault("straight_slit_through_part", "plate", {"hotwire.straight_leads:choose": result(_through)}),
-    Fault("straight_outline_first", "plate", {"hotwire.straight_order:wanted": result(lambda w: w[::-1])}),
-    Fault("straight_surface_lost", "plate", {"hotwire.straight_order:wanted": result(lambda w: w[:-1])}),
-    Fault("straight_feed_times_ten", "ruled", {"hotwire.straight:_feeds": result(_scaled(10.0))}),
-    Fault("straight_feed_tenth", "ruled", {"hotwire.straight:_feeds": result(_scaled(0.1))}),
-    Fault("straight_no_heating", "ruled", {"hotwire.straight_steps:actions": result(_short_waits)}),
-    Fault("straight_power_late", "ruled", {"hotwire.straight_steps:actions": result(_late)}),
-    Fault("straight_signal_other", "ruled", {"hotwire.straight_steps:actions": result(_renamed)}),
-    Fault("held_grip_off", "held", {"hotwire.straight:_targets": _poses(0, _shift(x=0.001))}),
-    Fault("held_grip_upside_down", "held", {"hotwire.straight:_targets": _poses(0, _turn(2, 0.02))}),
-    Fault("held_mass_lost", "held", {"post.loads:_load": fields(mass=_scaled(0.3))}),
-    Fault("held_load_forgotten", "held", {"post.loads:carries": always({})}),
+    Fault("straight_slide_too_far", "ruled", {"hotwire.straight.job:freedoms": result(_far_slide)}),
+    Fault("straight_slit_through_part", "plate", {"hotwire.straight.cut:choose": result(_through)}),
+    Fault("straight_outline_first", "plate", {"hotwire.straight.order:wanted": result(lambda w: w[::-1])}),
+    Fault("straight_surface_lost", "plate", {"hotwire.straight.order:wanted": result(lambda w: w[:-1])}),
+    Fault("straight_feed_times_ten", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(10.0))}),
+    Fault("straight_feed_tenth", "ruled", {"hotwire.straight.job:_feeds": result(_scaled(0.1))}),
+    Fault("straight_no_heating", "ruled", {"hotwire.straight.route:actions": result(_short_waits)}),
+    Fault("straight_power_late", "ruled", {"hotwire.straight.route:actions": result(_late)}),
+    Fault("straight_signal_other", "ruled", {"hotwire.straight.route:actions": result(_renamed)}),
+    Fault("held_grip_off", "held", {"hotwire.straight.job:_targets": _poses(0, _shift(x=0.001))}),
+    Fault("held_grip_upside_down", "held", {"hotwire.straight.job:_targets": _poses(0, _turn(2, 0.02))}),
+    Fault("held_mass_lost", "held", {"post.steps:_load": fields(mass=_scaled(0.3))}),
+    Fault("held_load_forgotten", "held", {"post.steps:carries": always({})}),
     Fault("straight_sampled_coarsely", "wing", {"geometry.rulings:resample": _coarse}),
 )
 
@@ -317,84 +317,114 @@ STRAIGHT: Final = (
 # ---- sheet forming ----
 
 FORMING: Final = (
-    Fault("form_ball_too_deep", "spif", {"forming.paths:make_path": fields(centre=_off(z=-0.0003))}),
-    Fault("form_ball_too_high", "spif", {"forming.paths:make_path": fields(centre=_off(z=0.0005))}),
-    Fault("form_ball_aside", "spif", {"forming.paths:make_path": fields(centre=_off(x=0.0008))}),
-    Fault("form_ball_smaller", "spif", {"forming.paths:make_path": given(1, _scaled(0.9))}),
+    Fault(
+        "form_ball_too_deep", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(z=-0.0003))}
+    ),
+    Fault(
+        "form_ball_too_high", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(z=0.0005))}
+    ),
+    Fault("form_ball_aside", "spif", {"forming.paths.contact_path:make_path": fields(centre=_off(x=0.0008))}),
+    Fault("form_ball_smaller", "spif", {"forming.paths.contact_path:make_path": given(1, _scaled(0.9))}),
     Fault(
         "form_step_doubled",
         "spif",
-        {"forming.work:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
+        {"forming.process_plan:Work.options": result(lambda o: of(o, stepdown=_scaled(1.6)))},
     ),
-    Fault("form_half_the_depth", "spif", {"forming.paths:make_path": _half_path}),
+    Fault("form_half_the_depth", "spif", {"forming.paths.contact_path:make_path": _half_path}),
     Fault(
         "form_thickness_lost",
         "spif",
         {"forming.passes:_final": fields(vertices=_off(z=-0.001), start=_scaled(1.0))},
     ),
-    Fault("form_tip_for_centre", "spif", {"forming.frames:poses": given(0, _off(z=-0.006))}),
-    Fault("form_feed_times_ten", "spif", {"forming.forming:_targets": fields(feed=_scaled(10.0))}),
-    Fault("form_feed_in_wrong_unit", "dsif", {"forming.forming:_targets": fields(travel=_scaled(0.1))}),
-    Fault("form_support_shifted", "dsif", {"forming.support:opposite_path": fields(support=_off(x=0.0005))}),
-    Fault("form_support_farther", "dsif", {"forming.support:opposite_path": fields(support=_off(z=-0.0003))}),
+    Fault("form_tip_for_centre", "spif", {"forming.job:poses": given(0, _off(z=-0.006))}),
+    Fault("form_feed_times_ten", "spif", {"forming.job:_targets": fields(feed=_scaled(10.0))}),
+    Fault("form_feed_in_wrong_unit", "dsif", {"forming.job:_targets": fields(travel=_scaled(0.1))}),
+    Fault(
+        "form_support_shifted",
+        "dsif",
+        {"forming.support.modes:opposite_path": fields(support=_off(x=0.0005))},
+    ),
+    Fault(
+        "form_support_farther",
+        "dsif",
+        {"forming.support.modes:opposite_path": fields(support=_off(z=-0.0003))},
+    ),
     Fault(
         "form_gap_without_sine",
         "dsif",
-        {"forming.thickness:_least_up": _no_sine, "forming.thickness:by_corner": _flat_corners},
+        {"forming.sheet_mechanics:_least_up": _no_sine, "forming.sheet_mechanics:by_corner": _flat_corners},
     ),
     Fault(
         "form_squeeze_lost",
         "dsif_squeezed",
-        {"forming.opposite:opposite_path": given(2, lambda op: op.model_copy(update={"squeeze": 1.0}))},
+        {
+            "forming.support.opposite:opposite_path": given(
+                2, lambda op: op.model_copy(update={"squeeze": 1.0})
+            )
+        },
     ),
     Fault(
         "form_support_turned",
         "dpif_l_shifted",
-        {"forming.support:opposite_path": fields(support=_off(y=0.0008))},
+        {"forming.support.modes:opposite_path": fields(support=_off(y=0.0008))},
     ),
-    Fault("form_border_off", "dpif_p", {"forming.border:border_curve": result(_wider_ring)}),
+    Fault("form_border_off", "dpif_p", {"forming.support.modes:border_curve": result(_wider_ring)}),
     Fault(
         "form_border_lower",
         "dpif_p",
-        {"forming.border:border_path": result(lambda r: (r[0], r[1] - np.array([0, 0, 0.001])))},
+        {"forming.support.modes:border_path": result(lambda r: (r[0], r[1] - np.array([0, 0, 0.001])))},
     ),
     Fault(
         "form_border_without_radius",
         "dpif_p",
-        {"forming.border:border_curve": given(1, lambda h: of(h, radius=_scaled(0.8)))},
+        {"forming.support.modes:border_curve": given(1, lambda h: of(h, radius=_scaled(0.8)))},
     ),
     Fault(
         "form_heat_other_place",
         "heat",
-        {"forming.heated:heated": result(lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2]))},
+        {"forming.support.modes:heated": result(lambda r: (r[0], r[1] + np.array([0.006, 0, 0]), r[2]))},
     ),
-    Fault("form_children_first", "two_features", {"forming.feature_order:in_place": _backward}),
+    Fault("form_children_first", "two_features", {"forming.features.tree:in_place": _backward}),
     Fault("form_feature_lost", "two_features", {"forming.passes:passes": result(lambda p: p[:1])}),
     Fault("form_feature_twice", "two_features", {"forming.passes:passes": result(lambda p: (*p, p[-1]))}),
     Fault(
         "form_feature_level",
         "two_features",
-        {"forming.feature_order:sheet_level": result(lambda z: z + 0.001)},
+        {"forming.features.tree:sheet_level": result(lambda z: z + 0.001)},
     ),
     Fault(
         "adsif_shifted",
         "adsif",
-        {"forming.adsif_path:adsif_tool_path": fields(former=_off(x=0.003), support=_off(x=0.003))},
+        {"forming.paths.adsif_path:adsif_tool_path": fields(former=_off(x=0.003), support=_off(x=0.003))},
     ),
-    Fault("adsif_mirrored_angle", "adsif", {"forming.adsif:invert": result(lambda r: (-r[0], r[1]))}),
-    Fault("adsif_angle_off", "adsif", {"forming.adsif:invert": result(lambda r: (0.8 * r[0], r[1]))}),
-    Fault("adsif_gap_in_sheets", "adsif", {"forming.adsif:invert": result(lambda r: (r[0], 1.5 * r[1]))}),
-    Fault("adsif_pitch_tripled", "adsif", {"forming.adsif_path:_levels": given(1, _scaled(3.0))}),
+    Fault(
+        "adsif_mirrored_angle",
+        "adsif",
+        {"forming.paths.adsif_response:invert": result(lambda r: (-r[0], r[1]))},
+    ),
+    Fault(
+        "adsif_angle_off",
+        "adsif",
+        {"forming.paths.adsif_response:invert": result(lambda r: (0.8 * r[0], r[1]))},
+    ),
+    Fault(
+        "adsif_gap_in_sheets",
+        "adsif",
+        {"forming.paths.adsif_response:invert": result(lambda r: (r[0], 1.5 * r[1]))},
+    ),
+    Fault("adsif_pitch_tripled", "adsif", {"forming.paths.adsif_path:_levels": given(1, _scaled(3.0))}),
     Fault(
         "adsif_too_shallow",
         "adsif",
-        {"forming.adsif_path:adsif_tool_path": fields(former=_off(z=0.001), support=_off(z=0.001))},
+        {"forming.paths.adsif_path:adsif_tool_path": fields(former=_off(z=0.001), support=_off(z=0.001))},
     ),
-    Fault("adsif_wall_steeper", "adsif", {"forming.adsif_path:_contact": fields(angle=lambda a: a + 0.05)}),
-    Fault("tpif_pulse_lost", "tpif", {"forming.holder:pulses": result(_one_less)}),
-    Fault("tpif_pulses_late", "tpif", {"forming.holder:pulses": result(_late_pulses)}),
-    Fault("tpif_step_halved", "tpif", {"forming.holder:step": result(_scaled(0.5))}),
-    Fault("tpif_signal_other", "tpif", {"forming.forming:_actions": result(_renamed)}),
+    Fault(
+        "adsif_wall_steeper", "adsif", {"forming.paths.adsif_path:_contact": fields(angle=lambda a: a + 0.05)}
+    ),
+    Fault("tpif_pulse_lost", "tpif", {"forming.two_point:pulses": result(_one_less)}),
+    Fault("tpif_pulses_late", "tpif", {"forming.two_point:pulses": result(_late_pulses)}),
+    Fault("tpif_step_halved", "tpif", {"forming.two_point:holder_step": result(_scaled(0.5))}),
+    Fault("tpif_signal_other", "tpif", {"forming.job:_actions": result(_renamed)}),
 )
 
 
@@ -406,54 +436,64 @@ MILLING: Final = (
     Fault("flank_diameter_for_radius", "flank", {"milling.flank_cut:placed": given(3, _scaled(2.0))}),
     Fault("flank_tip_high", "flank", {"milling.flank_cut:under": result(lambda u: u - 0.006)}),
     Fault("flank_shifted", "flank", {"milling.flank_cut:_run": result(_run_moved(y=0.001))}),
-    Fault("form_tools_lean", "dsif", {"forming.tilt:axes": result(_leaning)}),
-    Fault("form_lean_in_degrees", "spif", {"forming.tilt:axes": given(1, lambda lean: lean + 0.2)}),
+    Fault("form_tools_lean", "dsif", {"forming.support.directions:axes": result(_leaning)}),
+    Fault(
+        "form_lean_in_degrees", "spif", {"forming.support.directions:axes": given(1, lambda lean: lean + 0.2)}
+    ),
     Fault(
         "form_cone_wide",
         "spif",
-        {"forming.frames:freedoms": result(_wide_tilts)},
+        {"forming.job:freedoms": result(_wide_tilts)},
     ),
-    Fault("flank_axis_leans", "flank", {"milling.frames:poses": given(1, _leaning)}),
-    Fault("lines_step_doubled", "lines", {"milling.point:ridge_step": result(_scaled(2.5))}),
-    Fault("lines_tip_for_centre", "lines", {"milling.point:tips": result(_off(z=-0.001))}),
-    Fault("lines_last_lost", "lines", {"milling.lines_cut:_offsets": result(lambda o: o[:-4])}),
+    Fault("flank_axis_leans", "flank", {"milling.job:poses": given(1, _leaning)}),
+    Fault("lines_step_doubled", "lines", {"milling.point_cut:ridge_step": result(_scaled(2.5))}),
+    Fault("lines_tip_for_centre", "lines", {"milling.point_cut:tips": result(_off(z=-0.001))}),
+    Fault("lines_last_lost", "lines", {"milling.point_cut:_offsets": result(lambda o: o[:-4])}),
     Fault(
         "engrave_depth_doubled",
         "engrave",
-        {"milling.engrave_cut:runs": given(1, lambda c: c.model_copy(update={"depth_mm": 2.0 * c.depth_mm}))},
+        {
+            "milling.point_cut:engraved_runs": given(
+                1, lambda c: c.model_copy(update={"depth_mm": 2.0 * c.depth_mm})
+            )
+        },
     ),
     Fault(
-        "engrave_mirrored", "engrave", {"milling.engrave_cut:_curve": result(lambda p: p * [1.0, -1.0, 1.0])}
+        "engrave_mirrored", "engrave", {"milling.point_cut:_curve": result(lambda p: p * [1.0, -1.0, 1.0])}
     ),
     Fault(
         "engrave_depth_up",
         "engrave",
-        {"milling.engrave_cut:runs": given(1, lambda c: c.model_copy(update={"depth_mm": -c.depth_mm}))},
+        {
+            "milling.point_cut:engraved_runs": given(
+                1, lambda c: c.model_copy(update={"depth_mm": -c.depth_mm})
+            )
+        },
     ),
-    Fault("engrave_curve_moved", "engrave", {"milling.over:Over.at": given(1, lambda xy: xy + 0.001)}),
-    Fault("gcode_shifted", "gcode", {"milling.gcode:read": result(_program_moved(x=0.002))}),
-    Fault("gcode_inch_as_mm", "gcode", {"milling.gcode_state:INCH": value(0.025)}),
+    Fault("engrave_curve_moved", "engrave", {"milling.face:Over.at": given(1, lambda xy: xy + 0.001)}),
+    Fault("gcode_shifted", "gcode", {"milling.gcode.reader:read": result(_program_moved(x=0.002))}),
+    Fault("gcode_inch_as_mm", "gcode", {"milling.gcode.state:INCH": value(0.025)}),
     Fault(
         "gcode_offset_lost",
         "gcode",
-        {"milling.gcode_file:GCodeFile.dialect": fields(offsets=lambda o: dict.fromkeys(o, (0.0, 0.0, 0.0)))},
+        {"milling.operation:GCodeFile.dialect": fields(offsets=lambda o: dict.fromkeys(o, (0.0, 0.0, 0.0)))},
     ),
     Fault(
         "gcode_origin_lost",
         "gcode",
-        {"milling.gcode_file:GCodeFile.dialect": fields(place=lambda p: np.eye(4))},
+        {"milling.operation:GCodeFile.dialect": fields(place=lambda p: np.eye(4))},
     ),
-    Fault("gcode_arcs_other_way", "gcode", {"milling.gcode_arcs:sweep_of": _long_way}),
-    Fault("gcode_arcs_as_chords", "gcode", {"milling.gcode_arcs:points": result(lambda p: p[-1:])}),
-    Fault("gcode_increments_absolute", "gcode", {"milling.gcode_moves:_place": _always_absolute}),
-    Fault("gcode_feed_per_second", "gcode", {"milling.gcode_moves:_feed": result(_scaled(60.0))}),
-    Fault("gcode_line_lost", "gcode", {"milling.gcode_cut:_kept": result(_rows_lost)}),
-    Fault("gcode_thinned", "gcode", {"milling.gcode_cut:CHORD": value(20.0)}),
+    Fault("gcode_arcs_other_way", "gcode", {"milling.gcode.moves:sweep_of": _long_way}),
+    Fault("gcode_arcs_as_chords", "gcode", {"milling.gcode.moves:points": result(lambda p: p[-1:])}),
+    Fault("gcode_increments_absolute", "gcode", {"milling.gcode.moves:_place": _always_absolute}),
+    Fault("gcode_feed_per_second", "gcode", {"milling.gcode.moves:_feed": result(_scaled(60.0))}),
+    Fault("gcode_line_lost", "gcode", {"milling.gcode.passes:_kept": result(_rows_lost)}),
+    Fault("gcode_thinned", "gcode", {"milling.gcode.passes:CHORD": value(20.0)}),
     Fault(
         "gcode_rotary_sign",
         "gcode_rotary",
         {
-            "milling.gcode_rotary:convention": result(
+            "milling.gcode.state:convention": result(
                 lambda c: of(c, chain=lambda x: tuple((a, -s) for a, s in x))
             )
         },
@@ -461,16 +501,16 @@ MILLING: Final = (
     Fault(
         "gcode_rotary_order",
         "gcode_rotary",
-        {"milling.gcode_rotary:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))},
+        {"milling.gcode.state:convention": result(lambda c: of(c, chain=lambda x: x[::-1]))},
     ),
-    Fault("gcode_degrees", "gcode_rotary", {"milling.gcode_rotary:Convention.axis": given(1, _scaled(0.9))}),
-    Fault("mill_rapid_plunge", "engrave", {"milling.route:lay_out": fields(feed=_scaled(5.0))}),
-    Fault("mill_feed_times_ten", "flank", {"milling.milling:_targets": fields(feed=_scaled(10.0))}),
-    Fault("mill_spindle_off", "flank", {"milling.milling:_actions": result(_without("on"))}),
-    Fault("mill_no_spin_up", "flank", {"milling.milling:_actions": result(_short_waits)}),
-    Fault("mill_signal_other", "flank", {"milling.milling:_actions": result(_renamed)}),
-    Fault("mill_pass_lost", "flank_rough", {"milling.work:Work.runs": result(lambda r: r[1:])}),
-    Fault("mill_longer_cutter", "engrave", {"milling.milling:_targets": _own_poses(_shift(z=0.001))}),
+    Fault("gcode_degrees", "gcode_rotary", {"milling.gcode.state:Convention.axis": given(1, _scaled(0.9))}),
+    Fault("mill_rapid_plunge", "engrave", {"milling.tool_path:lay_out": fields(feed=_scaled(5.0))}),
+    Fault("mill_feed_times_ten", "flank", {"milling.job:_targets": fields(feed=_scaled(10.0))}),
+    Fault("mill_spindle_off", "flank", {"milling.job:_actions": result(_without("on"))}),
+    Fault("mill_no_spin_up", "flank", {"milling.job:_actions": result(_short_waits)}),
+    Fault("mill_signal_other", "flank", {"milling.job:_actions": result(_renamed)}),
+    Fault("mill_pass_lost", "flank_rough", {"milling.process_plan:Work.runs": result(lambda r: r[1:])}),
+    Fault("mill_longer_cutter", "engrave", {"milling.job:_targets": _own_poses(_shift(z=0.001))}),
 )
 
 FAULTS: Final = (*ELASTIC, *STRAIGHT, *FORMING, *MILLING)

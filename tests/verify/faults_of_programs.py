@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.post.partner import Ask, AwaitLine, AwaitRunning, Halt, SetLine
+from planner.post.handshake import Ask, AwaitLine, AwaitRunning, Halt, SetLine
 from tests.verify.planner_faults import Fault, always, fields, given, of, result
 
 
@@ -178,12 +178,12 @@ RAPID: Final = (
         "plate",
         {"post.steps:_stops": result(lambda s: np.append(np.zeros(len(s) - 1, dtype=bool), True))},
     ),
-    Fault("post_work_object_world", "spif", {"post.rapid_data:wobj_name": given(0, lambda f: "world")}),
+    Fault("post_work_object_world", "spif", {"post.rapid.data:wobj_name": given(0, lambda f: "world")}),
     Fault(
         "post_place_moved",
         "flank",
         {
-            "post.rapid_data:_wobjs": given(
+            "post.rapid.data:_wobjs": given(
                 2, lambda plan: of(plan, places=lambda ps: tuple(map(_moved(x=0.005), ps)))
             )
         },
@@ -192,19 +192,19 @@ RAPID: Final = (
         "post_held_frame_lost",
         "held",
         {
-            "post.rapid_data:_held": given(
+            "post.rapid.data:_held": given(
                 1, lambda op: of(op, arm=lambda a: of(a, tool=lambda t: of(t, tcp=lambda p: np.eye(4))))
             )
         },
     ),
     Fault(
-        "post_tool_length", "posed", {"post.rapid_data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))}
+        "post_tool_length", "posed", {"post.rapid.data:_tool": given(0, lambda t: of(t, tcp=_moved(z=0.001)))}
     ),
     Fault(
         "post_tool_turned",
         "ruled",
         {
-            "post.rapid_data:_tool": given(
+            "post.rapid.data:_tool": given(
                 0, lambda t: of(t, tcp=lambda p: p @ np.diag([-1.0, -1.0, 1.0, 1.0]))
             )
         },
@@ -212,7 +212,7 @@ RAPID: Final = (
     Fault(
         "post_tool_weightless",
         "ruled",
-        {"post.rapid_data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
+        {"post.rapid.data:_tool": given(0, lambda t: of(t, mass=_scaled(0.1)))},
     ),
     Fault(
         "post_base_frame_off",
@@ -223,53 +223,57 @@ RAPID: Final = (
             )
         },
     ),
-    Fault("post_confdata_zero", "ruled", {"post.confdata:confdata": result(_scaled(0))}),
+    Fault("post_confdata_zero", "ruled", {"post.rapid.syntax:confdata": result(_scaled(0))}),
     Fault(
         "post_zones_large",
         "spif",
-        {"post.rapid_moves:zones": lambda old: lambda track, stop: np.where(stop, "fine", "z10")},
+        {"post.rapid.syntax:zones": lambda old: lambda track, stop: np.where(stop, "fine", "z10")},
     ),
     Fault(
         "post_zones_none_fine",
         "plate",
         {
-            "post.rapid_moves:zones": lambda old: (
+            "post.rapid.syntax:zones": lambda old: (
                 lambda track, stop: np.where(old(track, stop) == "fine", "z10", old(track, stop))
             )
         },
     ),
-    Fault("post_corners_wide", "flank_rough", {"corners:room": result(lambda r: tuple(8.0 * v for v in r))}),
-    Fault("post_joints_degrees", "posed", {"post.rapid_format:jointtarget": given(0, np.deg2rad)}),
+    Fault(
+        "post_corners_wide",
+        "flank_rough",
+        {"claims.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
+    ),
+    Fault("post_joints_degrees", "posed", {"post.rapid.syntax:jointtarget": given(0, np.deg2rad)}),
     Fault(
         "post_waits_ms",
         "ruled",
-        {"post.rapid_format:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {"post.rapid.syntax:action_lines": given(0, lambda a: of(a, seconds=_scaled(1e-3)))},
     ),
-    Fault("post_signal_inverted", "elastic", {"post.rapid_format:action_lines": result(_inverted)}),
-    Fault("post_question_lost", "elastic", {"post.rapid_format:box": always([])}),
+    Fault("post_signal_inverted", "elastic", {"post.rapid.syntax:action_lines": result(_inverted)}),
+    Fault("post_question_lost", "elastic", {"post.rapid.syntax:box": always([])}),
     Fault("post_meeting_lost", "posed_two", {"post.steps:_Builder._meet": _first_alone}),
-    Fault("post_ids_off", "posed_two", {"post.rapid:_moves": _ids_off}),
-    Fault("post_load_moved", "held", {"post.loads:_load": fields(cog=lambda c: c + 0.1)}),
+    Fault("post_ids_off", "posed_two", {"post.rapid.program:_moves": _ids_off}),
+    Fault("post_load_moved", "held", {"post.steps:_load": fields(cog=lambda c: c + 0.1)}),
 )
 
 HANDSHAKE: Final = (
-    Fault("handshake_no_wait", "handshake", {"post.partner:Partner.meeting": result(_no_wait)}),
-    Fault("handshake_levels_inverted", "handshake", {"post.partner:Partner.meeting": result(_set_twice)}),
+    Fault("handshake_no_wait", "handshake", {"post.handshake:Partner.meeting": result(_no_wait)}),
+    Fault("handshake_levels_inverted", "handshake", {"post.handshake:Partner.meeting": result(_set_twice)}),
     Fault(
         "handshake_both_lead",
         "handshake",
-        {"post.partner:Partner.of": result(lambda p: None if p is None else of(p, lead=lambda v: True))},
+        {"post.handshake:Partner.of": result(lambda p: None if p is None else of(p, lead=lambda v: True))},
     ),
-    Fault("handshake_wires_swapped", "handshake", {"post.partner:Partner.of": result(_other_names)}),
+    Fault("handshake_wires_swapped", "handshake", {"post.handshake:Partner.of": result(_other_names)}),
     Fault(
         "handshake_fewer_meetings",
         "dsif_handshake",
         {"post.handshake:meeting_rows": given(1, lambda every: 10 * every)},
     ),
-    Fault("running_not_looked_at", "handshake", {"post.partner:Partner.meeting": result(_no_look)}),
-    Fault("running_not_seen_at_0", "handshake", {"post.partner:Partner.start": result(_no_look)}),
-    Fault("running_lead_goes_on", "handshake", {"post.partner:Partner.start": result(_goes_on)}),
-    Fault("handshake_meetings_lost", "handshake", {"post.rapid_handshake:call": _every_other_call}),
+    Fault("running_not_looked_at", "handshake", {"post.handshake:Partner.meeting": result(_no_look)}),
+    Fault("running_not_seen_at_0", "handshake", {"post.handshake:Partner.start": result(_no_look)}),
+    Fault("running_lead_goes_on", "handshake", {"post.handshake:Partner.start": result(_goes_on)}),
+    Fault("handshake_meetings_lost", "handshake", {"post.rapid.program:partner_call": _every_other_call}),
     Fault(
         "handshake_not_stretched",
         "dsif_handshake",
@@ -278,45 +282,55 @@ HANDSHAKE: Final = (
 )
 
 KRL: Final = (
-    Fault("krl_a_for_c", "posed_krl", {"post.krl_format:abc": result(_turned_back)}),
-    Fault("krl_radians", "posed_krl", {"post.krl_format:abc": result(np.deg2rad)}),
+    Fault("krl_a_for_c", "posed_krl", {"post.krl.syntax:abc": result(_turned_back)}),
+    Fault("krl_radians", "posed_krl", {"post.krl.syntax:abc": result(np.deg2rad)}),
     Fault(
-        "krl_base_world", "gcode_krl", {"post.krl_data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))}
+        "krl_base_world", "gcode_krl", {"post.krl.data:Data.base_pose": result(lambda r: (np.eye(4), r[1]))}
     ),
     Fault(
         "krl_base_inverse",
         "gcode_krl",
-        {"post.krl_data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
+        {"post.krl.data:Data.base_pose": result(lambda r: (np.linalg.inv(r[0]), r[1]))},
     ),
-    Fault("krl_status", "posed_krl", {"post.krl_status:status": result(lambda s: s ^ 2)}),
-    Fault("krl_turn", "posed_krl", {"post.krl_status:turn": result(lambda t: t ^ 2)}),
-    Fault("krl_speed_mm", "posed_krl", {"post.krl_moves:rows": fields(speed=_scaled(1e3))}),
-    Fault("krl_speed_tenth", "gcode_krl", {"post.krl_moves:rows": fields(speed=_scaled(10.0))}),
+    Fault("krl_status", "posed_krl", {"post.krl.data:status": result(lambda s: s ^ 2)}),
+    Fault("krl_turn", "posed_krl", {"post.krl.data:turn": result(lambda t: t ^ 2)}),
+    Fault("krl_speed_mm", "posed_krl", {"post.krl.linear_moves:rows": fields(speed=_scaled(1e3))}),
+    Fault("krl_speed_tenth", "gcode_krl", {"post.krl.linear_moves:rows": fields(speed=_scaled(10.0))}),
     Fault(
         "krl_corners_wide",
         "gcode_krl",
-        {"post.krl_moves:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
+        {"post.krl.linear_moves:_corners": result(lambda c: (10.0 * c[0] + 5.0, c[1]))},
     ),
     Fault(
         "krl_tool_off",
         "posed_krl",
-        {"post.krl_data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
+        {"post.krl.data:Data.tool": given(1, lambda t: of(t, tcp=_moved(z=0.001)))},
     ),
-    Fault("krl_joints_off", "posed_krl", {"post.krl_format:e6axis": given(0, lambda d: d + 1.0)}),
+    Fault("krl_joints_off", "posed_krl", {"post.krl.syntax:e6axis": given(0, lambda d: d + 1.0)}),
     Fault("krl_positions_metres", "gcode_krl", {"post.steps:_written": _positions(_scaled(1e-3))}),
     Fault("krl_rounded", "gcode_krl", {"post.steps:_written": _positions(np.round)}),
     Fault("krl_spindle_other_output", "gcode_krl", {"problem:Controller.number": result(lambda n: n + 1)}),
-    Fault("krl_ptp_fast", "posed_krl", {"post.krl_ptp:percent": always(100)}),
+    Fault("krl_ptp_fast", "posed_krl", {"post.krl.program:ptp_percent": always(100)}),
     Fault(
         "krl_wait_ms",
         "gcode_krl",
-        {"post.krl_main:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
+        {"post.krl.program:Main._action": given(1, lambda a: of(a, seconds=_scaled(1e-3)))},
     ),
-    Fault("krl_nobody_asked", "posed_krl", {"post.krl_panel:asked": always([])}),
-    Fault("krl_asked_by_halt", "gcode_krl", {"post.krl_panel:asked": given(1, lambda dialect: "krc2")}),
-    Fault("krl_told_in_comments", "gcode_krl", {"post.krl_panel:told": given(1, lambda dialect: "krc2")}),
-    Fault("krl_foot_not_looked_at", "posed_krl", {"post.krl_panel:foot": always([])}),
-    Fault("krl_foot_of_another_arm", "posed_krl", {"post.krl_panel:foot": given(0, lambda arm: "other")}),
+    Fault("krl_nobody_asked", "posed_krl", {"post.krl.syntax:question_lines": always([])}),
+    Fault(
+        "krl_asked_by_halt", "gcode_krl", {"post.krl.syntax:question_lines": given(1, lambda dialect: "krc2")}
+    ),
+    Fault(
+        "krl_told_in_comments",
+        "gcode_krl",
+        {"post.krl.syntax:message_lines": given(1, lambda dialect: "krc2")},
+    ),
+    Fault("krl_foot_not_looked_at", "posed_krl", {"post.krl.syntax:robroot_check": always([])}),
+    Fault(
+        "krl_foot_of_another_arm",
+        "posed_krl",
+        {"post.krl.syntax:robroot_check": given(0, lambda arm: "other")},
+    ),
 )
 
 

@@ -13,15 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims_dialogue import OperatorDialogue, asked
-from planner.claims_forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
-from planner.dialogue import Sentence
+from planner.claims.dialogue import Handshake, OperatorDialogue, Sentence, ask_step
+from planner.claims.forming import FormingFeed, FormsInOrder, FormsPart, FormsSheet, SheetState, ToolGap
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, from_rpy
-from planner.handshake import Handshake
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.targets import Action
 from planner.tooling import ball_tool, profile
 from tests import line_ends
@@ -170,7 +168,7 @@ def claims(more=(), **changes):
         ToolGap(SEGMENT, ARMS, 1, (BALL, BALL), vertices, faces, thickness(vertices), GAP_TOLERANCE),
         FormingFeed(SEGMENT, ARMS, FEED),
     )
-    spoken = OperatorDialogue(ARMS, (asked(Sentence("Sheet clamped, nobody in the cell?")),))
+    spoken = OperatorDialogue(ARMS, (ask_step(Sentence("Sheet clamped, nobody in the cell?")),))
     made = (*made, spoken)
     return {
         "dish": tuple(dataclasses.replace(c, **changes.get(type(c).__name__, {})) for c in (*made, *more))

@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from planner.claims_dialogue import DialogueStep, OperatorDialogue, asked
-from planner.dialogue import Sentence
-from planner.handshake import Handshake
+from planner.claims.dialogue import DialogueStep, Handshake, OperatorDialogue, Sentence, ask_step
 from planner.post import write
 from planner.problem import Controller
 from planner.targets import Action
@@ -40,7 +38,7 @@ def plan(count=8):
 
 def claims():
     """Nothing is claimed but what the operator is asked, and what always has to hold."""
-    first = (asked(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
+    first = (ask_step(Sentence("Is the block in place?")), DialogueStep("wait", seconds=1.0))
     return {"panel": (OperatorDialogue(ARMS, first),)}
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims import (
+from planner.catalogue.materials import Foam
+from planner.claims.claim import (
     ContactOnlyIn,
     CutsSurface,
     FeedWindow,
@@ -21,12 +22,11 @@ from planner.claims import (
     KerfWithin,
     StraightWire,
 )
+from planner.claims.segments import Segment
 from planner.geometry.rigid import exp_twist, from_rpy
-from planner.materials import Foam
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.tooling import bow, gripper_plate
 from tests import line_ends
 from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of

@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 
-from planner.claims import FollowsPoses
+from planner.claims.claim import FollowsPoses
 from planner.post import write
 from tests.verify import straight_job
 

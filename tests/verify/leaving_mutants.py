@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.post import krl_panel
+from planner.post.krl import syntax
 from tests.verify import krl_mutants
 from tests.verify.mutants import Texts, edit, lines, name, one, pick, put, segment, timed
 
@@ -427,7 +427,7 @@ def krl_waits_again(rng, texts):
 
 @mutator("verify.power_idle", KRL)
 def krl_asks_with_power(rng, texts):
-    return _behind_on(rng, texts, lambda row: [row, *krl_panel.asked("Is the wire hot?", "krc4")])
+    return _behind_on(rng, texts, lambda row: [row, *syntax.question_lines("Is the wire hot?", "krc4")])
 
 
 @mutator("verify.power_idle", KRL)

@@ -14,8 +14,8 @@ import numpy as np
 import trimesh
 import yaml
 
-from planner.catalogue import data_dir, robot
-from planner.cell.robots import forward
+from planner.catalogue.robots import data_dir, robot
+from planner.cell.kinematics import forward
 from planner.geometry.rigid import from_rpy, to_quaternion
 from planner.problem import Mesh
 from tests import small_forming

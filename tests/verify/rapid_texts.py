@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner.verify.rapid_reader import flatten, read_task
+from planner.verify.rapid.reader import flatten, read_task
 
 HEAD = """MODULE Left
   ! made for a test

@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_bvp
 
-from planner.verify.rod import Rod
+from planner.geometry.arrays import FloatArray
+from planner.verify.wire.rod import Rod
 
-Array = NDArray[np.float64]
 DOWN = np.array([0.0, 0.0, -1.0])
 LENGTH = 0.7
 ROUND = 1.0 / 1.3  # torsion over bending of a round wire with Poisson's ratio 0.3
 
 
-def frame(x: float, y: float, theta: float, spin: float = 0.0) -> Array:
+def frame(x: float, y: float, theta: float, spin: float = 0.0) -> FloatArray:
     """Planar end frame in the world's x-y plane, then spun about its own x."""
     c, s, a, b = math.cos(theta), math.sin(theta), math.cos(spin), math.sin(spin)
     found = np.eye(4)
@@ -32,8 +31,8 @@ def wire(ratio: float = 1.0, torsion: float = ROUND, weight: float = 0.0, segmen
 
 
 def planar_reference(
-    start: tuple[float, float, float], end: tuple[float, float, float], guess: Array
-) -> Array:
+    start: tuple[float, float, float], end: tuple[float, float, float], guess: FloatArray
+) -> FloatArray:
     """Elastica x, y, theta, k at 65 points by scipy's collocation.
 
     x' = cos, y' = sin, theta' = k, k' = Fx sin - Fy cos.
@@ -45,19 +44,19 @@ def planar_reference(
     theta = np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
     y0 = np.stack([guess[:, 0], guess[:, 1], theta, np.gradient(theta, s)])
 
-    def rate(_: Array, y: Array, p: Array) -> Array:
+    def rate(_: FloatArray, y: FloatArray, p: FloatArray) -> FloatArray:
         return np.stack([np.cos(y[2]), np.sin(y[2]), y[3], p[0] * np.sin(y[2]) - p[1] * np.cos(y[2])])
 
-    def edge(a: Array, b: Array, _: Array) -> Array:
+    def edge(a: FloatArray, b: FloatArray, _: FloatArray) -> FloatArray:
         return np.concatenate([a[:3] - start, b[:3] - end, []])
 
     solution = solve_bvp(rate, edge, s, y0, p=[-20.0, 0.0], tol=1e-10, max_nodes=20000)
     assert solution.success
-    found: Array = solution.sol(s)
+    found: FloatArray = solution.sol(s)
     return found
 
 
-def arc_frames(turn: float) -> tuple[Array, Array, Array]:
+def arc_frames(turn: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     radius = LENGTH / turn
     half = turn / 2
     centre = np.array([radius * math.sin(half), radius * math.cos(half), 0.0])

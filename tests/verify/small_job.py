@@ -14,24 +14,24 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.cell.robots import forward
-from planner.claims import (
-    ContactOnlyIn,
-    CutsSurface,
-    FeedWindow,
-    KerfCurve,
-    WireJoins,
+from planner.cell.kinematics import forward
+from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
+from planner.claims.dialogue import (
+    OperatorDialogue,
+    Sentence,
+    ask_step,
+    power_off_steps,
+    power_on_steps,
+    tell_step,
 )
-from planner.claims_dialogue import OperatorDialogue, asked, powered, told, unpowered
-from planner.dialogue import Sentence
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.plans import OperationPlan, Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Controller, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.targets import Action, Targets
 from planner.tooling import wire_holder
-from planner.verify import arm_ik, machines
+from planner.verify.replay import arm_model, inverse_kinematics
 from tests import line_ends
 
 LENGTH = 0.5
@@ -143,12 +143,12 @@ def claims():
 def dialogue():
     """What the operator is told and asked."""
     first = (
-        told(Sentence("Mount a wire of 495 mm, cold.")),
-        asked(Sentence("Press OK when the wire is mounted.")),
-        *powered(SIGNAL, 10.0),
-        asked(Sentence("Take up the slack at the slide, then press OK.")),
+        tell_step(Sentence("Mount a wire of 495 mm, cold.")),
+        ask_step(Sentence("Press OK when the wire is mounted.")),
+        *power_on_steps(SIGNAL, 10.0),
+        ask_step(Sentence("Take up the slack at the slide, then press OK.")),
     )
-    last = (*unpowered(SIGNAL, 5.0), asked(Sentence("Take the wire off, then press OK.")))
+    last = (*power_off_steps(SIGNAL, 5.0), ask_step(Sentence("Take the wire off, then press OK.")))
     return OperatorDialogue(("left", "right"), first, last, joined=True)
 
 
@@ -172,10 +172,10 @@ def way(count=24):
 
 def joints_at(arm, pose):
     """Joints (N, 6) of TCP poses (N, 4, 4) in the stock frame, in the posture of home."""
-    machine = machines.of(arm.robot)
+    machine = arm_model.machine_of(arm.robot)
     flange = inverse(arm.base) @ STOCK @ pose @ inverse(arm.tool.tcp)
-    branch = np.full(len(pose), int(arm_ik.branch_of(machine, arm.home)))
-    q = arm_ik.continued(arm_ik.solve(machine, flange, branch), arm.home)
+    branch = np.full(len(pose), int(inverse_kinematics.branch_of(machine, arm.home)))
+    q = inverse_kinematics.continued(inverse_kinematics.solve(machine, flange, branch), arm.home)
     assert np.isfinite(q).all(), arm.name
     assert np.abs(forward(machine.data, q) - flange).max() < 1e-9
     return q

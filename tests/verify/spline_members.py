@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.spatial.transform import Rotation
 
-from planner.verify.spline_curve import BENDS, ENDS, LEVER, OUTER
+from planner.verify.krl.spline_curve import BENDS, ENDS, LEVER, OUTER
 
 RULES = ("even", "chord", "centripetal", "time", "any")
 KINDS = ("random", "extreme", "catmull-rom", "five points", "akima", "minimum jerk", "flat")

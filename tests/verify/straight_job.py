@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.claims import (
+from planner.claims.claim import (
     ContactOnlyIn,
     CutsSurface,
     FeedWindow,
@@ -22,11 +22,11 @@ from planner.claims import (
     KerfWithin,
     StraightWire,
 )
+from planner.claims.segments import Segment
 from planner.geometry.rigid import from_rpy
 from planner.plans import Plan
 from planner.post import write
 from planner.problem import Arm, Cell, Change, Controller, Problem, Settings, Stock
-from planner.segments import Segment
 from planner.tooling import bow
 from tests import line_ends
 from tests.verify.by_hand import Operation, dialogue, frames, home_of, operation_plan, strip, way_of

@@ -12,7 +12,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.segments import Segment
+from planner.claims.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import held_job, small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.claims import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
-from planner.segments import Segment
+from planner.claims.claim import Contour, CutsSurface, FollowsRulings, KerfCurve, SlitsAllowed
+from planner.claims.segments import Segment
 from planner.verify.prove import Prover
-from planner.verify.rules_straight import between, guide_normals, off_guide
-from planner.verify.walls import walls
+from planner.verify.rules.straight_wire import between, guide_normals, off_guide
+from planner.verify.wire.walls import walls
 from tests.verify import small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of
 from tests.verify.mutants import edit, name

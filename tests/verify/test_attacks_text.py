@@ -12,8 +12,8 @@ import pytest
 
 from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules_wire import stop_in_foam
-from planner.verify.wire import wires
+from planner.verify.rules.wire import stop_in_foam
+from planner.verify.wire.wire_motion import wires
 from tests.verify import held_job, small_job, straight_job
 from tests.verify.bow_mutants import moves, put, rows_of
 from tests.verify.mutants import edit, name

@@ -11,13 +11,15 @@ import pytest
 import yaml
 
 import planner
-from planner import dialogue, processes
-from planner.claims import OneOf
+from planner import processes
+from planner.claims import dialogue
+from planner.claims.claim import OneOf
 from planner.motion import solve
-from planner.post import krl_panel, rapid_format, write
+from planner.post import write
+from planner.post.krl import syntax as krl_syntax
+from planner.post.rapid import syntax
 from planner.verify.context import Context
-from planner.verify.dialogue_choice import told_choice
-from planner.verify.dialogue_text import fit, on_panel
+from planner.verify.programs.operator_dialogue import fit, on_panel, told_choice
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling import small_mill
@@ -493,9 +495,11 @@ def test_figures_are_held_with_their_rounding():
      "x" * 90 + " 12 " + "y" * 50, "Mount the tool bow_400 -- the long one -- on arm left."],
 )  # fmt: skip
 def test_a_users_own_sentence_fits_as_both_languages_write_it(text):
-    lines = [re.findall(r'"(.*)"', row)[0] for row in rapid_format.write_lines(text)]
+    lines = [re.findall(r'"(.*)"', row)[0] for row in syntax.write_lines(text)]
     assert fit(dialogue.PLAIN, {"text": text}, lines).whole
-    assert fit(dialogue.PLAIN, {"text": text}, [row[3:] for row in krl_panel.told(text, "krc2")]).whole
+    assert fit(
+        dialogue.PLAIN, {"text": text}, [row[3:] for row in krl_syntax.message_lines(text, "krc2")]
+    ).whole
     assert not fit(dialogue.PLAIN, {"text": text}, [*lines, "and more"]).whole
 
 

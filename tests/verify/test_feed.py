@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from planner.issues import TandemError
-from planner.verify import replay
 from planner.verify.prove import Prover
-from planner.verify.rules_wire import feed_speed
+from planner.verify.replay import playback
+from planner.verify.rules.wire import feed_speed
 from tests.verify import small_job
 
 RADIUS = 0.3
@@ -44,7 +44,7 @@ def test_a_wire_that_only_slides_does_not_cut() -> None:
 
 
 def test_programs_longer_than_what_is_replayed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay, "LONGEST", 1.0)
+    monkeypatch.setattr(playback, "LONGEST", 1.0)
     prover = Prover(small_job.problem(), small_job.claims())
     with pytest.raises(TandemError) as caught:
         prover.prove(small_job.programs(12))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planner.geometry.rigid import exp_rotation, exp_twist, from_parts
-from planner.verify.follow_poses import MOST_MISSED, passing, values
+from planner.verify.replay.pose_passing import MOST_MISSED, passing, values
 
 TOLERANCE = (5e-5, 1e-3)
 SPIN = (np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from planner.verify.forming_face import Face, Nearest
-from planner.verify.forming_state import TIED, Balls
-from planner.verify.forming_track import Track
-from planner.verify.rules_forming_two import _turned
+from planner.verify.forming.face import Face, Nearest
+from planner.verify.forming.state import TIED, Balls, Track
+from planner.verify.rules.forming_two_tools import _turned
 
 TILT = np.radians(60.0)
 RADIUS = 0.005

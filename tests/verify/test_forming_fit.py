@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 import shapely
 
+from planner.forming.check import nearest_centres, unreached
 from planner.forming.contact import Face as PlannersFace
-from planner.forming.unreached import nearest_centres, unreached
+from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
-from planner.verify import forming_fit
-from planner.verify.forming_face import Face
-from planner.verify.forming_fit import left_by, short
-from tests.forming.shapes import Array, cone, pit, revolved
+from planner.verify.forming import face as forming_face
+from planner.verify.forming.face import Face, least_gap, left_by
+from tests.forming.shapes import cone, pit, revolved
 from tests.forming.test_passes import made
 
 BALL = 0.005
 
 
-def foot(angle: float, side: int) -> tuple[Array, Array, Array, Array, Array]:
+def foot(angle: float, side: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """A cone with a sharp floor, places up its wall with normals, and how far off a ball stays there."""
     mesh = cone(angle, 0.01, 0.03, 240)
     a = np.radians(angle)
@@ -36,7 +36,7 @@ def foot(angle: float, side: int) -> tuple[Array, Array, Array, Array, Array]:
 @pytest.mark.parametrize("side", [1, -1])
 def test_at_a_sharp_floor_a_ball_stays_off_by_the_sector_of_the_corner(angle: float, side: int) -> None:
     vertices, faces, points, normals, off = foot(angle, side)
-    got = short(Face(vertices, faces, BALL), points, normals, BALL, side)
+    got = least_gap(Face(vertices, faces, BALL), points, normals, BALL, side)
     assert got == pytest.approx(off, abs=4e-6)
     assert got[0] == pytest.approx(BALL * (1.0 / np.cos(np.radians(0.5 * angle)) - 1.0), abs=4e-6)
     if side > 0:  # the planner's own code says the same
@@ -49,7 +49,7 @@ def test_at_a_sharp_floor_a_ball_stays_off_by_the_sector_of_the_corner(angle: fl
 def test_in_the_tip_of_a_cone_it_stays_off_by_that_of_all_its_walls(angle: float) -> None:
     mesh = revolved([(0.06, 0.0), (0.04, 0.0), (0.0, -0.04 * np.tan(np.radians(angle)))], 360)
     tip, up = mesh.vertices[-1:], np.array([[0.0, 0.0, 1.0]])
-    got = short(Face(mesh.vertices, mesh.faces, BALL), tip, up, BALL, 1)
+    got = least_gap(Face(mesh.vertices, mesh.faces, BALL), tip, up, BALL, 1)
     assert got[0] == pytest.approx(BALL * (1.0 / np.cos(np.radians(angle)) - 1.0), abs=5e-6)
 
 
@@ -79,7 +79,7 @@ def test_what_is_left_in_a_sharp_corner_is_a_fillet_of_the_ball() -> None:
 
 def test_long_triangles_are_left_with_fillets_at_all_their_corners(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pit as drawn, of a few triangles, with more small pieces than are looked at."""
-    monkeypatch.setattr(forming_fit, "_MOST", 20_000)
+    monkeypatch.setattr(forming_face, "_MOST", 20_000)
     ball, half, deep, angle = 0.003, 0.02, 0.006, np.radians(50.0)
     mesh = pit(shapely.box(-half, -half, half, half), 50.0, deep)
     left = left_by(Face(mesh.vertices, mesh.faces, ball), ball, 1, 0.0)

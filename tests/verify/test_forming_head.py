@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.verify.forming_head import LOOKED, Head, HeadWay
+from planner.verify.forming.swept import LOOKED, Head, HeadWay
 
 RADIUS, LONG = 0.008, 0.12
 PROFILE = np.array([[0.0, RADIUS], [LONG, RADIUS]])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.verify import forming_reached
-from planner.verify.forming_face import Face
+from planner.verify.forming import swept
+from planner.verify.forming.face import Face
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.mutants import segment, shifted
@@ -26,7 +26,7 @@ def test_ways_are_held_against_what_trimesh_leaves_of_a_face(side):
     end = start + rng.normal(scale=0.004, size=(60, 3))
     need = np.full(60, 0.05)
     for level in (-0.0037, -0.001, 0.0005):
-        found = forming_reached.least(face, start, end, need, side, np.full(60, level))
+        found = swept.least(face, start, end, need, side, np.full(60, level))
         whole = trimesh.Trimesh(vertices, faces, process=False)
         kept = trimesh.intersections.slice_mesh_plane(whole, [0, 0, side], [0, 0, side * level])
         share = np.linspace(0.0, 1.0, 400)
@@ -50,7 +50,7 @@ def test_a_face_is_there_down_to_where_the_ball_has_been():
     touches = near.apart <= radius
     track = SimpleNamespace(own=own)
     one = SimpleNamespace(claim=claim, near=near, track=track, knots=np.arange(6), touches=touches)
-    np.testing.assert_allclose(forming_reached.levels(one), [0.0, -1e-3, -3e-3, -3e-3, -3e-3, -5e-3])
+    np.testing.assert_allclose(swept.levels(one), [0.0, -1e-3, -3e-3, -3e-3, -3e-3, -5e-3])
 
 
 def shift(texts, k, by):

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from planner.issues import TandemError
 from planner.verify import job
-from planner.verify.program_text import decode
+from planner.verify.programs.program_text import decode
+from planner.verify.programs.steps import MoveStep
 from planner.verify.prove import Prover
-from planner.verify.steps import MoveStep
 from tests.verify import krl_job, small_job, straight_job
 from tests.verify.garbled import garble
 from tests.verify.mutants import name

@@ -17,35 +17,29 @@ import pytest
 from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims import ContactOnlyIn
-from planner.claims_dialogue import OperatorDialogue
-from planner.claims_milling import MillsAlong
+from planner.claims.claim import ContactOnlyIn
+from planner.claims.dialogue import OperatorDialogue
+from planner.claims.milling import MillsAlong
+from planner.geometry.arrays import FloatArray
 from planner.issues import TandemError
-from planner.milling import (
-    gcode,
-    gcode_arcs,
-    gcode_lines,
-    gcode_moves,
-    gcode_settle,
-    mill_check,
-    milling,
-)
-from planner.milling.gcode_file import GCodeFile
-from planner.milling.gcode_rotary import Convention
-from planner.milling.mill_claims import program_file
-from planner.milling.values import ToolPath
+from planner.milling import check
+from planner.milling import job as milling_job
+from planner.milling.claims import program_file
+from planner.milling.gcode import lines, moves, reader
+from planner.milling.gcode.state import Convention
+from planner.milling.operation import GCodeFile
+from planner.milling.tool_path import ToolPath
 from planner.motion import solve
 from planner.post import write
-from planner.verify import dialogue_text, mill_program, mill_worked
-from planner.verify import gcode_moves as second
-from planner.verify.gcode_words import UnreadableError, words
+from planner.verify.milling import gcode_moves as second
+from planner.verify.milling import wanted_ways
+from planner.verify.milling.gcode_lines import UnreadableError, words
+from planner.verify.programs import operator_dialogue
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.milling import gcode_random
 from tests.milling.gcode_programs import HEAD, read, spec
 from tests.milling.small_mill import BALL, PANEL, problem
-
-FloatArray = NDArray[np.float64]
 
 
 def by_the_proof(own: GCodeFile) -> second.Way:
@@ -72,7 +66,7 @@ def both(folder: Path, seed: int) -> str:
     said = gcode_random.stated(own)
     file = spec(folder, gcode_random.program(own, said, own.randint(1, 60)), **said)
     try:
-        one = gcode.read(file.dialect("gcode")).path
+        one = reader.read(file.dialect("gcode")).path
     except TandemError:
         with pytest.raises(UnreadableError):
             by_the_proof(file)
@@ -199,16 +193,18 @@ class Job:
 def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
     job = Job(tmp_path)
     own = job.problem()
-    (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
     (spoken,) = [claim for claim in group if isinstance(claim, OperatorDialogue)]
     (stop,) = spoken.stops
-    assert [dialogue_text.spoken(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"] == [
+    assert [
+        operator_dialogue.sentence_text(s.sentence, s.figures) for s in spoken.first if s.kind == "asked"
+    ] == [
         "Go on: spindle at 6000 1/min?",
         "Block and cutter clamped, nobody in the cell?",
     ]
     assert [s.kind for s in stop.steps] == ["off", "wait", "asked", "on", "wait"]
     question = "Go on: line 13 of the file, spindle at 9000 1/min?"
-    assert dialogue_text.spoken(stop.steps[2].sentence, stop.steps[2].figures) == question
+    assert operator_dialogue.sentence_text(stop.steps[2].sentence, stop.steps[2].figures) == question
     assert (stop.where, str(stop.segment)) == ("before", "mill/prog_2_in")
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [str(way.segment) for way in ways] == [
@@ -219,7 +215,7 @@ def test_a_clean_file_is_proven_with_its_questions(tmp_path: Path) -> None:
 
 def _moved(change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]) -> Callable[..., Any]:
     """The planner's reader with its places and axes changed."""
-    real = gcode_settle._path
+    real = reader._path
 
     def path(*arguments: Any) -> ToolPath:
         own = real(*arguments)
@@ -234,20 +230,20 @@ def _fast(*arguments: Any) -> ToolPath:
     return dataclasses.replace(own, feed=own.feed * 10.0)
 
 
-_REAL = gcode_settle._path
+_REAL = reader._path
 FAULTS: dict[str, tuple[Any, str, Any]] = {
-    "shifted by 3 mm": (gcode_settle, "_path", _moved(lambda t, a: (t + np.array([0.003, 0, 0]), a))),
-    "x and y swapped": (gcode_settle, "_path", _moved(lambda t, a: (t[:, [1, 0, 2]], a[:, [1, 0, 2]]))),
-    "y mirrored": (gcode_settle, "_path", _moved(lambda t, a: (t * [1, -1, 1], a * [1, -1, 1]))),
-    "depth halved": (gcode_settle, "_path", _moved(lambda t, a: (t - [0, 0, 0.5] * (t - 0.03), a))),
-    "feed times ten": (gcode_settle, "_path", _fast),
-    "inches as millimetres": (gcode_lines, "INCH", 1e-3),
-    "arcs the other way round": (gcode_moves, "CLOCKWISE", 3),
+    "shifted by 3 mm": (reader, "_path", _moved(lambda t, a: (t + np.array([0.003, 0, 0]), a))),
+    "x and y swapped": (reader, "_path", _moved(lambda t, a: (t[:, [1, 0, 2]], a[:, [1, 0, 2]]))),
+    "y mirrored": (reader, "_path", _moved(lambda t, a: (t * [1, -1, 1], a * [1, -1, 1]))),
+    "depth halved": (reader, "_path", _moved(lambda t, a: (t - [0, 0, 0.5] * (t - 0.03), a))),
+    "feed times ten": (reader, "_path", _fast),
+    "inches as millimetres": (lines, "INCH", 1e-3),
+    "arcs the other way round": (moves, "CLOCKWISE", 3),
     "A the other way": (Convention, "axis", lambda own, turn, real=Convention.axis: real(own, -turn)),
     "arcs about another centre": (
-        gcode_arcs,
+        moves,
         "points",
-        lambda s, e, c, *more, real=gcode_arcs.points: real(s, e, (c[0] + 2e-3, c[1]), *more),
+        lambda s, e, c, *more, real=moves.points: real(s, e, (c[0] + 2e-3, c[1]), *more),
     ),
 }
 
@@ -257,8 +253,8 @@ def test_a_fault_in_the_planners_reader_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     """With the planner's own checks switched off."""
-    monkeypatch.setattr(milling, "check", lambda made: [])
-    monkeypatch.setattr(mill_check, "check", lambda job: [])
+    monkeypatch.setattr(milling_job, "check", lambda made: [])
+    monkeypatch.setattr(check, "check", lambda job: [])
     monkeypatch.setattr(*FAULTS[name])
     issues = Job(tmp_path).prove().issues
     assert issues
@@ -274,7 +270,7 @@ def test_a_file_that_only_the_planner_reads_is_not_proven(
     def unreadable(*arguments: Any) -> Any:
         raise UnreadableError(7, "a code that is not known")
 
-    monkeypatch.setattr(mill_program.gcode_moves, "read", unreadable)
+    monkeypatch.setattr(wanted_ways.gcode_moves, "read", unreadable)
     (issue,) = [i for i in Job(tmp_path).prove().issues if i.code == "verify.mill_path"]
     assert issue.line == 7
     assert "job.nc" in issue.message
@@ -288,7 +284,7 @@ def test_a_spindle_waits_as_long_as_the_file_says_and_no_longer(tmp_path: Path) 
     gcode_ = {"file": "job.nc", "origin": place, "tool_axis": "rotary", "convention": "head_a", "dwell": "ms"}
     own = problem(tmp_path, PANEL, BALL, cuts=[{"name": "prog", "gcode": gcode_}], part=None)
     claims = processes.claims(own)
-    (group,) = mill_worked.worked_out(claims)[0].values()
+    (group,) = wanted_ways.worked_out(claims)[0].values()
     ways = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert [way.dwell for way in ways if not way.segment.phase] == [3.0, 0.5]
     programs = dict(write.programs(solve.solve(own, [processes.job(own, 0).targets()]), own))

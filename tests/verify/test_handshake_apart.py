@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from planner.cell import clearance
-from planner.claims import HoldsStock
-from planner.claims_forming import SheetState, ToolGap
-from planner.segments import Segment
-from planner.verify import handshake_apart, rules_handshake
+from planner.claims.claim import HoldsStock
+from planner.claims.forming import SheetState, ToolGap
+from planner.claims.segments import Segment
 from planner.verify.context import Context
 from planner.verify.prove import Prover
+from planner.verify.rules import clearance as clearance_rules
+from planner.verify.rules import handshake
 from tests.verify import handshake_job, small_job
 
 
@@ -41,16 +42,16 @@ def gap(limit, segment="cut/front"):
 
 def outcome(here):
     prover = Prover(here.problem, here.by_operation)
-    return handshake_apart.step_apart(here, lambda index: prover.model(here, index))
+    return clearance_rules.step_apart(here, lambda index: prover.model(here, index))
 
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_the_drift_bounds_every_pair_of_instants(every):
     here = context(every)
-    found = handshake_apart.intervals(here)
+    found = clearance_rules.intervals(here)
     assert len(found.first) > 5 and (found.last > found.first).all()
     assert (found.first[1:] == found.last[:-1]).all()
-    bound = handshake_apart.drift(here, found)
+    bound = clearance_rules.drift(here, found)
     a, b = (here.motion.tcp[arm].place for arm in handshake_job.ARMS)
     for k in range(len(bound)):
         rows = slice(found.first[k], found.last[k] + 1)
@@ -70,7 +71,7 @@ def test_points_that_go_straight_away_from_each_other():
     zero = np.zeros_like(s)
     a = np.stack([s, zero, zero], axis=-1)[None]
     b = np.stack([1.0 - s, zero, zero], axis=-1)[None]
-    (bound,) = handshake_apart._change(a, b)
+    (bound,) = clearance_rules._change(a, b)
     assert 0.002 <= bound <= 0.002 * (1.0 + 2.5 / 12.0)
 
 
@@ -93,12 +94,12 @@ def test_clearance_one_step_apart_against_trials():
     assert not near.issues
     told = float(near.where.split("at least ")[1].split(" ")[0]) * 1e-3
     model = Prover(here.problem, here.by_operation).model(here)
-    found = handshake_apart.intervals(here)
+    found = clearance_rules.intervals(here)
     rng = np.random.default_rng(3)
     k = rng.integers(len(found.first), size=200)
     rows = [rng.integers(found.first[k], found.last[k] + 1) for _ in range(2)]
     q = {arm: here.motion.q[arm][row] for arm, row in zip(handshake_job.ARMS, rows, strict=True)}
-    trial = clearance.least(model, q, 0.3, handshake_apart._others(here, model, 0)).distance
+    trial = clearance.least(model, q, 0.3, clearance_rules._others(here, model, 0)).distance
     assert told <= trial.min() + 1e-4
 
 
@@ -114,10 +115,10 @@ def test_a_grid_of_instants_finds_nothing_nearer_where_bounds_leave_doubt():
     are measured no farther apart than half a stride, and none of a plain grid is nearer by more than that."""
     here = context(clearance=0.5)
     model = Prover(here.problem, here.by_operation).model(here)
-    found = handshake_apart.intervals(here)
+    found = clearance_rules.intervals(here)
     found = found.some(np.arange(len(found.first)) < 2)
-    ignore = handshake_apart._others(here, model, 0)
-    _, measured, bound = handshake_apart._nearest(here, model, 0, found, ignore)
+    ignore = clearance_rules._others(here, model, 0)
+    _, measured, bound = clearance_rules._nearest(here, model, 0, found, ignore)
     told = min(bound, float(measured.distance.min(initial=np.inf)))
     worst = np.inf
     for first, last in zip(found.first, found.last, strict=True):
@@ -136,8 +137,8 @@ def test_heads_are_left_out_in_those_intervals_alone_that_form():
         Segment.read("cut/front"), handshake_job.ARMS, 1, 0.0, none, none, (profile, profile), 1e-3, 1e-3
     )
     here = context(2, claims={"panel": (claim,)})
-    found = handshake_apart.intervals(here)
-    form = handshake_apart._forming(here, 0, found)
+    found = clearance_rules.intervals(here)
+    form = clearance_rules._forming(here, 0, found)
     labels = np.char.lower(here.motion.labels())
     wanted = [
         np.isin(labels[a + 1 : b + 1], ["cut/front", "cut/front_in", "cut/front_out"]).all()
@@ -149,7 +150,7 @@ def test_heads_are_left_out_in_those_intervals_alone_that_form():
 
 def test_an_elastic_wire_is_refused():
     wire = small_job.claims()["panel"][:1]
-    (issue,) = rules_handshake.handshake(context(claims={"panel": wire})).issues
+    (issue,) = handshake.handshake(context(claims={"panel": wire})).issues
     assert issue.code == "verify.handshake" and "a wire joins left and right" in issue.message
 
 
@@ -158,11 +159,11 @@ def test_a_block_that_is_held_in_motion_is_refused():
     stock = dataclasses.replace(here.problem.stock, held_by="right", grip=np.eye(4))
     held = dataclasses.replace(here.problem, stock=stock)
     claims = {"panel": (HoldsStock("right", np.eye(4), 1.0, np.zeros(3)),)}
-    issues = rules_handshake.handshake(Context(held, claims, here.programs)).issues
+    issues = handshake.handshake(Context(held, claims, here.programs)).issues
     assert any("moves the block it holds" in issue.message for issue in issues)
 
 
 def test_one_controller_has_nothing_to_prove_here():
     there = Context(small_job.problem(), small_job.claims(), small_job.programs(8))
-    assert rules_handshake.handshake(there).where == "one controller"
-    assert handshake_apart.step_apart(there, lambda index: None).where == "one controller"
+    assert handshake.handshake(there).where == "one controller"
+    assert clearance_rules.step_apart(there, lambda index: None).where == "one controller"

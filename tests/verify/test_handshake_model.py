@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from planner.verify.handshake_model import Action, check
+from planner.verify.programs.handshake_model import Action, check
 
 LEAD, FOLLOW = 0, 1
 WIRES = 2

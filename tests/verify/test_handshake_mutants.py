@@ -9,10 +9,11 @@ import re
 
 import pytest
 
-from planner.handshake import SignalWire
-from planner.verify import rules_handshake, rules_sync
+from planner.claims.dialogue import SignalWire
 from planner.verify.context import Context
 from planner.verify.prove import Prover
+from planner.verify.rules import handshake as rules_handshake
+from planner.verify.rules import synchronisation
 from tests.verify import handshake_job
 
 FORMS = [("four_phase", 1), ("four_phase", 3), ("toggle", 1), ("toggle", 3)]
@@ -38,7 +39,7 @@ def broken(problem, programs):
     if context.playable:
         found |= {
             issue.code
-            for rule in (rules_sync.move_count, rules_sync.sync_order)
+            for rule in (synchronisation.move_count, synchronisation.sync_order)
             for issue in rule(context).issues
         }
     return found

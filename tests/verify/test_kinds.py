@@ -8,10 +8,9 @@ from typing import get_args
 import pytest
 
 from planner import pipeline, processes
-from planner.claims import Claim, HoldsStock
+from planner.claims.claim import Claim, HoldsStock
 from planner.issues import TandemError
-from planner.verify.kinds import PROVEN_BY, unproven
-from planner.verify.prove import RULES, prove
+from planner.verify.prove import PROVEN_BY, RULES, prove, unproven
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,9 +10,9 @@ import re
 import pytest
 
 from planner.post import write
-from planner.verify import rules_handshake, rules_sync
 from planner.verify.context import Context
 from planner.verify.prove import Prover
+from planner.verify.rules import handshake, synchronisation
 from tests.post import krl_job
 
 KUKAS = ("kr10_r1100", "kr10_r1100")
@@ -41,9 +41,12 @@ def broken(models, kind, every, programs):
     found = context(models, kind, every, programs)
     if not found.readable:
         return True
-    issues = rules_handshake.handshake(found).issues
+    issues = handshake.handshake(found).issues
     if found.playable:
-        issues += (*rules_sync.move_count(found).issues, *rules_sync.stop_before_logic(found).issues)
+        issues += (
+            *synchronisation.move_count(found).issues,
+            *synchronisation.stop_before_logic(found).issues,
+        )
     return bool(issues)
 
 
@@ -59,8 +62,8 @@ def test_a_pair_of_two_brands_is_proven_by_every_rule(kind, every):
 @pytest.mark.parametrize(("kind", "every"), FORMS)
 def test_two_krl_programs_meet_as_often_as_the_mixed_pair(kind, every):
     ours, mixed = context(KUKAS, kind, every), context(MIXED, kind, every)
-    assert rules_handshake.handshake(ours).issues == ()
-    where = [rules_handshake.handshake(found).where.split(",")[0] for found in (ours, mixed)]
+    assert handshake.handshake(ours).issues == ()
+    where = [handshake.handshake(found).where.split(",")[0] for found in (ours, mixed)]
     assert where[0] == where[1] and "meetings" in where[0]
     readings = ours.job.readings
     for arm in ("left", "right"):

@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.verify import krl_reader
-from planner.verify.faults import FlowError
-from planner.verify.krl_flow import Signals
-from planner.verify.krl_load import held
-from planner.verify.krl_values import quaternion, value
-from planner.verify.steps import CarryStep, MessageStep, MoveStep, SignalStep, WaitStep
-from planner.verify.values import JointTarget, Load, RobTarget, StatusTarget, rotation
+from planner.verify.krl import reader
+from planner.verify.krl.flow import Signals
+from planner.verify.krl.values import held_load, quaternion, value
+from planner.verify.programs.steps import (
+    CarryStep,
+    FlowError,
+    JointTarget,
+    Load,
+    MessageStep,
+    MoveStep,
+    RobTarget,
+    SignalStep,
+    StatusTarget,
+    WaitStep,
+    rotation,
+)
 
 HEAD = "&ACCESS RVP\r\n&REL 1\r\n"
 OUTER = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0"
@@ -156,14 +165,14 @@ def texts(**changed):
 
 
 def read(dialect="krc4", **changed):
-    return krl_reader.read(texts(**changed), 100_000, dialect)
+    return reader.read(texts(**changed), 100_000, dialect)
 
 
 def steps(dialect="krc4", **changed):
     text = read(dialect, **changed)
     assert text.faults == ()
     signals = Signals({17: "doSpindle"}, {5: "diPartner"})
-    return krl_reader.flow(text, text.base, signals, "left", ["right"])[0]
+    return reader.flow(text, text.base, signals, "left", ["right"])[0]
 
 
 def kinds(**changed):
@@ -530,7 +539,7 @@ def test_a_held_block_is_the_load_less_the_tool():
     tcp = np.eye(4)
     tcp[:3, :3] = Rotation.from_euler("ZYX", [20, 30, 40], degrees=True).as_matrix()
     tcp[:3, 3] = [0.0, 0.0, 0.2]
-    found = held(Load(5.0, centre, turn, principal), tool, tcp)
+    found = held_load(Load(5.0, centre, turn, principal), tool, tcp)
     assert math.isclose(found.mass, 3.0)
     assert np.allclose(found.centre, tcp[:3, :3].T @ (place - tcp[:3, 3]))
     assert np.allclose(sorted(found.inertia), sorted(moments))
@@ -619,7 +628,7 @@ def test_programs_that_call_each_other_without_end_are_refused_soon():
     for k in range(1, 9):
         body = f"wall_{k + 1}()\n" * 20 if k < 8 else "$OUT[17]=FALSE\n"
         files[f"left/wall_{k}.src"] = HEAD + f"DEF wall_{k}()\n{body}END\n"
-    text = krl_reader.read(files, 100_000, "krc4")
+    text = reader.read(files, 100_000, "krc4")
     assert text.faults == ()
     with pytest.raises(FlowError, match="too often"):
-        krl_reader.flow(text, text.base, Signals({}, {}), "left")
+        reader.flow(text, text.base, Signals({}, {}), "left")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from planner import pipeline, processes
-from planner.controller_file import ControllerFile, controllers
 from planner.issues import TandemError
-from planner.post import krl_spline, write
+from planner.post import write
+from planner.post.krl import spline_blocks
+from planner.reading.controller import ControllerFile, controllers
 from planner.verify import prove
 from tests import small_problem
 from tests.verify import spline_job, straight_job
@@ -102,7 +103,7 @@ def test_work_that_is_proven_on_straight_moves_alone_is_refused_by_check(tmp_pat
     assert not refused(spline_job.job()[0])
     targets = spline_job.job()[1].operations[0].targets
     wire = dataclasses.replace(targets, claims=straight_job.claims()[next(iter(straight_job.claims()))])
-    (issue, *_) = krl_spline.refusals(spline_job.job()[0], [wire])
+    (issue, *_) = spline_blocks.spline_refusals(spline_job.job()[0], [wire])
     assert "StraightWire" in issue.message and "path: slin" in issue.hint
 
 

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from planner.catalogue import robot, robot_names
-from planner.cell.robots import forward, link_frames
-from planner.verify import machines
-from planner.verify.arm_ik import singularity_distance
-from planner.verify.krl_status import NEAR_ZERO, select, status_of, straight_elbow
+from planner.catalogue.robots import robot, robot_names
+from planner.cell.kinematics import forward, link_frames
+from planner.verify.replay import arm_model
+from planner.verify.replay.inverse_kinematics import (
+    NEAR_ZERO,
+    select_by_status,
+    singularity_distance,
+    status_of,
+    straight_elbow,
+)
 
 ARMS = [name for name in robot_names() if robot(name).family == "KUKA"]
 
@@ -24,9 +29,9 @@ def samples(machine, count, seed):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_they_select_the_joints_that_they_were_made_from(name):
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     for q in samples(machine, 300, 7):
-        found = select(machine, forward(machine.data, q), int(status_of(machine, q)), turn_of(q))
+        found = select_by_status(machine, forward(machine.data, q), int(status_of(machine, q)), turn_of(q))
         assert len(found.q) == 1
         assert np.abs(found.q[0] - q).max() < 1e-9
         assert found.near_zero == tuple(np.flatnonzero(np.abs(q) < NEAR_ZERO) + 1)
@@ -36,7 +41,7 @@ def test_they_select_the_joints_that_they_were_made_from(name):
 def test_bits_are_what_the_manual_draws(name):
     """Bit 0 by the wrist's centre in the frame of axis 1, bit 1 by the side of the straight arm on which it
     is bent, both from the links' frames, and bit 2 by the sign of axis 5."""
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     q = samples(machine, 500, 8)
     frames = link_frames(machine.data, q)
     wrist = frames[:, 4, :3, 3]
@@ -54,7 +59,7 @@ def test_bits_are_what_the_manual_draws(name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_other_bits_select_no_joints_or_others(name):
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     for q in samples(machine, 40, 9):
         if np.abs(q).min() < NEAR_ZERO:
             continue
@@ -63,5 +68,5 @@ def test_other_bits_select_no_joints_or_others(name):
         changed = [(status ^ (1 << bit), turn) for bit in range(3)]
         changed += [(status, turn ^ (1 << bit)) for bit in range(6)]
         for some in changed:
-            found = select(machine, flange, *some)
+            found = select_by_status(machine, flange, *some)
             assert all(np.abs(other - q).max() > np.deg2rad(1.0) for other in found.q)

@@ -16,10 +16,10 @@ import yaml
 
 from planner import pipeline, processes
 from planner.issues import TandemError
-from planner.motion import least_feed as planned
+from planner.motion.trajectory import least_feed as planned
 from planner.targets import Targets
-from planner.verify import least_feed as proven
 from planner.verify.prove import Prover
+from planner.verify.replay import pose_passing as proven
 from tests.verify import bead_job
 
 Texts = dict[str, str]
@@ -274,7 +274,7 @@ def test_proof_and_planner_allow_the_same(seed: int) -> None:
             (),
         )
         halting = dataclasses.replace(way, place=(np.cumsum(targets.travel)[:, None] * [1.0, 0.0, 0.0],))
-        return proven.kept(halting, targets.run_up or 0.0)
+        return proven.slow_places(halting, targets.run_up or 0.0)
 
     assert [f for f in faults(1.0) if "on the way to pose" in f.message and f.got < 0.999 * f.limit] == []
     late = {f.pose for f in faults(1.01) if "at least" in f.message and "asked for" in f.message}

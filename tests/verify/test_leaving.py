@@ -11,12 +11,12 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims import ContactOnlyIn
+from planner.claims.claim import ContactOnlyIn
 from planner.post import write
 from planner.targets import Action
-from planner.verify import rules_leaving, rules_waits
 from planner.verify.context import Context
 from planner.verify.prove import Prover
+from planner.verify.rules import moves_and_settings, waiting_time
 from tests import line_ends
 from tests.verify import handshake_job, krl_job, small_job, straight_job
 from tests.verify.leaving_mutants import KRL, SHAKEN, SMALL, STRAIGHT
@@ -200,7 +200,7 @@ def powered():
 
     def found(texts):
         context = Context(problem, claims, texts)
-        rules = (rules_waits.meeting_time, rules_waits.power_idle, rules_leaving.undo)
+        rules = (waiting_time.meeting_time, waiting_time.power_idle, moves_and_settings.undo)
         return [issue.message for rule in rules for issue in rule(context).issues]
 
     return found, line_ends.bare(write.programs(plan, problem))

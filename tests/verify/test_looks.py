@@ -6,7 +6,7 @@ import pytest
 from planner.cell import clearance
 from planner.cell.plant import build
 from planner.issues import TandemError
-from planner.verify import looks
+from planner.verify.replay import clearance_samples
 from tests.verify import small_job
 
 COUNT = 400
@@ -27,13 +27,13 @@ def sweep():
 @pytest.fixture
 def few(monkeypatch):
     """Few looks are many here."""
-    monkeypatch.setattr(looks, "SHOWN", 80)
-    monkeypatch.setattr(looks, "BATCH", 16)
+    monkeypatch.setattr(clearance_samples, "SHOWN", 80)
+    monkeypatch.setattr(clearance_samples, "BATCH", 16)
 
 
 def test_up_to_a_number_all_looks_are_measured(sweep):
     model, q, whole = sweep
-    found = looks.measured(model, q, 0.01, 0.1, frozenset())
+    found = clearance_samples.least_distances(model, q, 0.01, 0.1, frozenset())
     assert found.look.tolist() == list(range(COUNT))
     assert np.array_equal(found.least.distance, whole.distance)
     assert found.rest == np.inf
@@ -42,43 +42,43 @@ def test_up_to_a_number_all_looks_are_measured(sweep):
 @pytest.mark.parametrize("limit", [-0.5, 0.005, 0.02])
 def test_no_look_below_the_limit_and_no_least_distance_is_missed(sweep, few, limit):
     model, q, whole = sweep
-    found = looks.measured(model, q, limit, 0.1, frozenset())
+    found = clearance_samples.least_distances(model, q, limit, 0.1, frozenset())
     assert set(np.flatnonzero(whole.distance < limit)) <= set(found.look)
     assert np.allclose(found.least.distance, whole.distance[found.look], atol=1e-9)
     assert [whole.pair[i] for i in found.look] == list(found.least.pair)
-    assert min(found.least.distance.min(), found.rest) <= whole.distance.min() + looks.PRECISE
-    assert found.rest <= np.delete(whole.distance, found.look).min(initial=np.inf) + clearance.TOUCH
+    assert min(found.least.distance.min(), found.rest) <= whole.distance.min() + clearance_samples.PRECISE
+    assert found.rest <= np.delete(whole.distance, found.look).min(initial=np.inf) + clearance.BOUND_ERROR
     assert len(found.look) < COUNT
 
 
 def test_a_search_cut_short_says_what_the_others_keep(sweep, few, monkeypatch):
     model, q, whole = sweep
-    monkeypatch.setattr(looks, "MOST_NEAREST", 0)
-    found = looks.measured(model, q, -1.0, 0.1, frozenset())
+    monkeypatch.setattr(clearance_samples, "MOST_NEAREST", 0)
+    found = clearance_samples.least_distances(model, q, -1.0, 0.1, frozenset())
     assert len(found.look) == 20
-    assert found.rest <= np.delete(whole.distance, found.look).min() + clearance.TOUCH
+    assert found.rest <= np.delete(whole.distance, found.look).min() + clearance.BOUND_ERROR
 
 
 def test_what_is_no_posture_is_measured_too(sweep, few):
     model, q, _ = sweep
     lost = {arm: rows.copy() for arm, rows in q.items()}
     lost["left"][137] = np.nan
-    found = looks.measured(model, lost, 0.0, 0.1, frozenset())
+    found = clearance_samples.least_distances(model, lost, 0.0, 0.1, frozenset())
     assert np.isnan(found.least.distance[found.look.tolist().index(137)])
 
 
 def test_too_much_in_doubt_is_refused(sweep, few, monkeypatch):
     model, q, _ = sweep
-    monkeypatch.setattr(looks, "MOST_DOUBTED", 5)
+    monkeypatch.setattr(clearance_samples, "MOST_DOUBTED", 5)
     with pytest.raises(TandemError) as caught:
-        looks.measured(model, q, 0.09, 0.1, frozenset())
+        clearance_samples.least_distances(model, q, 0.09, 0.1, frozenset())
     assert caught.value.issues[0].code == "verify.duration"
 
 
 def test_where_enough_is_too_near_no_more_is_measured(sweep, few, monkeypatch):
     model, q, _ = sweep
-    monkeypatch.setattr(looks, "MOST_DOUBTED", 64)
-    monkeypatch.setattr(looks, "MOST_BROKEN", 5)
-    found = looks.measured(model, q, 0.05, 0.1, frozenset())
+    monkeypatch.setattr(clearance_samples, "MOST_DOUBTED", 64)
+    monkeypatch.setattr(clearance_samples, "MOST_BROKEN", 5)
+    found = clearance_samples.least_distances(model, q, 0.05, 0.1, frozenset())
     assert (found.least.distance < 0.05).sum() > 5
     assert len(found.look) < COUNT

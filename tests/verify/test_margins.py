@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from planner.verify import margins
+from planner.verify import result
 from tests.verify import small_job
 
 TEXT = """MODULE M
@@ -36,7 +36,7 @@ ENDMODULE
 )
 def test_only_comments_and_white_space(before, after, same):
     assert TEXT.count(before) == 1
-    assert margins.same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
+    assert result.same_program({"a.mod": TEXT}, {"a.mod": TEXT.replace(before, after)}) == same
 
 
 KRL = """&ACCESS RVP
@@ -71,15 +71,15 @@ END
     ],
 )
 def test_krl_comments_that_the_proof_reads_count(before, after, same):
-    assert margins.same_program({"a.src": KRL}, {"a.src": KRL.replace(before, after)}) == same
+    assert result.same_program({"a.src": KRL}, {"a.src": KRL.replace(before, after)}) == same
 
 
 def test_no_file_more_or_less():
-    assert not margins.same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
+    assert not result.same_program({"a.mod": TEXT}, {"a.mod": TEXT, "b.mod": TEXT})
 
 
 def test_long_programs_are_compared_at_once():
     text = small_job.programs()["T_ROB1/TandemCut1_1.mod"] * 200
     start = time.process_time()
-    assert margins.same_program({"a.mod": text}, {"a.mod": "! Proven.\n" + text})
+    assert result.same_program({"a.mod": text}, {"a.mod": "! Proven.\n" + text})
     assert time.process_time() - start < 2.0

@@ -14,20 +14,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from planner import processes
-from planner.claims_milling import Engraves, MillsAlong
-from planner.milling import engrave_cut, milling
-from planner.milling.milling import MillingJob
+from planner.claims.milling import Engraves, MillsAlong
+from planner.geometry.arrays import FloatArray
+from planner.milling import job as milling_job
+from planner.milling import point_cut
+from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
 from planner.tooling import Cutter
-from planner.verify import mill_engraved, mill_worked
-from planner.verify.mill_follow import follow
-from planner.verify.mill_laid import Laid
+from planner.verify.milling import wanted_ways
+from planner.verify.milling.following import follow
+from planner.verify.milling.surface_passes import Laid
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.milling.small_mill import BALL, PANEL, problem
 
-FloatArray = NDArray[np.float64]
 WAVE = {"bspline_mm": [[-30, -15, 0], [0, 15, 0], [30, -15, 0]]}
 ZIGZAG = {"polyline_mm": [[-30, -10, 0], [-10, 12, 0], [5, -8, 0], [5, 10, 0], [28, 9, 0]]}
 ARCH = {"bezier_mm": [[-25, 10, 5], [0, 20, 9], [25, 8, 1]]}
@@ -65,7 +66,7 @@ def test_the_planner_follows_what_the_proof_lays(tmp_path: Path, name: str, tool
     own = problem(tmp_path, PANEL, TOOLS[tool], cuts=[{**VARIANTS[name], "depth_mm": 0.4}])
     job = processes.job(own, 0)
     assert isinstance(job, MillingJob)
-    (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
     wanted = {str(claim.segment): claim for claim in group if isinstance(claim, MillsAlong)}
     for run in job.made.runs:
         claim = wanted[f"mill/{run.name}"]
@@ -101,12 +102,12 @@ def test_places_and_normals_on_a_ball_are_those_of_the_closed_form() -> None:
 def test_a_ball_on_a_ball_is_at_the_radius_less_the_depth() -> None:
     """A ball nose along the normal is everywhere 1 mm below: its tip is on a ball of radius 199 mm."""
     vertices, faces = dome(0.2)
-    drawn = (mill_engraved.DrawnCurve("bspline", ((-60, 0, 0), (0, 50, 0), (60, 0, 0))),)
+    drawn = (wanted_ways.DrawnCurve("bspline", ((-60, 0, 0), (0, 50, 0), (60, 0, 0))),)
     cutter = Cutter("ball", 0.003, 0.003, 0.012, 0.06, 0.003, np.zeros((0, 2)))
     safe: Any = None
     bounds = (0.02, safe, 1e-4, 0.01)
     claim = Engraves("a", "r", cutter, drawn, vertices, faces, 1e-3, "normal", (), 0.0, 0.0, *bounds)
-    tip, axis = mill_engraved.tool_along(claim, Laid(vertices, faces), 0, mill_engraved.points(drawn[0])[0])
+    tip, axis = wanted_ways.tool_along(claim, Laid(vertices, faces), 0, wanted_ways.points(drawn[0])[0])
     np.testing.assert_allclose(np.linalg.norm(tip, axis=1), 0.199, atol=1.2e-5)
     assert np.degrees(np.arccos(np.clip((axis * tip).sum(axis=1) / 0.199, -1, 1))).max() < 0.3
 
@@ -117,7 +118,7 @@ def test_the_end_of_a_cutter_touches_the_plane_that_it_is_to(corner: float, lean
     axis = np.array([[np.sin(lean), 0.0, np.cos(lean)]])
     cutter = Cutter("bull", 0.002, corner, 0.01, 0.05, 0.002, np.zeros((0, 2)))
     up = np.array([[0.0, 0.0, 1.0]])
-    tip = mill_engraved.tip_at(np.zeros((1, 3)), up, axis, cutter)[0]
+    tip = wanted_ways.tip_at(np.zeros((1, 3)), up, axis, cutter)[0]
     turn, around = np.meshgrid(np.linspace(0, np.pi / 2, 200), np.linspace(0, 2 * np.pi, 721))
     wide = cutter.radius - corner + corner * np.sin(turn)
     local = np.stack([wide * np.cos(around), wide * np.sin(around), corner - corner * np.cos(turn)], axis=-1)
@@ -126,7 +127,7 @@ def test_the_end_of_a_cutter_touches_the_plane_that_it_is_to(corner: float, lean
 
 
 def _tool(change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]) -> Any:
-    real = engrave_cut._tool
+    real = point_cut._engraving_tool
 
     def own(*arguments: Any) -> tuple[FloatArray, FloatArray]:
         return change(*real(*arguments))
@@ -134,18 +135,18 @@ def _tool(change: Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArra
     return own
 
 
-_CURVE, _TIPS = engrave_cut._curve, engrave_cut.tips
+_CURVE, _TIPS = point_cut._curve, point_cut.tips
 MIRROR, SWAP = np.array([1.0, -1.0, 1.0]), [1, 0, 2]
 FAULTS: dict[str, tuple[str, Any]] = {
-    "shifted": ("_tool", _tool(lambda t, a: (t + np.array([4e-4, 0.0, 0.0]), a))),
+    "shifted": ("_engraving_tool", _tool(lambda t, a: (t + np.array([4e-4, 0.0, 0.0]), a))),
     "mirrored": ("_curve", lambda *given: _CURVE(*given) * MIRROR),
     "x and y swapped": ("_curve", lambda *given: _CURVE(*given)[:, SWAP]),
-    "half as long": ("_tool", _tool(lambda t, a: (t[: len(t) // 2], a[: len(a) // 2]))),
+    "half as long": ("_engraving_tool", _tool(lambda t, a: (t[: len(t) // 2], a[: len(a) // 2]))),
     "the other way": ("_curve", lambda *given: _CURVE(*given)[::-1]),
-    "half as deep": ("_tool", _tool(lambda t, a: (t + 0.4e-3 * a, a))),
+    "half as deep": ("_engraving_tool", _tool(lambda t, a: (t + 0.4e-3 * a, a))),
     "not leant": ("leant", lambda normal, *more: normal),
     "radius not compensated": ("tips", lambda contact, *more: contact),
-    "curve left out": ("runs", lambda *given, real=engrave_cut.runs: real(*given)[:-1]),
+    "curve left out": ("engraved_runs", lambda *given, real=point_cut.engraved_runs: real(*given)[:-1]),
     "first curve twice": (
         "_curve",
         lambda spec, field, real=_CURVE: (
@@ -172,10 +173,10 @@ def test_a_clean_engraving_is_proven(tmp_path: Path) -> None:
 def test_a_fault_in_the_planner_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(milling, "check", lambda made: [])
+    monkeypatch.setattr(milling_job, "check", lambda made: [])
     FIRST.clear()
     where, change = FAULTS[name]
-    monkeypatch.setattr(engrave_cut, where, change)
+    monkeypatch.setattr(point_cut, where, change)
     assert proof(tmp_path).issues
 
 
@@ -195,11 +196,11 @@ def test_a_curve_of_a_drawing_is_laid_as_its_points_are(tmp_path: Path, pieces: 
         BALL,
         cuts=[{"engrave": [{"dxf": {"file": "own.dxf", "unit": "in"}}], "depth_mm": 0.4}],
     )
-    (group,) = mill_worked.worked_out(processes.claims(own))[0].values()
+    (group,) = wanted_ways.worked_out(processes.claims(own))[0].values()
     claim, *_ = [claim for claim in group if isinstance(claim, MillsAlong)]
     assert (claim.back is None) == (pieces == 1)
     straight = problem(tmp_path, PANEL, BALL, cuts=[{"engrave": [ZIGZAG], "depth_mm": 0.4}])
-    (other,) = mill_worked.worked_out(processes.claims(straight))[0].values()
+    (other,) = wanted_ways.worked_out(processes.claims(straight))[0].values()
     wanted = next(claim for claim in other if isinstance(claim, MillsAlong))
     found = [np.abs(one.tip - wanted.tip).max() for one in (claim, claim.back) if one is not None]
     assert min(found) < 1e-9

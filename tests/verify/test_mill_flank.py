@@ -10,22 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims_milling import MillsFlank
-from planner.milling import flank, flank_cut, milling
-from planner.milling.milling import MillingJob
-from planner.milling.route import ends
-from planner.milling.values import Run
+from planner.claims.milling import MillsFlank
+from planner.geometry.arrays import FloatArray
+from planner.milling import flank, flank_cut
+from planner.milling import job as milling_job
+from planner.milling.job import MillingJob
+from planner.milling.tool_path import Run, ends
 from planner.motion import solve
 from planner.post import write
-from planner.verify import mill_flank
+from planner.verify.milling import surface_passes
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling.small_mill import WALL, problem
 
-FloatArray = NDArray[np.float64]
 LONG = {"flute_mm": 60, "overhang_mm": 95, "diameter_mm": 8}
 
 
@@ -101,10 +100,10 @@ def parts(own: MillingJob, run: Run) -> dict[str, tuple[FloatArray, FloatArray]]
 def held(claim: MillsFlank, number: int, found: dict[str, tuple[FloatArray, FloatArray]]) -> list[str]:
     """What is wrong with a pass and its ways."""
     tip, axis = found[""]
-    own = mill_flank.passed(claim, number, tip, axis)
+    own = surface_passes.passed(claim, number, tip, axis)
     out = [*own.faults, *(own.worst[i] for i in np.flatnonzero(own.off > 1.0)[:1])]
     for phase, rows in (("_in", [0, 1]), ("_out", [-1, -2])):
-        way = mill_flank.ways(claim, number, (tip[rows], axis[rows]), *found[phase])
+        way = surface_passes.ways(claim, number, (tip[rows], axis[rows]), *found[phase])
         out += [*way.faults, *(f"{phase} {value:.2f}" for value in [way.off.max()] if value > 1.0)]
         assert way.up[-1]
     return out
@@ -167,7 +166,7 @@ def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:
     own, claim = job(tmp_path, **CASES[name])
     last = len(claim.segments) - 1
     tip, axis = WRONG[wrong](*parts(own, own.made.runs[-1])[""], claim)
-    found = mill_flank.passed(claim, last, tip, axis)
+    found = surface_passes.passed(claim, last, tip, axis)
     assert found.faults or found.off.max() > 1.0
 
 
@@ -198,7 +197,7 @@ def test_ways_that_go_elsewhere_are_found(tmp_path: Path, phase: str, wrong: str
     found = parts(own, own.made.runs[0])
     rows = [0, 1] if phase == "_in" else [-1, -2]
     end = found[""][0][rows], found[""][1][rows]
-    way = mill_flank.ways(claim, 0, end, *ASTRAY[wrong](*found[phase], claim))
+    way = surface_passes.ways(claim, 0, end, *ASTRAY[wrong](*found[phase], claim))
     assert way.faults or way.off.max() > 1.0
 
 
@@ -241,7 +240,7 @@ def prove(folder: Path) -> Any:
 def test_a_fault_in_the_planner_is_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(milling, "check", lambda made: [])
+    monkeypatch.setattr(milling_job, "check", lambda made: [])
     monkeypatch.setattr(flank_cut, "check", lambda *given: [])
     monkeypatch.setattr(*FAULTS[name])
     assert prove(tmp_path).issues

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.claims_milling import MillsAlong
-from planner.segments import Segment
-from planner.verify.mill_follow import Followed, follow
+from planner.claims.milling import MillsAlong
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
+from planner.verify.milling.following import Followed, follow
 
-FloatArray = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 TOLERANCE, TURN = 1e-4, np.deg2rad(0.5)
 

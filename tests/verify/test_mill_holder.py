@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.claims import SparesPart
-from planner.segments import Segment
+from planner.claims.claim import SparesPart
+from planner.claims.segments import Segment
 from planner.tooling import Cutter
-from planner.verify.mill_body import signed, solids
-from planner.verify.mill_track import Milling, Track
-from planner.verify.rules_milling import _GOUGE, _step, mill_gouge
+from planner.verify.milling.tool_motion import Milling, Track, signed, solids
+from planner.verify.rules.milling_cutter import _GOUGE, _step, mill_gouge
 
 BEHIND = np.array([[0.06, 0.06], [0.1, 0.06], [0.1, 0.03], [0.3, 0.03]])
 CUTTER = Cutter("cylinder", 0.003, 0.0, 0.02, 0.06, 0.003, BEHIND)

@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from planner import processes
-from planner.claims_milling import MillsOver, MillsSurface
-from planner.milling import lines_cut, milling
-from planner.milling.milling import MillingJob
+from planner.claims.milling import MillsOver, MillsSurface
+from planner.geometry.arrays import FloatArray
+from planner.milling import job as milling_job
+from planner.milling import point_cut
+from planner.milling.job import MillingJob
 from planner.motion import solve
 from planner.post import write
-from planner.verify.mill_over import OverFace
+from planner.verify.milling.surface_passes import OverFace
 from planner.verify.prove import Prover
 from tests import line_ends
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_mill_flank import dense
 
-FloatArray = NDArray[np.float64]
 LINES: dict[str, Any] = {"lines": "front", "stepover_mm": 4}
 CASES: dict[str, dict[str, Any]] = {
     "normal": LINES,
@@ -85,7 +85,7 @@ def test_what_is_off_it_is_found(tmp_path: Path, name: str, wrong: str) -> None:
     assert max(float(value.max()) for value in off.values()) > 1.0
 
 
-_TOOL, _TIPS, _RUNS = lines_cut._tool, lines_cut.tips, lines_cut.runs
+_TOOL, _TIPS, _RUNS = point_cut._line_tool, point_cut.tips, point_cut.line_runs
 
 
 def _each(change: Change) -> Callable[..., Any]:
@@ -93,13 +93,13 @@ def _each(change: Change) -> Callable[..., Any]:
 
 
 FAULTS: dict[str, tuple[str, Any]] = {
-    "shifted by 3 mm": ("_tool", _each(lambda tip, axis: (tip + np.array([0.003, 0, 0]), axis))),
-    "0.4 mm too deep": ("_tool", _each(lambda tip, axis: (tip - 4e-4 * axis, axis))),
+    "shifted by 3 mm": ("_line_tool", _each(lambda tip, axis: (tip + np.array([0.003, 0, 0]), axis))),
+    "0.4 mm too deep": ("_line_tool", _each(lambda tip, axis: (tip - 4e-4 * axis, axis))),
     "the ball's middle for its tip": ("tips", lambda contact, normal, *more: contact + 0.003 * normal),
-    "x and y swapped": ("_tool", _each(lambda tip, axis: (tip[:, [1, 0, 2]], axis[:, [1, 0, 2]]))),
-    "margin left out": ("runs", lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter)),
+    "x and y swapped": ("_line_tool", _each(lambda tip, axis: (tip[:, [1, 0, 2]], axis[:, [1, 0, 2]]))),
+    "margin left out": ("line_runs", lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter)),
     "margin twice as wide": (
-        "runs",
+        "line_runs",
         lambda op, cut, over, cutter, area=None: _RUNS(op, cut, over, cutter, area.buffer(-0.004)),
     ),
 }
@@ -114,9 +114,9 @@ ALWAYS = ("0.4 mm too deep", "margin left out")
 def test_faults_in_the_planner_are_not_proven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str | None
 ) -> None:
-    monkeypatch.setattr(milling, "check", lambda made: [])
+    monkeypatch.setattr(milling_job, "check", lambda made: [])
     if name is not None:
-        monkeypatch.setattr(lines_cut, *FAULTS[name])
+        monkeypatch.setattr(point_cut, *FAULTS[name])
     own = problem(
         tmp_path, PANEL, BALL, cuts=[{**LINES, "stepover_mm": 1.2, "margin_mm": 8, "feed_mm_s": 20}]
     )

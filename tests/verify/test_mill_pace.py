@@ -7,11 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from planner.claims_milling import MillsAlong
-from planner.milling.thin import parted
-from planner.segments import Segment
-from planner.verify.mill_follow import follow, looks
-from planner.verify.mill_pace import ROUND, allowed, highest
+from planner.claims.milling import MillsAlong
+from planner.claims.segments import Segment
+from planner.milling.tool_path import parted
+from planner.verify.milling.following import FEED_TOLERANCES, allowed, follow, highest, rows_to_check
 from tests.milling.small_mill import BALL, PANEL
 from tests.verify.test_rules_milling import Job, in_procedure
 
@@ -61,9 +60,9 @@ def test_the_feed_changes_where_the_way_says() -> None:
     x = np.linspace(0.0, 0.09, 1801)
     seen = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
     axes = np.tile([0.0, 0.0, 1.0], (len(x), 1))
-    some = looks(seen, axes, TOLERANCE)
+    some = rows_to_check(seen, axes, TOLERANCE)
     got = allowed(claim, some, follow(claim, seen[some], axes[some]), len(x))
-    sure = (ROUND + 3.0) * TOLERANCE
+    sure = (FEED_TOLERANCES + 3.0) * TOLERANCE
     x = 0.5 * (x[1:] + x[:-1])
     for low, high, feed in ((0.0, 0.03, 0.01), (0.03, 0.06, 0.05), (0.06, 0.09, 0.02)):
         inner = (x > low + sure * (low > 0)) & (x < high - sure * (high < 0.09))

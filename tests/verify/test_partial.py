@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner import cli, pipeline
+from planner import pipeline
+from planner.cli import command_line
 from planner.issues import TandemError
 from planner.verify.partial import read_partly
 from tests.verify import krl_job, straight_job
@@ -206,7 +207,7 @@ def test_tandem_verify_reads_a_folder_of_others(tmp_path, capsys):
     (tmp_path / "cell").mkdir()
     (tmp_path / "cell" / "Weld.mod").write_bytes(FOREIGN.replace("\n", "\r\n").encode("latin-1"))
     job = root / "problems" / "gauge_lanes" / "problem.yaml"
-    assert cli.verify(tmp_path / "cell", job) == cli.NOT_PROVEN == 4
+    assert command_line.verify(tmp_path / "cell", job) == command_line.NOT_PROVEN == 4
     told = " ".join("".join(capsys.readouterr()).split())
     assert "verify.unread" in told and "NOT proven" in told
     assert "Weld.mod, line 8" in told and "not read, not proven" in told

@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import re
 
-from planner.verify import job, pendant
+from planner.verify import job
 from planner.verify.prove import Prover
+from planner.verify.rules import text as text_rules
 from tests.verify import krl_job, small_job
 from tests.verify.mutants import MOVE, name
 
@@ -42,7 +43,7 @@ def test_nothing_looks_changed_as_written():
         (small_job.problem(), small_job.programs(COUNT)),
         (krl_job.problem(), krl_job.programs()),
     ):
-        assert pendant.summary(job.read(problem, texts)) == ""
+        assert text_rules.summary(job.read(problem, texts)) == ""
 
 
 def test_a_target_that_was_touched_up_is_told():
@@ -78,7 +79,7 @@ def test_programs_that_are_coarse_throughout_were_not_changed():
     texts = dict(small_job.programs(COUNT))
     for file, text in texts.items():
         texts[file] = re.sub(r"-?\d+\.\d{4}(?=[,\]])", lambda m: f"{float(m.group()):.2f}", text)
-    assert pendant.summary(job.read(small_job.problem(), texts)) == ""
+    assert text_rules.summary(job.read(small_job.problem(), texts)) == ""
 
 
 def test_a_taught_pose_of_krl_is_named():

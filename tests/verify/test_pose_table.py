@@ -12,11 +12,13 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from planner import catalogue, pipeline, posed, processes
-from planner.verify import pose_table
+from planner import pipeline, processes
+from planner.catalogue import robots
+from planner.reading import poses
+from planner.verify.replay import pose_passing
 
 ROWS = 12
-NAMES = ["robot." + key for key in (*pose_table.PLACE, *pose_table.TURN)]
+NAMES = ["robot." + key for key in (*pose_passing.PLACE_COLUMNS, *pose_passing.TURN_COLUMNS)]
 
 
 def table(path: Path, values: np.ndarray, feed: list[str] | None = None) -> Path:
@@ -41,7 +43,7 @@ def test_poses_and_feeds_in_si_units(tmp_path: Path, name: str) -> None:
     place = rng.uniform(-500.0, 500.0, (ROWS, 3))
     feeds = ["", *map(str, range(10, 10 + ROWS - 1))]
     path = table(tmp_path / name, np.concatenate([place, quaternion], axis=1), feeds)
-    read = pose_table.read(path, ("robot",))
+    read = pose_passing.read_pose_table(path, ("robot",))
     wanted = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(read.poses["robot"][:, :3, :3], wanted, atol=1e-12)
     np.testing.assert_allclose(read.poses["robot"][:, :3, 3], place * 1e-3, atol=1e-15)
@@ -51,7 +53,7 @@ def test_poses_and_feeds_in_si_units(tmp_path: Path, name: str) -> None:
 
 def lanes(folder: Path, **changes: object) -> Path:
     """The first lane of the bundled table, as a problem of its own, with fields of its operation changed."""
-    source = catalogue.data_dir("problems") / "gauge_lanes"
+    source = robots.data_dir("problems") / "gauge_lanes"
     data = yaml.safe_load((source / "problem.yaml").read_text())
     data["cell"] = str(source.parent / "cells" / "irb140_gauge.yaml")
     data["operations"][0] |= changes
@@ -106,16 +108,16 @@ def test_short_moves_are_at_their_feed(tmp_path: Path, tolerance: float) -> None
 def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Puts a fault into the planner's reader of tables."""
     if name == "shifted by 3 mm":
-        old = posed._poses
+        old = poses._poses
 
         def shifted(*args):  # type: ignore[no-untyped-def]
             out = old(*args)
             out[:, 0, 3] += 3e-3
             return out
 
-        monkeypatch.setattr(posed, "_poses", shifted)
+        monkeypatch.setattr(poses, "_poses", shifted)
     elif name == "ten times the feed":
-        monkeypatch.setattr(posed.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
+        monkeypatch.setattr(poses.PosedJob, "targets", _changed(lambda t: {"feed": 10.0 * t.feed}))
     elif name == "a range without an end":
         wide = {"lower": -0.3, "upper": 0.3}
 
@@ -125,17 +127,17 @@ def spoiled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
             bounds = {key: value * count for key, value in wide.items()}
             return {"freedoms": (dataclasses.replace(own, prefer=0.25 * count, weight=1e3, **bounds),)}
 
-        monkeypatch.setattr(posed.PosedJob, "targets", _changed(opened))
+        monkeypatch.setattr(poses.PosedJob, "targets", _changed(opened))
     elif name == "a row left out":
 
         def without(targets):  # type: ignore[no-untyped-def]
             return {"pose": {"robot": np.repeat(targets.pose["robot"][::2], 2, axis=0)[: targets.count]}}
 
-        monkeypatch.setattr(posed.PosedJob, "targets", _changed(without))
+        monkeypatch.setattr(poses.PosedJob, "targets", _changed(without))
 
 
 def _changed(change):  # type: ignore[no-untyped-def]
-    old = posed.PosedJob.targets
+    old = poses.PosedJob.targets
 
     def targets(self):  # type: ignore[no-untyped-def]
         made = old(self)
@@ -174,7 +176,7 @@ def test_a_table_that_is_gone_is_told(tmp_path: Path) -> None:
 
 def test_both_readers_agree_on_the_bundled_table() -> None:
     problem = pipeline.load("gauge_lanes")
-    mine = pose_table.read(problem.operations[0].file, ("robot",))  # type: ignore[attr-defined]
+    mine = pose_passing.read_pose_table(problem.operations[0].file, ("robot",))  # type: ignore[attr-defined]
     np.testing.assert_allclose(
         mine.poses["robot"], processes.job(problem, 0).targets().pose["robot"], atol=1e-12
     )

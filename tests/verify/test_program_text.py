@@ -11,9 +11,10 @@ import pytest
 
 from planner import pipeline
 from planner.issues import Severity
-from planner.verify import job, program_text
+from planner.verify import job
+from planner.verify.programs import program_text
+from planner.verify.programs.steps import MoveStep
 from planner.verify.prove import Prover
-from planner.verify.steps import MoveStep
 from tests.verify import krl_job, small_job, straight_job
 from tests.verify.mutants import name
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner.verify.rapid_reader import Limits, flatten, read_module, read_task
-from planner.verify.steps import (
-    MoveStep,
-)
+from planner.verify.programs.steps import MoveStep
+from planner.verify.rapid.reader import Limits, flatten, read_module, read_task
 from tests.verify.rapid_texts import FULL, HEAD, MOVE, faults, program
 
 BAD_LINES = [

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.verify.rapid_ast import Data, Literal, Move
-from planner.verify.rapid_reader import Fault, FlowError, flatten, handlers, read_module, read_task
+from planner.verify.rapid.reader import Fault, FlowError, flatten, handlers, read_module, read_task
+from planner.verify.rapid.syntax_tree import Data, Literal, Move
 from tests.verify.rapid_texts import FULL, codes, faults, program
 
 NUMBERS = st.one_of(

@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.verify.rapid_reader import FlowError, flatten, handlers, read_module, read_task
-from planner.verify.rapid_values import PREDEFINED
-from planner.verify.steps import (
+from planner.verify.programs.steps import (
     ChoiceStep,
+    JointTarget,
     LoadStep,
     MessageStep,
     MoveStep,
+    RobTarget,
     SettingStep,
     SignalStep,
     SyncStep,
     WaitStep,
+    poses,
 )
-from planner.verify.values import JointTarget, RobTarget, poses
+from planner.verify.rapid.reader import FlowError, flatten, handlers, read_module, read_task
+from planner.verify.rapid.syntax_tree import PREDEFINED
 from tests.verify.rapid_texts import FULL, MOVE, program, steps
 
 

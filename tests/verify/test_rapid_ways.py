@@ -2,8 +2,8 @@
 
 import time
 
-from planner.verify.rapid_reader import flatten, flow, handlers, read_task
-from planner.verify.steps import MoveStep
+from planner.verify.programs.steps import MoveStep
+from planner.verify.rapid.reader import flatten, flow, handlers, read_task
 
 MOVE = r"MoveL [[10.5,-2,3],[0,1,0,0],[0,0,-1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],v100\T:=0.25,z1,tool0;"
 

@@ -7,43 +7,50 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner import catalogue
-from planner.cell.robots import forward
-from planner.claims import CutsSurface, KerfCurve
-from planner.segments import Segment
-from planner.verify import arm_ik, confdata, machines, straight_moves, time_law
+from planner.catalogue import robots
+from planner.cell.kinematics import forward
+from planner.claims.claim import CutsSurface, KerfCurve
+from planner.claims.segments import Segment
 from planner.verify.context import Context
-from planner.verify.surface import Sweep, closest, cut_face
+from planner.verify.replay import arm_model, inverse_kinematics, moves
+from planner.verify.wire.cut_surface import Sweep, closest, cut_face
 from tests.verify import held_job, small_job
 
 
-@pytest.mark.parametrize("name", catalogue.robot_names())
+@pytest.mark.parametrize("name", robots.robot_names())
 def test_inverse_kinematics_undoes_forward_on_every_branch(name):
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (1000, 6))
-    branch = arm_ik.branch_of(machine, q)
+    branch = inverse_kinematics.branch_of(machine, q)
     assert {0, 1, 4, 5} <= set(branch.tolist())
-    back = arm_ik.nearest_turns(arm_ik.solve(machine, forward(machine.data, q), branch), q)
-    regular = arm_ik.singularity_distance(machine, q) > 1e-2
+    back = inverse_kinematics.nearest_turns(
+        inverse_kinematics.solve(machine, forward(machine.data, q), branch), q
+    )
+    regular = inverse_kinematics.singularity_distance(machine, q) > 1e-2
     assert np.abs(back - q)[regular].max() < 1e-9
 
 
 def test_out_of_reach_is_nan():
-    machine = machines.of("irb140")
+    machine = arm_model.machine_of("irb140")
     pose = np.eye(4)[None]
     pose[0, 0, 3] = 3.0
-    assert np.isnan(arm_ik.solve(machine, pose, np.zeros(1, dtype=int))).any()
+    assert np.isnan(inverse_kinematics.solve(machine, pose, np.zeros(1, dtype=int))).any()
 
 
 def test_confdata_alone_select_the_solution():
-    machine = machines.of("irb140")
+    machine = arm_model.machine_of("irb140")
     q = np.random.default_rng(5).uniform(machine.data.lower, machine.data.upper, (2000, 6))
-    q = q[arm_ik.singularity_distance(machine, q) > 0.05]
-    conf = np.concatenate([confdata.quadrants(q), arm_ik.branch_of(machine, q)[:, None]], axis=1)
-    assert np.abs(confdata.select(machine, forward(machine.data, q), conf) - q).max() < 1e-9
-    assert confdata.fits(machine, q, conf).all()
+    q = q[inverse_kinematics.singularity_distance(machine, q) > 0.05]
+    conf = np.concatenate(
+        [inverse_kinematics.quadrants(q), inverse_kinematics.branch_of(machine, q)[:, None]], axis=1
+    )
+    assert (
+        np.abs(inverse_kinematics.select_by_confdata(machine, forward(machine.data, q), conf) - q).max()
+        < 1e-9
+    )
+    assert inverse_kinematics.fits_confdata(machine, q, conf).all()
     wrong = conf + np.array([0, 1, 0, 0])
-    assert not confdata.fits(machine, q, wrong)[np.abs(q[:, 3] % (np.pi / 2)) > 1e-3].any()
+    assert not inverse_kinematics.fits_confdata(machine, q, wrong)[np.abs(q[:, 3] % (np.pi / 2)) > 1e-3].any()
 
 
 @pytest.mark.parametrize(
@@ -52,19 +59,19 @@ def test_confdata_alone_select_the_solution():
 def test_quadrants_as_in_the_manual(degrees, quadrant):
     q = np.zeros(6)
     q[5] = np.deg2rad(degrees)
-    assert confdata.quadrants(q)[2] == quadrant
+    assert inverse_kinematics.quadrants(q)[2] == quadrant
 
 
 def law(reach=0.5, room=0.0):
     stop = np.array([True, False, False, True])
-    return time_law.make(np.ones(3), np.ones(3), stop, np.full((4, 2), reach), np.full(4, room))
+    return moves.time_law_of(np.ones(3), np.ones(3), stop, np.full((4, 2), reach), np.full(4, room))
 
 
 def test_a_corner_is_the_quadratic_bezier_of_its_zone():
     found = law(reach=0.25)
     delta = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     s = np.linspace(0.0, 1.0, 21)
-    node, xi = time_law.offsets(found, delta, 2.0 + 0.25 * (2.0 * s - 1.0))
+    node, xi = moves.offsets(found, delta, 2.0 + 0.25 * (2.0 * s - 1.0))
     corner = np.cumsum(np.vstack([np.zeros(3), delta]), axis=0)[node] + xi
     ends = np.array([[1.75, 0.0, 0.0], [2.0, 0.0, 0.0]])
     last = 2.0, found.rate_in[2], found.rate_out[2]
@@ -87,9 +94,9 @@ def test_even_moves_keep_their_speed_through_every_node():
     """Seven equal moves in line: constant speed away from the ramps, no step in speed."""
     delta = np.array([[1.0, 0.0, 0.0]] * 7)
     stop = np.array([True, *[False] * 6, True])
-    found = time_law.make(np.ones(7), np.ones(7), stop, np.full((8, 2), 0.5), np.zeros(8))
+    found = moves.time_law_of(np.ones(7), np.ones(7), stop, np.full((8, 2), 0.5), np.zeros(8))
     at = np.linspace(0.0, 7.0, 7001)
-    node, xi = time_law.offsets(found, delta, at)
+    node, xi = moves.offsets(found, delta, at)
     x = node + xi[:, 0]
     speed = np.diff(x) / np.diff(at)
     assert x[0] == 0.0
@@ -101,7 +108,7 @@ def test_even_moves_keep_their_speed_through_every_node():
 
 def test_a_zone_of_nothing_is_a_sharp_corner():
     delta = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
-    node, xi = time_law.offsets(law(reach=0.0), delta, np.array([1.0]))
+    node, xi = moves.offsets(law(reach=0.0), delta, np.array([1.0]))
     assert (
         np.abs(np.cumsum(np.vstack([np.zeros(3), delta]), axis=0)[node[0]] + xi[0] - [1.0, 0.0, 0.0]).max()
         < 1e-12
@@ -144,7 +151,7 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
 @pytest.mark.parametrize("job", [small_job, held_job])
 def test_samples_worked_out_in_parts_are_the_same(job, monkeypatch):
     whole = Context(job.problem(), job.claims(), job.programs()).motion
-    monkeypatch.setattr(straight_moves, "CHUNK", 97)
+    monkeypatch.setattr(moves, "CHUNK", 97)
     parts = Context(job.problem(), job.claims(), job.programs()).motion
     for arm in whole.q:
         assert np.abs(whole.q[arm] - parts.q[arm]).max() < 1e-12

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.cell.plant import CellModel, build
 from planner.issues import TandemError
-from planner.verify import rules_kinematics
 from planner.verify.context import Context
 from planner.verify.prove import Prover, prove
-from planner.verify.urdf_chain import Chain
+from planner.verify.replay.arm_model import Chain
+from planner.verify.rules import robot_motion
 from tests.verify import held_job, krl_job, small_job
 
 MM, TENTH = 1e-3, np.deg2rad(0.1)
@@ -35,11 +35,11 @@ def folder(tmp_path, monkeypatch):
     """A catalogue of its own, which everything reads in place of the one that is built in."""
     small_job.programs()
     copy = tmp_path / "urdf"
-    shutil.copytree(catalogue.data_dir("urdf"), copy)
-    monkeypatch.setattr(catalogue, "_HERE", tmp_path / "planner")
-    catalogue._table.cache_clear()
+    shutil.copytree(robots.data_dir("urdf"), copy)
+    monkeypatch.setattr(robots, "_HERE", tmp_path / "planner")
+    robots._table.cache_clear()
     yield copy
-    catalogue._table.cache_clear()
+    robots._table.cache_clear()
 
 
 def changed(text, joint, kind, axis, rng):
@@ -75,7 +75,7 @@ def test_a_urdf_that_is_off_ends_not_proven(folder, joint, kind, axis):
 
 
 def test_the_folder_is_what_is_read_and_proves_as_it_was(folder):
-    assert catalogue.urdf_path("irb140").parent == folder
+    assert robots.urdf_path("irb140").parent == folder
     proof = prove(small_job.problem(), small_job.claims(), small_job.programs())
     assert proof.ok
 
@@ -147,7 +147,7 @@ def test_drake_is_not_asked_to_plan_with_a_file_that_cannot_be_read(folder):
 
 
 def kinematics(context, model):
-    return rules_kinematics.kinematics(context, lambda _: model)
+    return robot_motion.kinematics(context, lambda _: model)
 
 
 @pytest.fixture(scope="module")
@@ -216,9 +216,9 @@ def test_a_held_block_is_looked_at():
     prover = Prover(context.problem, context.by_operation)
     held = next(i for i in range(len(context.setups)) if context.holder(i) is not None)
     model = prover.model(context, held)
-    outcome = rules_kinematics.kinematics(context, lambda index: prover.model(context, index))
+    outcome = robot_motion.kinematics(context, lambda index: prover.model(context, index))
     assert outcome.issues == ()
     grip = dataclasses.replace(model.stock, grip=model.stock.grip + 1e-5 * np.eye(4, k=3))
     prover._models[held] = build(model.cell, grip, model.stock_pose, context.bases)
-    found = rules_kinematics.kinematics(context, lambda index: prover.model(context, index)).issues
+    found = robot_motion.kinematics(context, lambda index: prover.model(context, index)).issues
     assert ("stock",) in {issue.bodies for issue in found}

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from planner.verify.rod import Rod, RodError, follow, mount
+from planner.verify.wire.rod import Rod, RodError, follow, mount
 from tests.verify.rods import DOWN, LENGTH, arc_frames, frame, planar_reference, wire
 
 

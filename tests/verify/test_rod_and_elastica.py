@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.hotwire import elastica
-from planner.hotwire.stability import round_section, strip
-from planner.verify import rod_solve
-from planner.verify.rod import Rod, follow
-from planner.verify.rod_energy import Ends, exponential
-from planner.verify.rod_model import RodShape
+from planner.hotwire.elastica import weightless
+from planner.hotwire.elastica.clamped import round_section, strip
+from planner.verify.wire import rod_equilibrium
+from planner.verify.wire.rod import Rod, RodShape, follow
+from planner.verify.wire.rod_energy import Ends, exponential
 
 DOWN = np.array([0.0, 0.0, -1.0])
 LENGTH = 0.7
@@ -43,7 +42,7 @@ def frames(pose: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("flat", [True, False])
 def test_shapes_and_verdicts_agree(flat: bool) -> None:
     start, end = random_ends(40)
-    shape = elastica.solve(LENGTH, start, end, strict=False)
+    shape = weightless.solve(LENGTH, start, end, strict=False)
     section = strip(10.0, NU) if flat else round_section(NU)
     rod = Rod(LENGTH, 2e-3, 2e-3 * section.stiff, 2e-3 * section.torsion)
     n = rod.segments
@@ -64,8 +63,8 @@ def test_shapes_and_verdicts_agree(flat: bool) -> None:
         place = (a[:3, :3].T @ (b[:3, 3] - a[:3, 3]))[:, None] / LENGTH
         last = exponential(np.array([[0.0], [0.0], [end[k, 2] - start[k, 2]]]))
         ends = Ends(place, last, np.zeros((3, 1)))
-        outcome = rod_solve.newton(
-            rod.stiffness, rod_solve.State(state.attitudes[..., None], np.zeros((3, 1))), ends
+        outcome = rod_equilibrium.newton(
+            rod.stiffness, rod_equilibrium.State(state.attitudes[..., None], np.zeros((3, 1))), ends
         )
         assert outcome.converged[0]
         assert (outcome.negatives[0] == 0) == stable[k], k

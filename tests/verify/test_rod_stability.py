@@ -7,9 +7,10 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from planner.verify import rod_energy, rod_solve
-from planner.verify.rod import Rod, follow, mount
-from tests.verify.rods import DOWN, LENGTH, Array, arc_frames, frame, planar_reference, wire
+from planner.geometry.arrays import FloatArray
+from planner.verify.wire import rod_energy, rod_equilibrium
+from planner.verify.wire.rod import Rod, follow, mount
+from tests.verify.rods import DOWN, LENGTH, arc_frames, frame, planar_reference, wire
 
 
 def test_gradient_and_hessian_are_those_of_the_energy() -> None:
@@ -21,10 +22,10 @@ def test_gradient_and_hessian_are_those_of_the_energy() -> None:
     ends = rod_energy.Ends(rng.normal(size=(3, t)), turn, rng.normal(size=(3, t)) * 3)
     force = rng.normal(size=(3, t)) * 5
 
-    def turned(rotation: Array) -> Array:
+    def turned(rotation: FloatArray) -> FloatArray:
         return rod_energy.multiply(q, rod_energy.exponential(rotation))
 
-    def lagrangian(rotation: Array) -> Array:
+    def lagrangian(rotation: FloatArray) -> FloatArray:
         there = turned(rotation)
         return rod_energy.energy(stiffness, there, ends) - (force * rod_energy.gap(there, ends)).sum(axis=0)
 
@@ -53,20 +54,20 @@ def test_batched_elimination_agrees_with_the_dense_solution() -> None:
     turn = rod_energy.exponential(rng.normal(size=(3, 5)) * 0.3)
     ends = rod_energy.Ends(rng.normal(size=(3, 5)), turn, rng.normal(size=(3, 5)))
     parts = rod_energy.derivatives(np.array([0.8, 4.0, 1.0]), q, rng.normal(size=(3, 5)) * 5, ends)
-    work = rod_solve.Elimination(parts, lift=0.0)
+    work = rod_equilibrium.Elimination(parts, lift=0.0)
     rotation, force = work.solve(-parts.gradient, parts.gap)
     names = ("gradient", "diagonal", "beside", "slope", "gap")
     for k in range(5):
         one = rod_energy.Derivatives(*(getattr(parts, name)[..., k : k + 1] for name in names))
-        full = rod_solve.saddle(one)
+        full = rod_equilibrium.saddle(one)
         dense = np.linalg.solve(full, np.concatenate([-one.gradient[..., 0].T.ravel(), one.gap[:, 0]]))
         assert np.allclose(dense[:36].reshape(12, 3).T, rotation[..., k], atol=1e-7)
         assert np.allclose(dense[36:], force[:, k], atol=1e-6)
         negatives = int((np.linalg.eigvalsh(full) < 0).sum())
-        assert negatives == work.negatives[k] + 3 == rod_solve.factor(full)[2]
+        assert negatives == work.negatives[k] + 3 == rod_equilibrium.factor(full)[2]
 
 
-def rocking(rod: Rod, distance: float, angles: Array) -> tuple[Array, Array]:
+def rocking(rod: Rod, distance: float, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
     """End frames that turn symmetrically from bowing up (angle > 0) to bowing down."""
     a = np.array([frame(0, 0, angle) for angle in angles])
     return a, np.array([frame(distance * rod.length, 0, -angle) for angle in angles])
@@ -86,16 +87,16 @@ def test_round_wire_between_rocking_ends_turns_over_as_soon_as_they_pass_level()
     assert path.min_eig[15] < 0.02 < path.min_eig[0]
 
 
-def first_singular_angle(distance: float, angles: Array) -> float:
+def first_singular_angle(distance: float, angles: FloatArray) -> float:
     """Where the planar elastica between rocking ends ends: its shooting map's Jacobian is singular there.
 
     The map takes (k0, Fx, Fy) at the start to (x, y, theta) at the end, integrated by scipy.
     """
 
-    def shoot(p: Array, angle: float) -> Array:
+    def shoot(p: FloatArray, angle: float) -> FloatArray:
         """Misses (3, m) of m starts (3, m)."""
 
-        def rate(_: float, flat: Array) -> Array:
+        def rate(_: float, flat: FloatArray) -> FloatArray:
             y = flat.reshape(4, -1)
             return np.concatenate(
                 [np.cos(y[2]), np.sin(y[2]), y[3], p[1] * np.sin(y[2]) - p[2] * np.cos(y[2])]
@@ -108,7 +109,7 @@ def first_singular_angle(distance: float, angles: Array) -> float:
         )
         return np.asarray(end) - np.array([[distance], [0.0], [-angle]])
 
-    def linear(p: Array, angle: float) -> tuple[Array, Array]:
+    def linear(p: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
         """The miss (3,) and its Jacobian (3, 3)."""
         steps = np.diag([1e-5, 1e-4, 1e-4])
         misses = shoot(p[:, None] + np.concatenate([np.zeros((3, 1)), steps, -steps], axis=1), angle)
@@ -136,11 +137,13 @@ def first_singular_angle(distance: float, angles: Array) -> float:
     raise AssertionError("no singular angle in the range")
 
 
-def start_guess(distance: float, angle: float) -> Array:
+def start_guess(distance: float, angle: float) -> FloatArray:
     """A polyline close to the shape, from the mounted rod (only to start the reference's own iteration)."""
     rod = wire(10.0)
     a, b = rocking(rod, distance, np.array([angle]))
-    points: Array = follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN, bow=1.0)).points[0, :, :2] / LENGTH
+    points: FloatArray = (
+        follow(rod, a, b, DOWN, mount(rod, a[0], b[0], DOWN, bow=1.0)).points[0, :, :2] / LENGTH
+    )
     return points
 
 
@@ -219,9 +222,9 @@ def test_ring_loses_stability_at_the_twist_of_michell_and_zajac() -> None:
         ends = rod_energy.Ends(np.zeros((3, 1)), turn, np.zeros((3, 1)))
         stiffness = np.array([torsion, 1.0, 1.0])
         # the ring stands because of a force along its axis' direction: found by least squares of the gradient
-        state = rod_solve.State(q, np.zeros((3, 1)))
-        state = rod_solve.newton(stiffness, state, ends, rounds=30).state
-        full = rod_solve.saddle(rod_energy.derivatives(stiffness, state.q, state.force, ends))
+        state = rod_equilibrium.State(q, np.zeros((3, 1)))
+        state = rod_equilibrium.newton(stiffness, state, ends, rounds=30).state
+        full = rod_equilibrium.saddle(rod_energy.derivatives(stiffness, state.q, state.force, ends))
         basis = np.linalg.qr(full[3 * n :, : 3 * n].T, mode="complete")[0][:, 3:]
         lowest = np.linalg.eigvalsh(basis.T @ full[: 3 * n, : 3 * n] @ basis)[:3] * n
         values.append(lowest)

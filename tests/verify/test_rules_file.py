@@ -15,14 +15,14 @@ import ezdxf
 import numpy as np
 import pytest
 
-from planner.claims import CutsSurface, KerfCurve
-from planner.geometry.airfoil import naca
+from planner.claims.claim import CutsSurface, KerfCurve
+from planner.claims.segments import Segment
 from planner.geometry.mesh import vertex_normals
 from planner.geometry.rulings import outward_sides, tessellate
-from planner.segments import Segment
-from planner.verify import rules_file
+from planner.geometry.wing import naca
 from planner.verify.prove import Prover
-from planner.verify.surface import Sweep
+from planner.verify.rules import part_file
+from planner.verify.wire.cut_surface import Sweep
 from tests.geometry.part_specs import make
 from tests.verify import forming_job
 from tests.verify.files.test_surfaces import absolute, grid_obj, hills
@@ -96,7 +96,7 @@ def judged(read, said, folder, cuts="all", size=SIZE, operation=None):
         part=part,
     )
     context = SimpleNamespace(problem=problem, surfaces=tuple(surfaces))
-    return rules_file.part_file(context, sweeps, None, SimpleNamespace(surfaces=()))
+    return part_file.part_file(context, sweeps, None, SimpleNamespace(surfaces=()))
 
 
 def elastic(*faces):

@@ -8,8 +8,8 @@ import functools
 import numpy as np
 import pytest
 
-from planner.claims_forming import FollowsOpposite, SupportsBorder, ToolsLean
-from planner.segments import Segment
+from planner.claims.forming import FollowsOpposite, SupportsBorder, ToolsLean
+from planner.claims.segments import Segment
 from planner.verify.prove import Prover
 from tests.verify import forming_job as job
 from tests.verify.mutants import moves, name, segment, shifted, tilted, timed

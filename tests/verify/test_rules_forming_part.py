@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from planner import pipeline, processes
-from planner.claims_forming import FormsPart
-from planner.forming import feature_order
+from planner.claims.forming import FormsPart
+from planner.claims.segments import Segment
+from planner.forming.features import tree
 from planner.geometry.mesh import TriangleMesh, face_normals
-from planner.segments import Segment
 from planner.verify.context import Context
-from planner.verify.forming_shapes import Shape
-from planner.verify.forming_state import Forming
-from planner.verify.rules_forming_claims import forming_claims
-from planner.verify.rules_forming_part import forming_part
+from planner.verify.forming.shapes import Shape
+from planner.verify.forming.state import Forming
+from planner.verify.rules.forming_claims import forming_claims
+from planner.verify.rules.forming_part import forming_part
 from tests import small_forming
 from tests.forming import nests, shapes
 from tests.verify import forming_job
@@ -133,11 +133,11 @@ def gaps(function):
     return patch
 
 
-PASSES = "planner.forming.work.passes"
-BY_CORNER = "planner.forming.forming_claims.by_corner"
-VIRGIN = "planner.forming.feature_order.on_virgin_sheet"
-BORDER = "planner.forming.forming_claims.border_curve"
-STATES = "planner.forming.forming_claims.states"
+PASSES = "planner.forming.process_plan.passes"
+BY_CORNER = "planner.forming.claims.by_corner"
+VIRGIN = "planner.forming.features.tree.on_virgin_sheet"
+BORDER = "planner.forming.claims.border_curve"
+STATES = "planner.forming.claims.states"
 FAULTS = {
     "aside by 0.2 mm": ("virgin", PASSES, moved([2e-4, 0.0, 0.0]), PART),
     "mirrored": ("virgin", PASSES, turned([[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), PART),
@@ -150,7 +150,7 @@ FAULTS = {
     "a feature left out": ("virgin", PASSES, results(lambda found: found[1:]), PART),
     "shapes the other way round": ("steep", PASSES, results(lambda found: found[::-1]), PART),
     "features the other way round": ("virgin", PASSES, results(lambda found: found[::-1]), PART),
-    "outer features first": ("virgin", VIRGIN, lambda _: feature_order.in_place, PART),
+    "outer features first": ("virgin", VIRGIN, lambda _: tree.in_place, PART),
     "shapes too far apart": (
         "steep",
         "planner.forming.passes.pass_angles",
@@ -171,7 +171,7 @@ FAULTS = {
     "half a border": ("border", BORDER, results(lambda ring: ring[: len(ring) // 2]), CLAIMS),
     "ridges twice as high": (
         "dish",
-        "planner.forming.forming_claims.scallop",
+        "planner.forming.claims.scallop",
         results(lambda height: 2.0 * height),
         CLAIMS,
     ),

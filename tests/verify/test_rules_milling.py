@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from planner import processes
+from planner.claims.segments import Segment
 from planner.motion import solve
 from planner.post import write
-from planner.segments import Segment
 from planner.tooling import Cutter
-from planner.verify.mill_body import signed, solids, sweep
+from planner.verify.milling.tool_motion import signed, solids, sweep
 from planner.verify.prove import Prover
 from planner.verify.result import Proof
 from tests.milling.small_mill import BALL, PANEL, WALL, problem

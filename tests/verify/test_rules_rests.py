@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.cell import standing as made_for
-from planner.claims import HoldsStock
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
+from planner.cell import support
+from planner.claims.claim import HoldsStock
+from planner.geometry.rigid import Shape, from_rpy
 from planner.problem import Obstacle, Problem
-from planner.stock_file import PEDESTAL
+from planner.reading.stock import PEDESTAL
 from planner.tooling import gripper_plate
 from planner.units import GRAVITY
 from planner.verify.context import Context
 from planner.verify.prove import Prover
-from planner.verify.rules_rests import rests
+from planner.verify.rules.block_support import rests
 from tests.verify import held_job, straight_job
 
 
@@ -137,7 +136,7 @@ def test_what_is_made_stands_on_the_floor_and_is_no_higher_than_what_is_in_stock
 
 
 def test_a_pedestal_that_is_made_elsewhere_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_support = made_for.with_support
+    with_support = support.with_support
     for shift, word in (((0.3, 0.0, 0.0), "under the block"), ((0.0, 0.0, -0.1), "hangs 100 mm")):
 
         def wrong(*given: Any, shift: tuple[float, float, float] = shift) -> Any:
@@ -145,7 +144,7 @@ def test_a_pedestal_that_is_made_elsewhere_is_found(monkeypatch: pytest.MonkeyPa
             shapes = [dataclasses.replace(s, pose=from_rpy(shift, (0, 0, 0)) @ s.pose) for s in made.support]
             return dataclasses.replace(made, support=tuple(shapes))
 
-        monkeypatch.setattr(made_for, "with_support", wrong)
+        monkeypatch.setattr(support, "with_support", wrong)
         assert any(word in fault for fault in standing(0.7, pedestal=PEDESTAL))
 
 
@@ -159,14 +158,14 @@ def test_a_block_below_the_floor_and_what_acceptance_does_not_hide() -> None:
 
 
 def test_what_is_made_is_of_a_size_in_stock_whatever_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_support = made_for.with_support
+    with_support = support.with_support
 
     def wrong(*given: Any) -> Any:
         made = with_support(*given)
         shapes = [dataclasses.replace(s, size=(0.9 * s.size[0], *s.size[1:])) for s in made.support]
         return dataclasses.replace(made, support=tuple(shapes))
 
-    monkeypatch.setattr(made_for, "with_support", wrong)
+    monkeypatch.setattr(support, "with_support", wrong)
     for taken in ((), ("stock.support",)):
         assert "mm is in stock" in standing(0.7, pedestal=PEDESTAL, accept=taken)[0]
     monkeypatch.undo()

@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.catalogue import robot
+from planner.catalogue.issue_codes import CODES
+from planner.catalogue.robots import robot
 from planner.cell.plant import build
-from planner.claims import CutsSurface, FollowsPoses, KerfCurve, WireJoins
-from planner.geometry.rigid import from_rpy
-from planner.geometry.shapes import Shape
-from planner.issues import Issue
+from planner.claims.claim import CutsSurface, FollowsPoses, KerfCurve, WireJoins
+from planner.geometry.rigid import Shape, from_rpy
+from planner.issues import Issue, with_remedy
 from planner.problem import Arm, Cell, Controller, Obstacle, Problem, Settings, Stock
 from planner.tooling import PlainTool
-from planner.verify import rules_kinematics
 from planner.verify.context import Context
-from planner.verify.poses import Poses
-from planner.verify.prove import RULES, Prover
-from planner.verify.remedies import REMEDIES, told
+from planner.verify.prove import Prover
+from planner.verify.replay.motion import Poses
+from planner.verify.rules import robot_motion
 from tests.verify import small_job
 from tests.verify.mutants import both, change, field, lines, moves, name, put, segment, shifted, timed
 
@@ -87,12 +86,11 @@ def test_joint_speed():
 
 
 def test_what_to_do_is_told_where_a_rule_does_not_say_so_itself():
-    assert set(REMEDIES) <= set(RULES)
     found = issues("verify.tcp_speed", job=small_job.problem(tcp_speed=0.03))
-    assert {issue.hint for issue in found} == {REMEDIES["verify.tcp_speed"]}
+    assert {issue.hint for issue in found} == {CODES["verify.tcp_speed"].remedy}
     own = Issue("verify.tcp_speed", "too fast", hint="stop there")
-    assert told(own) == own
-    assert told(Issue("verify.syntax", "what")).hint is None
+    assert with_remedy(own) == own
+    assert with_remedy(Issue("verify.syntax", "what")).hint is None
 
 
 # ---- the wire ----------------------------------------------------------------------------------------
@@ -151,12 +149,12 @@ def test_a_zone_between_a_joint_move_and_a_straight_one():
 def test_drake_must_put_the_tools_where_the_replay_has_them():
     context = Context(small_job.problem(), small_job.claims(), programs())
     model = build(context.problem.cell, context.problem.stock, context.stock_pose, context.bases)
-    assert rules_kinematics.kinematics(context, lambda _: model).issues == ()
+    assert robot_motion.kinematics(context, lambda _: model).issues == ()
     motion = context.motion
     off = {arm: Poses.of(pose[:]) for arm, pose in motion.tcp.items()}
-    off["left"].place[:, 0] += 2.0 * rules_kinematics.KINEMATICS
+    off["left"].place[:, 0] += 2.0 * robot_motion.KINEMATICS
     context.__dict__["motion"] = dataclasses.replace(motion, tcp=off)
-    found = rules_kinematics.kinematics(context, lambda _: model).issues
+    found = robot_motion.kinematics(context, lambda _: model).issues
     assert {issue.code for issue in found} == {"verify.kinematics"}
 
 

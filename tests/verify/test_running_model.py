@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from planner.verify.handshake_model import Action, check
-from planner.verify.rules_handshake import _CASES
+from planner.verify.programs.handshake_model import Action, check
+from planner.verify.rules.handshake import _CASES
 
 LEAD, FOLLOW = 0, 1
 WIRES = 2

@@ -11,10 +11,11 @@ import re
 import numpy as np
 import pytest
 
-from planner.handshake import Handshake, PartnerSignals, SignalWire
+from planner.claims.dialogue import Handshake, PartnerSignals, SignalWire
 from planner.post import write
-from planner.verify import rules_data, rules_handshake
 from planner.verify.context import Context
+from planner.verify.rules import handshake as rules_handshake
+from planner.verify.rules import moves_and_settings
 from tests.post import krl_job
 from tests.verify import handshake_job
 
@@ -308,7 +309,7 @@ def test_only_a_plain_stop_before_the_first_move_is_no_change_of_the_motion():
 
     def settings(text):
         context = Context(problem, {"panel": ()}, {**good, main: text})
-        return rules_data.motion_settings(context).issues
+        return moves_and_settings.motion_settings(context).issues
 
     assert good[main].count("    Stop;\n    UIMsgBox") == 1
     assert settings(good[main]) == ()

@@ -14,15 +14,16 @@ import yaml
 
 import planner
 from planner import processes
-from planner.claims import CutsSurface
-from planner.hotwire import straight, straight_cut, straight_leads
-from planner.hotwire.straight_cut import Cut
-from planner.hotwire.straight_lines import Lines
+from planner.claims.claim import CutsSurface
+from planner.hotwire.straight import cut as straight_cut
+from planner.hotwire.straight import job
+from planner.hotwire.straight.cut import Cut
+from planner.hotwire.straight.order import Lines
 from planner.issues import TandemError
 from planner.pipeline import Outcome
 from planner.problem import Problem
-from planner.verify import spared
 from planner.verify.prove import Prover
+from planner.verify.wire import walls
 from tests.hotwire import foam_blocks as blocks
 from tests.hotwire.test_straight_job import PROBLEM
 
@@ -63,7 +64,7 @@ def codes(outcome: Outcome) -> set[str]:
 def unchecked(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """The planner without its own checks."""
     for name in CHECKS:
-        monkeypatch.setattr(straight, name, lambda *_: iter(()))
+        monkeypatch.setattr(job, name, lambda *_: iter(()))
     return monkeypatch
 
 
@@ -98,14 +99,16 @@ def slanted(tries: Any) -> int:
 def test_a_slit_that_is_longer_than_it_has_to_be_is_not(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, pick: Callable[[Any], int]
 ) -> None:
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_leads.Start:
-        found = straight_leads.choose(ruled, contours, cut, box, *sides)
+    choose = straight_cut.choose
+
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.Start:
+        found = choose(ruled, contours, cut, box, *sides)
         if not ruled.hole:
             return found
-        tries = straight_leads._tries(ruled, contours, cut, box)
+        tries = straight_cut._tries(ruled, contours, cut, box)
         k = pick(tries)
         more = float(tries.length[k]), float(tries.through[k])
-        return straight_leads.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
+        return straight_cut.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
 
     unchecked.setattr(straight_cut, "choose", other)
     assert codes(planned(problem(tmp_path, plate()))) == {"verify.slit"}
@@ -150,15 +153,17 @@ def beside_another(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     hole = np.column_stack([-0.04 + 0.01 * np.cos(angle), 0.055 + 0.01 * np.sin(angle)])
     window = [(0.0, 0.0553), (0.02, 0.0553), (0.02, 0.07), (0.0, 0.07)]
 
-    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_leads.Start:
-        found = straight_leads.choose(ruled, contours, cut, box, *sides)
+    choose = straight_cut.choose
+
+    def other(ruled: Any, contours: Any, cut: Any, box: Any, *sides: Any) -> straight_cut.Start:
+        found = choose(ruled, contours, cut, box, *sides)
         if ruled.name != "hole":
             return found
-        tries = straight_leads._tries(ruled, contours, cut, box)
+        tries = straight_cut._tries(ruled, contours, cut, box)
         height = 0.5 * (ruled.start + ruled.end)[tries.first, 2] - 0.055
         k = int(np.argmin(np.abs(height) + np.abs(tries.way @ np.array([1.0, 0.0, 0.0]) - 1.0)))
         more = float(tries.length[k]), float(tries.through[k])
-        return straight_leads.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
+        return straight_cut.Start(int(tries.first[k]), found.backward, tries.way[k], *more)
 
     monkeypatch.setattr(straight_cut, "choose", other)
     return [
@@ -209,11 +214,11 @@ def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[
 def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
 ) -> None:
-    wanted = straight.wanted
+    wanted = job.wanted
     free = [
         lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"})),
     ]
-    unchecked.setattr(straight, "wanted", lambda *given: [free[0](one) for one in wanted(*given)])
+    unchecked.setattr(job, "wanted", lambda *given: [free[0](one) for one in wanted(*given)])
     assert "verify.slit" in codes(planned(problem(tmp_path, ruled, **more)))
 
 
@@ -242,7 +247,7 @@ def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
 ) -> None:
     """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap. All of the
     surface is looked at, in however many batches."""
-    unchecked.setattr(spared, "BATCH", batch)
+    unchecked.setattr(walls, "BATCH", batch)
     outcome = planned(problem(tmp_path, facing(0.0004)))
     slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]
@@ -274,4 +279,4 @@ def test_what_goes_on_beyond_a_surface_that_it_crosses_is_no_part() -> None:
     outline = next(claim for claim in part if claim.segment.name == "outline")
     place = np.array([[0.10308477, 0.0337478, z] for z in (0.0735, 0.0755)])
     block = np.array([[-0.145, -0.3, 0.0], [0.145, 0.3, 0.1]])
-    assert spared._bounds_the_part(place, outline, part, block).tolist() == [True, False]
+    assert walls._bounds_the_part(place, outline, part, block).tolist() == [True, False]

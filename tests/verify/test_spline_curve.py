@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.verify import spline_curve
+from planner.verify.krl import spline_curve
 from tests.verify import spline_members as members
 
 

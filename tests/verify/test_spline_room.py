@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from planner.claims import FeedWindow
-from planner.claims_milling import MillsAlong
+from planner.claims.claim import FeedWindow
+from planner.claims.milling import MillsAlong
+from planner.claims.segments import Segment
 from planner.geometry.rigid import to_quaternion
-from planner.motion import spline_room
-from planner.post.krl_curve import curve
-from planner.segments import Segment
-from planner.verify import rules_spline, spline_curve
-from planner.verify.rules_spline import Allowance
+from planner.motion import solve
+from planner.post.krl.spline_blocks import curve
+from planner.verify.krl import spline_curve
+from planner.verify.rules import krl_spline
+from planner.verify.rules.krl_spline import Allowance
 from tests.verify import spline_job
 from tests.verify.test_spline_curve import block
 
@@ -56,11 +57,11 @@ def test_claims_lose_what_curves_may_be_off():
     segment = Segment("mill", "wall")
     tip = np.zeros((2, 3))
     claim = MillsAlong(segment, "robot", tip, tip, np.array([0.0, 0.02]), 1e-4, 0.01)
-    less = rules_spline._less(claim, most)
+    less = krl_spline._less(claim, most)
     assert less.tolerance == pytest.approx(7e-5) and less.turn == pytest.approx(0.0096)
-    assert less.feed[1] == pytest.approx(0.02 / rules_spline.FASTER)
-    window = rules_spline._less(FeedWindow(segment, 0.0, 0.03), most)
-    assert window.upper == pytest.approx(0.03 / rules_spline.FASTER)
+    assert less.feed[1] == pytest.approx(0.02 / krl_spline.FASTER)
+    window = krl_spline._less(FeedWindow(segment, 0.0, 0.03), most)
+    assert window.upper == pytest.approx(0.03 / krl_spline.FASTER)
     assert most.at(0.1) == pytest.approx(5e-5)
 
 
@@ -73,16 +74,16 @@ def test_plans_leave_room_where_blocks_are_asked_for():
             problem.cell, controller=dataclasses.replace(problem.cell.controller, path="slin")
         ),
     )
-    same, targets = spline_room.with_room(slin, [operation.targets])
+    same, targets = solve.with_room(slin, [operation.targets])
     assert same is slin and targets == (operation.targets,)
-    roomy, targets = spline_room.with_room(problem, [operation.targets])
+    roomy, targets = solve.with_room(problem, [operation.targets])
     assert roomy.settings.clearance > problem.settings.clearance
     assert targets == (operation.targets,)  # feeds of poses are kept by their times
     fed = dataclasses.replace(
         operation.targets,
         claims=(*operation.targets.claims, FeedWindow(operation.targets.segment[1], 0.0, 0.04)),
     )
-    _, (slower,) = spline_room.with_room(problem, [fed])
+    _, (slower,) = solve.with_room(problem, [fed])
     share = fed.feed / np.where(slower.feed > 0.0, slower.feed, 1.0)
-    assert share[10:-10] == pytest.approx(spline_room.SLOWER)
-    assert share[1] > 1.2 * spline_room.SLOWER
+    assert share[10:-10] == pytest.approx(solve.SPLINE_SLOWING_FACTOR)
+    assert share[1] > 1.2 * solve.SPLINE_SLOWING_FACTOR

@@ -9,24 +9,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.claims import (
-    CutsSurface,
-    FollowsRulings,
-    KerfCurve,
-    KerfWithin,
-    StraightWire,
-)
+from planner.claims.claim import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
+from planner.claims.segments import Segment
 from planner.geometry.rulings import tessellate
 from planner.problem import Ruled, Stock
-from planner.segments import Segment
 from planner.verify.context import Context
+from planner.verify.programs.program_text import segment_of_name
+from planner.verify.programs.setups import letters
 from planner.verify.prove import Prover
-from planner.verify.rules_straight import free_lengths, guide_normals, off_guide
-from planner.verify.segment_names import said
-from planner.verify.setups import letters
-from planner.verify.speed import local
-from planner.verify.surface import Sweep, cut_face, part_obj
-from planner.verify.wire import depth_in
+from planner.verify.replay.motion import local
+from planner.verify.rules.straight_wire import free_lengths, guide_normals, off_guide
+from planner.verify.wire.cut_surface import Sweep, cut_face, part_obj
+from planner.verify.wire.wire_motion import depth_in
 from tests.verify import held_job, straight_job
 
 COUNT = 12
@@ -44,7 +38,7 @@ COUNT = 12
     ],
 )
 def test_segments_by_procedure(procedure, segment):
-    assert said(procedure) == Segment.read(segment)
+    assert segment_of_name(procedure) == Segment.read(segment)
 
 
 def test_letters_survive_wrapping_and_a_plain_alphabet():

@@ -12,13 +12,13 @@ import shapely
 
 import planner
 from planner import processes
-from planner.claims import FollowsRulings, KerfCurve
-from planner.hotwire import straight_cut
-from planner.hotwire.straight_offset import Beside
+from planner.claims.claim import FollowsRulings, KerfCurve
+from planner.claims.segments import Segment
+from planner.hotwire.straight import cut
+from planner.hotwire.straight.offset import Beside
 from planner.problem import Problem
-from planner.segments import Segment
 from planner.verify.prove import prove
-from planner.verify.unreached import unreached
+from planner.verify.wire.cut_surface import unreached
 from tests.hotwire import foam_blocks as blocks
 from tests.verify.test_slits import RIM, problem
 
@@ -103,7 +103,7 @@ def test_what_a_planner_leaves_beside_that_is_caught(tmp_path: Path, monkeypatch
     assert outcome.verified, outcome.proof.issues
     assert any(issue.code == "straight.corner" for issue in outcome.plan.issues)
 
-    followed = straight_cut.followed
+    followed = cut.followed
 
     def short(*given: object) -> Beside:
         on: Beside = followed(*given)  # type: ignore[arg-type]
@@ -113,14 +113,14 @@ def test_what_a_planner_leaves_beside_that_is_caught(tmp_path: Path, monkeypatch
         keep[[0, -1]] = True
         return dataclasses.replace(on, row=on.row[keep], half=on.half[keep], speed=on.speed[keep])
 
-    monkeypatch.setattr(straight_cut, "followed", short)
+    monkeypatch.setattr(cut, "followed", short)
     for name in ("check_cut", "check_inner", "check_passed"):
-        monkeypatch.setattr("planner.hotwire.straight." + name, lambda *_: iter(()))
+        monkeypatch.setattr("planner.hotwire.straight.job." + name, lambda *_: iter(()))
     assert "verify.rulings" in {issue.code for issue in planner.plan(made).proof.issues}
 
 
 def test_more_than_may_stay_is_caught(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.hotwire.straight.check_inner", lambda *_: iter(()))
+    monkeypatch.setattr("planner.hotwire.straight.job.check_inner", lambda *_: iter(()))
     rim = blocks.prism("rim", DOVETAIL, closed=True)
     outcome = planner.plan(problem(tmp_path, [rim], kerf_mm=2.0, shape_tol_mm=0.1, left_mm=0.2))
     assert {issue.code for issue in outcome.proof.issues} == {"verify.rulings"}

@@ -12,11 +12,11 @@ import pytest
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from planner import catalogue
+from planner.catalogue import robots
 from planner.issues import TandemError
-from planner.verify import arm_ik, arm_shape, machines, urdf_chain
+from planner.verify.replay import arm_model, inverse_kinematics
 
-ROBOTS = catalogue.robot_names()
+ROBOTS = robots.robot_names()
 
 
 def postures(machine, count=1000, seed=11):
@@ -46,9 +46,9 @@ def drakes(plant, links, q):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_link_is_where_drake_has_it(name):
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     q = postures(machine)
-    plant = plant_of(catalogue.urdf_path(name).read_text("utf-8"))
+    plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
     wanted = drakes(plant, machine.chain.links, q)
     off = np.abs(machine.chain.frames(q) - wanted).max(axis=(0, 2, 3))
     assert machine.chain.links == (*(f"link_{i}" for i in range(1, 7)), "tool0")
@@ -58,11 +58,11 @@ def test_every_link_is_where_drake_has_it(name):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
-    text = catalogue.urdf_path(name).read_text("utf-8")
+    text = robots.urdf_path(name).read_text("utf-8")
     assert ET.fromstring(text).get("name") == name
     assert 'xmlns:drake="' in text
-    machine = machines.of(name)
-    assert machines.differences(machine) == []
+    machine = arm_model.machine_of(name)
+    assert arm_model.differences(machine) == []
     np.testing.assert_allclose(machine.chain.lower, machine.data.lower, atol=1e-12)
     np.testing.assert_allclose(machine.chain.upper, machine.data.upper, atol=1e-12)
     np.testing.assert_allclose(machine.chain.velocity, machine.data.velocity, atol=1e-12)
@@ -71,32 +71,32 @@ def test_the_file_is_xml_with_its_namespace_and_the_catalogues_figures(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_solution_leads_back_to_its_pose_by_drake(name):
     """All eight branches of poses that random joints make; some of the other branches are out of reach."""
-    machine = machines.of(name)
+    machine = arm_model.machine_of(name)
     q = np.random.default_rng(12).uniform(machine.data.lower, machine.data.upper, (40, 6))
-    plant = plant_of(catalogue.urdf_path(name).read_text("utf-8"))
+    plant = plant_of(robots.urdf_path(name).read_text("utf-8"))
     pose = drakes(plant, ["tool0"], q)[:, 0]
-    found = arm_ik.solve(machine, np.repeat(pose, 8, axis=0), np.tile(np.arange(8), len(q)))
+    found = inverse_kinematics.solve(machine, np.repeat(pose, 8, axis=0), np.tile(np.arange(8), len(q)))
     good = np.isfinite(found).all(axis=1)
     assert good.reshape(-1, 8).any(axis=1).all()
     assert good.sum() > 4 * len(q)
     back = drakes(plant, ["tool0"], found[good])[:, 0]
-    assert np.abs(back - np.repeat(pose, 8, axis=0)[good]).max() <= arm_ik.REPRODUCED
+    assert np.abs(back - np.repeat(pose, 8, axis=0)[good]).max() <= inverse_kinematics.REPRODUCED
 
 
 def test_a_solution_that_the_chain_does_not_lead_back_from_does_not_count():
-    machine = machines.of("irb140")
+    machine = arm_model.machine_of("irb140")
     q = np.random.default_rng(3).uniform(machine.data.lower, machine.data.upper, (50, 6))
-    pose, branch = machine.flange(q), arm_ik.branch_of(machine, q)
-    assert np.isfinite(arm_ik.solve(machine, pose, branch)).all()
+    pose, branch = machine.flange(q), inverse_kinematics.branch_of(machine, q)
+    assert np.isfinite(inverse_kinematics.solve(machine, pose, branch)).all()
     for field in ("a1", "a2", "b", "c1", "c2", "c3", "c4"):
         shape = dataclasses.replace(machine.shape, **{field: getattr(machine.shape, field) + 1e-7})
         wrong = dataclasses.replace(machine, shape=shape)
-        assert np.isnan(arm_ik.solve(wrong, pose, branch)).all(axis=1).mean() > 0.9
+        assert np.isnan(inverse_kinematics.solve(wrong, pose, branch)).all(axis=1).mean() > 0.9
 
 
 def test_batches_keep_their_shape():
-    machine = machines.of("kr60_ha")
-    q = postures(machine, urdf_chain.CHUNK + 6).reshape(-1, 2, 6)
+    machine = arm_model.machine_of("kr60_ha")
+    q = postures(machine, arm_model.POSTURES_TOGETHER + 6).reshape(-1, 2, 6)
     assert machine.chain.frames(q).shape == (len(q), 2, 7, 4, 4)
     assert machine.flange(q[0, 0]).shape == (4, 4)
     for i in (0, len(q) // 2, len(q) - 1):
@@ -181,22 +181,22 @@ def test_a_chain_written_by_others_is_read_and_its_shape_found(seed):
     """The reader against Drake's and the shape against py-opw-kinematics, both of the same arm."""
     rng = np.random.default_rng(seed)
     model, text = random_arm(rng)
-    chain = urdf_chain.read(text)
+    chain = arm_model.read_chain(text)
     q = rng.uniform(-3.0, 3.0, (60, 6))
     wanted = drakes(plant_of(text), chain.links, q)
     np.testing.assert_allclose(chain.frames(q), wanted, atol=1e-12)
     other = opw.Robot(model, degrees=False)
     np.testing.assert_allclose(chain.tip(q), [other.forward(tuple(row)).as_matrix() for row in q], atol=1e-9)
-    machine = machines.Machine(catalogue.robot("irb140"), chain, arm_shape.shape_of(chain))
-    back = arm_ik.solve(machine, chain.tip(q), arm_ik.branch_of(machine, q))
+    machine = arm_model.Machine(robots.robot("irb140"), chain, arm_model.shape_of(chain))
+    back = inverse_kinematics.solve(machine, chain.tip(q), inverse_kinematics.branch_of(machine, q))
     assert np.isfinite(back).all()
     turns = (back - q + np.pi) % (2.0 * np.pi) - np.pi
-    assert np.abs(turns[arm_ik.singularity_distance(machine, q) > 1e-2]).max() < 1e-7
+    assert np.abs(turns[inverse_kinematics.singularity_distance(machine, q) > 1e-2]).max() < 1e-7
 
 
 # ---- what is refused ---------------------------------------------------------------------------------
 
-TEXT = catalogue.urdf_path("irb140").read_text("utf-8")
+TEXT = robots.urdf_path("irb140").read_text("utf-8")
 
 
 def in_joint(number, old, new):
@@ -237,9 +237,9 @@ def test_what_is_no_such_robot_is_refused_in_words(case, tmp_path, monkeypatch):
     text, words = UNREADABLE[case]
     path = tmp_path / "irb140.urdf"
     path.write_text(text, "utf-8")
-    monkeypatch.setattr(machines, "urdf_path", lambda name: path)
+    monkeypatch.setattr(arm_model, "urdf_path", lambda name: path)
     with pytest.raises(TandemError) as caught:
-        machines.of("irb140")
+        arm_model.machine_of("irb140")
     (issue,) = caught.value.issues
     assert issue.code == "verify.robot_model"
     assert words in issue.message, issue.message

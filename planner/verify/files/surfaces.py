@@ -1,4 +1,13 @@
-"""The surfaces of a part as the problem's numbers and its files state them, in the part's own frame."""
+"""The surfaces of a part as the problem's numbers and its files state them, in the part's own frame.
+
+Among them the skin of a wing panel, from its sections and the numbers that place them: x from the
+leading to the trailing edge, y from root to tip, z up; origin at the root's leading edge.
+
+Airfoil sections: coordinates from files in Selig's or Lednicer's format, and NACA digits by
+formulas. A section is a row of points (N, 2) per chord from the trailing edge over the upper side
+to the leading edge and back below. Formulas: I. H. Abbott and A. E. von Doenhoff, Theory of Wing
+Sections (1959), 6.4 to 6.6; C. L. Ladson and C. W. Brooks, NASA TM X-3284 (1975).
+"""
 
 from __future__ import annotations
 
@@ -8,25 +17,215 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
-from planner.verify.files.drawings import Drawn, read_curves
-from planner.verify.files.faults import UnreadError
-from planner.verify.files.guides import Curve, Ruled, anchored, joined, through
-from planner.verify.files.meshed import Face, behind, edges_of, loft_face, mesh_face, rims
-from planner.verify.files.samples import Samples, on_rulings, on_triangles
-from planner.verify.files.splines import bezier, bspline
-from planner.verify.files.values import UNITS, Said, file_of, metres, radians, row
-from planner.verify.files.wings import skin
+from planner.geometry.arrays import FloatArray
+from planner.verify.files.curves import (
+    Curve,
+    Drawn,
+    Ruled,
+    anchored,
+    bezier,
+    bspline,
+    joined,
+    matched,
+    read_curves,
+    through,
+)
+from planner.verify.files.meshes import Face, behind, edges_of, loft_face, mesh_face, rims
+from planner.verify.files.values import (
+    UNITS,
+    Said,
+    Samples,
+    UnreadError,
+    file_of,
+    metres,
+    on_rulings,
+    on_triangles,
+    radians,
+    row,
+)
 
-FloatArray = NDArray[np.float64]
+_SIMPLE: Final = {
+    1: (0.0580, 361.4),
+    2: (0.1260, 51.64),
+    3: (0.2025, 15.957),
+    4: (0.29, 6.643),
+    5: (0.391, 3.23),
+}
+"""Second digit of five: place m of the camber line's joint and its factor k1, for a lift of 0.3."""
+_REFLEXED: Final = {
+    2: (0.130, 51.990, 0.000764),
+    3: (0.217, 15.793, 0.00677),
+    4: (0.318, 6.520, 0.0303),
+    5: (0.441, 3.191, 0.1355),
+}
+"""The same with a third digit 1, and k2 / k1 behind the joint."""
+_STATIONS: Final = 201
 
-COUNT: Final = 600
+
+def read_section(path: Path) -> FloatArray:
+    """The section of a coordinate file, its chord brought to 1 where it is not. Raises `UnreadError`."""
+    rows = _rows(path.read_bytes().decode("utf-8", errors="replace").lstrip("\ufeff"))
+    if len(rows) < 3:
+        raise UnreadError("it has no row of points")
+    first = rows[0]
+    if first.min() >= 2.5 and np.abs(first - np.rint(first)).max() < 1e-6:
+        upper = round(first[0])
+        if len(rows) != 1 + upper + round(first[1]):
+            raise UnreadError("its two sides have other numbers of points than it says")
+        rows = np.concatenate([rows[upper:0:-1], rows[upper + 1 :]])
+    keep = np.append(True, np.hypot(*np.diff(rows, axis=0).T) > 1e-9)
+    points = rows[keep]
+    points = _from_the_tail(points)
+    left, tail = points[:, 0].min(), 0.5 * (points[0, 0] + points[-1, 0])
+    if max(abs(left), abs(tail - left - 1.0)) > 2e-3:
+        points = np.column_stack([points[:, 0] - left, points[:, 1]]) / (tail - left)
+    return np.asarray(points)
+
+
+def _rows(text: str) -> FloatArray:
+    """Pairs of numbers (N, 2), in order; lines with anything else are names and remarks."""
+    out = []
+    for line in text.splitlines():
+        if line.lstrip().startswith("#"):
+            continue
+        words = line.strip().lstrip("(").rstrip(")").replace(",", " ").replace(";", " ").split()
+        try:
+            pair = [float(word.lower().replace("d", "e")) for word in words]
+        except ValueError:
+            continue
+        if len(pair) == 2:
+            out.append(pair)
+    return np.array(out, dtype=np.float64).reshape(-1, 2)
+
+
+def _from_the_tail(points: FloatArray) -> FloatArray:
+    """The points begun at the trailing edge and turned so that they go over the upper side first."""
+    low, high = points[:, 0].min(), points[:, 0].max()
+    if max(points[0, 0], points[-1, 0]) < 0.5 * (low + high):  # begun at the nose
+        if np.hypot(*(points[0] - points[-1])) < 1e-9 * (high - low):
+            points = points[:-1]
+        points = np.roll(points, -int(np.argmax(points[:, 0])), axis=0)
+    x, y = points.T
+    ahead = np.sum((x - np.roll(x, 1)) * (y + np.roll(y, 1)))  # twice the area, clockwise above zero
+    return points if ahead <= 0.0 else points[::-1]
+
+
+def section_of_digits(digits: str) -> FloatArray:
+    """The section of NACA digits. Raises `UnreadError`."""
+    x = np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, _STATIONS)) ** 2  # close together at both edges
+    line, slope = _camber(digits, x)
+    tall = float(digits[-2:]) / 20.0
+    half = tall * (0.2969 * x**0.5 - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
+    turn = np.arctan(slope)
+    up = np.column_stack([x - half * np.sin(turn), line + half * np.cos(turn)])
+    down = np.column_stack([x + half * np.sin(turn), line - half * np.cos(turn)])
+    return np.vstack([up[::-1], down[1:]])
+
+
+def _camber(digits: str, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Height and slope of the camber line at x (N,)."""
+    if len(digits) == 4:
+        high, place = int(digits[0]) / 100.0, int(digits[1]) / 10.0
+        if high == 0.0:
+            return 0.0 * x, 0.0 * x
+        front = x <= place
+        size = high / np.where(front, place, 1.0 - place) ** 2
+        line = size * (2.0 * place * x - x**2 + np.where(front, 0.0, 1.0 - 2.0 * place))
+        return line, size * 2.0 * (place - x)
+    try:
+        lift, second, third = int(digits[0]) * 0.15 / 0.3, int(digits[1]), int(digits[2])
+        if third == 0:
+            m, k = _SIMPLE[second]
+            front = x < m
+            line = np.where(front, x**3 - 3 * m * x**2 + m**2 * (3 - m) * x, m**3 * (1 - x))
+            slope = np.where(front, 3 * x**2 - 6 * m * x + m**2 * (3 - m), -(m**3))
+        else:
+            m, k, ratio = _REFLEXED[second]
+            back = np.where(x < m, 1.0, ratio)
+            fall = ratio * (1 - m) ** 3 + m**3
+            line = back * (x - m) ** 3 - fall * x + m**3
+            slope = 3.0 * back * (x - m) ** 2 - fall
+    except (KeyError, ValueError) as error:
+        raise UnreadError(f"NACA {digits} is not known") from error
+    return lift * k / 6.0 * line, lift * k / 6.0 * slope
+
+
+SHARP: Final = 1e-6
+"""A trailing edge that is thinner [m] is an edge."""
+_SIDE: Final = 600
+"""Places along each side of a section."""
+
+
+def skin(said: Said) -> Ruled:
+    """The skin, over the lower side first, away from the part outwards. Raises `UnreadError`."""
+    least = metres(said.get("trailing_edge_mm") or 0.0)
+    sections, chords = [], []
+    for side in ("root", "tip"):
+        own = said[side]
+        points = read_section(file_of(own)) if own.get("file") else section_of_digits(str(own["naca"]))
+        chords.append(metres(own["chord_mm"]))
+        sections.append(_thick(points, least / chords[-1]))
+    gaps = [
+        float(np.hypot(*(points[0] - points[-1]))) * chord
+        for points, chord in zip(sections, chords, strict=True)
+    ]
+    span = metres(said["span_mm"])
+    sweep, rise = (np.tan(radians(said.get(key) or 0.0)) for key in ("sweep_deg", "dihedral_deg"))
+    quarter = np.array([[0.25 * chords[0], 0.0], [0.25 * chords[0] + span * sweep, span * rise]])
+    turn = (0.0, radians(said.get("twist_deg") or 0.0))
+    guides = []
+    for k, (points, chord) in enumerate(zip(sections, chords, strict=True)):
+        curve = _curve(points, chord, max(gaps) > SHARP)
+        x, z = curve.points[:, 0] - 0.25 * chord, curve.points[:, 1]
+        c, s = np.cos(turn[k]), np.sin(turn[k])  # the nose, at x below zero, goes down
+        placed = np.column_stack(
+            [quarter[k, 0] + c * x - s * z, np.full(len(x), k * span), quarter[k, 1] + s * x + c * z]
+        )
+        guides.append(dataclasses.replace(curve, points=placed))
+    return matched(guides[0], guides[1], "arc_length")
+
+
+def _thick(points: FloatArray, least: float) -> FloatArray:
+    """The section with a trailing edge of ``least`` chords, its sides moved apart in proportion to x."""
+    gap = float(np.hypot(*(points[0] - points[-1])))
+    if gap >= least:
+        return points
+    sign = np.where(np.arange(len(points)) <= _nose(points), 0.5, -0.5)
+    return points + np.column_stack([0.0 * sign, sign * (least - gap) * np.clip(points[:, 0], 0.0, 1.0)])
+
+
+def _nose(points: FloatArray) -> int:
+    return int(np.argmax(np.hypot(*(points - 0.5 * (points[0] + points[-1])).T)))
+
+
+def _curve(points: FloatArray, chord: float, blunt: bool) -> Curve:
+    """A section [m] as a closed curve from the trailing edge along the lower side, kept together at the
+    leading edge, the place farthest from the trailing edge, and at the trailing edge's one or two corners."""
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    curve = CubicSpline(way, points * chord)
+    tail = 0.5 * chord * (points[0] + points[-1])
+    at = _nose(points)
+    near = np.linspace(way[max(at - 1, 0)], way[min(at + 1, len(way) - 1)], 4001)
+    nose = near[int(np.argmax(np.hypot(*(curve(near) - tail).T)))]
+    lower, upper = np.linspace(way[-1], nose, _SIDE), np.linspace(nose, 0.0, _SIDE)[1:]
+    flat = curve(np.concatenate([lower, upper]))
+    anchor = np.zeros(len(flat), dtype=np.bool_)
+    anchor[[0, _SIDE - 1, -1]] = True
+    if not blunt:
+        flat[0] = tail
+        flat, anchor = flat[:-1], anchor[:-1]
+    spread = np.column_stack([flat, np.zeros(len(flat))])
+    return Curve(spread, np.arange(len(flat)) / len(flat), anchor, True)
+
+
+SURFACE_PLACES: Final = 600
 """Places of a surface."""
 SEVERAL: Final = 6000
 """Places of all the outlines of a plate together, but for `LEAST` of each."""
 LEAST: Final = 60
-CORNER: Final = 20.0
+CORNER_ANGLE: Final = 20.0
 """Angle [deg] of a corner, where none is stated."""
 _CURVE: Final = 2000
 """Places along a spline."""
@@ -107,7 +306,7 @@ def _face(said: Said) -> tuple[Face, str]:
 
 
 def _of_face(name: str, file: str, face: Face, spare: float = 0.0) -> Surface:
-    found = on_triangles(face.corners, face.number, COUNT)
+    found = on_triangles(face.corners, face.number, SURFACE_PLACES)
     bound = face.vertices[np.unique(face.faces)]
     return Surface(name, file, (found,), bound, spare, face=face)
 
@@ -131,7 +330,7 @@ def _faces(front: Said, back: Said | None, edges: bool) -> list[Surface]:
 
 
 def _of_rulings(
-    name: str, file: str, found: list[Ruled], count: int = COUNT, guides: bool = False
+    name: str, file: str, found: list[Ruled], count: int = SURFACE_PLACES, guides: bool = False
 ) -> Surface:
     samples = tuple(on_rulings(one.start, one.end, count, guides) for one in found)
     return Surface(name, file, samples, np.concatenate([found[0].start, found[0].end]))
@@ -165,7 +364,7 @@ def _ruled(said: Said) -> Surface:
 
 
 def _guide(said: Said, closed: bool) -> Curve:
-    angle = radians(said.get("corner_deg", CORNER))
+    angle = radians(said.get("corner_deg", CORNER_ANGLE))
     if said.get("polyline_mm") is not None:
         curve = through(row(said["polyline_mm"]), closed, angle)
     elif said.get("dxf") is not None:
@@ -192,7 +391,7 @@ def _smooth(control: FloatArray, kind: str, closed: bool) -> Curve:
     points = (bspline if kind == "bspline_mm" else bezier)(control, t)
     if closed:
         points, t = points[:-1], t[:-1]
-    curve = through(points, closed, radians(CORNER))
+    curve = through(points, closed, radians(CORNER_ANGLE))
     if len(curve.points) != len(points):
         return curve
     anchor = np.zeros(len(points), dtype=np.bool_)
@@ -226,7 +425,7 @@ def _plate(said: Said, height: float) -> list[Surface]:
         curves = _drawing(said["dxf"])
         rings += [curve.points[:, :2] for curve in curves]
         names += [_name(said["dxf"])] * len(curves)
-    count = min(COUNT, max(LEAST, SEVERAL // max(len(rings), 1)))
+    count = min(SURFACE_PLACES, max(LEAST, SEVERAL // max(len(rings), 1)))
     out = []
     for k, ring in enumerate(rings):
         around = sum(_inside(ring[0], other) for j, other in enumerate(rings) if j != k)

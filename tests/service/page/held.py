@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from planner.batch.job import Event
-from planner.service import serve
+from planner.service import app
 from planner.service.service import Options
 from tests.service.support import Team
 
@@ -27,5 +27,5 @@ class Held(Team):
 
 
 if __name__ == "__main__":
-    serve.make_team = lambda options: Held  # type: ignore[assignment]
-    serve.serve(Options(DATA, port=int(sys.argv[1]), examiners=1))
+    app.make_team = lambda options: Held  # type: ignore[assignment]
+    app.serve(Options(DATA, port=int(sys.argv[1]), examiners=1))

@@ -18,8 +18,8 @@ import trimesh
 from playwright.sync_api import Page, Route, expect
 
 import planner
-from planner.service.auth import Auth
 from planner.service.database import Database, default_url
+from planner.service.security import Auth
 from tests.service.support import ROOT, Process, free_port
 
 MOST_MS = 180_000

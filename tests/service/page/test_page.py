@@ -13,10 +13,9 @@ import pytest
 
 from planner import pipeline
 from planner.problem import Mesh
-from planner.service.page import examples
-from planner.service.page.paths import bars
+from planner.service.page import routes
+from planner.service.page.preview import bars, shapes, thinned
 from planner.service.page.routes import ROOT, STATIC
-from planner.service.page.shapes import shapes, thinned
 from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
 from tests.service.support import TABLE, InProcess
@@ -112,8 +111,8 @@ def test_pages_are_no_part_of_the_api(here: InProcess) -> None:
 
 
 def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
-    from planner.service.auth import Auth
     from planner.service.database import Database, default_url
+    from planner.service.security import Auth
 
     data = tmp_path / "data"
     data.mkdir()
@@ -128,14 +127,14 @@ def test_bundled_problems_need_a_token_where_others_do(tmp_path: Path) -> None:
         assert closed.http.get("/").status_code == 200
 
 
-@pytest.mark.parametrize("name", sorted(examples.entries()))
+@pytest.mark.parametrize("name", sorted(routes.bundled_entries()))
 def test_every_bundled_problem_is_data_with_its_files(name: str) -> None:
-    found = examples.problem(name)
+    found = routes.bundled_problem(name)
     assert isinstance(found["problem"]["cell"], dict)
     assert found["problem"]["operations"]
     for file in found["files"]:
-        assert examples.file(name, file).is_file()
-    assert "make_" not in examples.entries()[name]["about"]
+        assert routes.bundled_file(name, file).is_file()
+    assert "make_" not in routes.bundled_entries()[name]["about"]
 
 
 def test_bundled_files_are_those_that_problems_name(here: InProcess) -> None:

@@ -6,16 +6,14 @@ import pytest
 from ezdxf import path as ezpath
 from scipy.spatial import cKDTree
 
-from planner.geometry.airfoil import naca
-from planner.geometry.airfoil_file import read_airfoil
 from planner.geometry.curves import ArcRail, Loft, curve_points
-from planner.geometry.dxf import read_dxf
+from planner.geometry.wing import naca, read_airfoil
 from planner.issues import TandemError
-from planner.verify.files.airfoils import read_section, section_of_digits
-from planner.verify.files.drawings import read_curves
-from planner.verify.files.faults import UnreadError
-from planner.verify.files.meshed import loft_points
-from planner.verify.files.splines import bezier, bspline
+from planner.reading.part_ruled import read_dxf
+from planner.verify.files.curves import bezier, bspline, read_curves
+from planner.verify.files.meshes import loft_points
+from planner.verify.files.surfaces import read_section, section_of_digits
+from planner.verify.files.values import UnreadError
 
 SECTION = naca("2412", 30)
 

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.geometry.airfoil import naca
 from planner.geometry.rulings import tessellate
-from planner.verify import file_made
-from planner.verify.files.faults import UnreadError
+from planner.geometry.wing import naca
+from planner.verify.files import comparison
 from planner.verify.files.sheets import sheet_face
 from planner.verify.files.surfaces import stated
-from planner.verify.files.values import pose
+from planner.verify.files.values import UnreadError, pose
 from tests.geometry.part_specs import WING, circle, guides, make, outline
 
 SIZE = np.array([1.6, 1.6, 0.9])
@@ -49,7 +48,7 @@ def held(said, folder, here=HERE, near=NEAR):
         for surface in fits:
             for own in surface.samples:
                 places = own.moved(pose(here))
-                off = file_made.off_mesh(places.points, solids[name].vertices, solids[name].faces)
+                off = comparison.off_mesh(places.points, solids[name].vertices, solids[name].faces)
                 if off.max() < best:
                     best, nearest, seen = float(off.max()), surface, places
         assert best < near, (name, best)

@@ -1,0 +1,340 @@
+"""What is probed to align a cell: the points of both robots, which arm moves, and its file with the new base.
+
+Points stand in each robot's own base. In the cell's file only the numbers change, comments and layout
+stay.
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import dataclasses
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+
+from planner.catalogue.robots import robot
+from planner.files import is_file
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.rigid import to_rpy
+from planner.issues import Issue, TandemError
+from planner.problem import Arm, Cell
+from planner.reading import strict_yaml
+from planner.reading.problem import read_cell
+from planner.reading.strict_yaml import Document
+from planner.units import DEG, MM
+
+MAX_BYTES: Final = 1_000_000
+FARTHEST: Final = 100_000.0
+"""Coordinates up to this [mm] are read."""
+AXES: Final = ("x_mm", "y_mm", "z_mm")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ProbedPoints:
+    """``names`` of N points; ``first`` and ``second`` (N, 3) [m]: where each robot's TCP was, in its base."""
+
+    names: tuple[str, ...]
+    first: FloatArray
+    second: FloatArray
+
+
+def read(path: Path, arms: tuple[str, str]) -> ProbedPoints:
+    """Probed points from a CSV file with the columns name, and <arm>.x_mm, .y_mm and .z_mm of both arms.
+
+    Commas, or semicolons with decimal commas; lines that begin with # are skipped, a column note is not read.
+    Raises `TandemError` (align.file) with every fault and its line.
+    """
+    file = str(path)
+    rows = _rows(path)
+    columns = ["name"] + [f"{arm}.{axis}" for arm in arms for axis in AXES]
+    issues = (
+        _headings(file, rows[0], columns) if rows else [_fault(file, None, None, "has no lines", "write it")]
+    )
+    if issues:
+        raise TandemError(issues)
+    places = [rows[0][1].index(column) for column in columns]
+    names: list[str] = []
+    values = []
+    for line, cells in rows[1:]:
+        if len(cells) != len(rows[0][1]):
+            what = f"got {len(cells)} values, allowed {len(rows[0][1])} as in the headings"
+            issues.append(_fault(file, line, None, what, "correct the row"))
+            continue
+        name, *texts = (cells[k] for k in places)
+        if not name or name in names:
+            what = f"got the name {name!r} again" if name else "got no name"
+            issues.append(
+                _fault(file, line, "name", f"{what}, allowed a name of its own for each point", "name it")
+            )
+        names.append(name)
+        values.append([_number(text) for text in texts])
+        for column, text, value in zip(columns[1:], texts, values[-1], strict=True):
+            if not abs(value) <= FARTHEST:
+                what = f"got {text!r}, allowed a number from {-FARTHEST:g} to {FARTHEST:g}"
+                issues.append(_fault(file, line, column, what, "correct it, or leave the point out"))
+    if issues:
+        raise TandemError(issues)
+    points = np.array(values, dtype=np.float64).reshape(-1, 6) * MM
+    return ProbedPoints(tuple(names), points[:, :3], points[:, 3:])
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Lines with their cells, the headings first."""
+    file = str(path)
+    if not is_file(path):
+        raise TandemError(_fault(file, None, None, f"{file}: no such file", "check the path"))
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise TandemError(_fault(file, None, None, f"larger than {MAX_BYTES / 1e6:g} MB", "cut it down"))
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TandemError(
+            _fault(file, None, None, f"cannot be read as text: {error}", "save it as CSV, UTF-8")
+        ) from error
+    lines = [(k, x) for k, x in enumerate(text.splitlines(), 1) if x.strip(" ,;\t") and not x.startswith("#")]
+    semicolons = bool(lines) and ";" in lines[0][1]
+    out: list[tuple[int, list[str]]] = []
+    for line, raw in lines:
+        try:
+            cells = next(csv.reader([raw], delimiter=";" if semicolons else ","))
+        except csv.Error as error:
+            raise TandemError(_fault(file, line, None, f"is not CSV: {error}", "correct the row")) from error
+        cells = [cell.strip() for cell in cells]
+        if semicolons and out:
+            cells = [cells[0], *(cell.replace(",", ".") for cell in cells[1:])]
+        out.append((line, cells))
+    return out
+
+
+def _headings(file: str, heading: tuple[int, list[str]], columns: list[str]) -> list[Issue]:
+    line, header = heading
+    issues = []
+    for column in columns:
+        if header.count(column) != 1:
+            what = f"got the column {column!r} {header.count(column)} times, allowed once"
+            issues.append(_fault(file, line, column, what, f"the columns are {', '.join(columns)}"))
+    for column in header:
+        if column not in (*columns, "note"):
+            what = f"column: got {column!r}, allowed {', '.join(columns)} and note"
+            issues.append(_fault(file, line, column, what, "remove it or correct its spelling"))
+    return issues
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _fault(file: str, line: int | None, field: str | None, what: str, hint: str) -> Issue:
+    return Issue("align.file", what, file=file, line=line, field=field, hint=hint)
+
+
+def moved_arm(cell: Cell, wanted: str | None, file: str) -> int:
+    """Index of the arm whose base is looked for: the second unless ``wanted`` names one. Raises `TandemError`
+    (align.cell)."""
+    names = [arm.name for arm in cell.arms]
+    if len(names) != 2:
+        what = f"the cell has {len(names)} arm, allowed 2: one robot alone needs no alignment"
+        raise TandemError(Issue("align.cell", what, file=file, hint="take a cell of two robots"))
+    if wanted is not None and wanted not in names:
+        what = f"arm: got {wanted!r}, allowed {', '.join(names)}"
+        raise TandemError(Issue("align.cell", what, file=file, hint="name an arm of the cell"))
+    index = 1 if wanted is None else names.index(wanted)
+    if cell.arms[1 - index].base_auto:
+        what = f"the base of {names[1 - index]} is itself to be searched (base_auto)"
+        hint = "state it, and align the other arm to it"
+        field = f"arms.{1 - index}.base_auto"
+        raise TandemError(Issue("align.cell", what, file=file, field=field, hint=hint))
+    return index
+
+
+def used_points(points: ProbedPoints, left_out: Sequence[str], file: str) -> BoolArray:
+    """Which points (N,) count; raises `TandemError` (align.file) for names that no point has."""
+    unknown = [name for name in left_out if name not in points.names]
+    if unknown:
+        what = f"to leave out: got {', '.join(unknown)}, allowed {', '.join(points.names)}"
+        raise TandemError(Issue("align.file", what, file=file, hint="correct the name"))
+    return np.array([name not in left_out for name in points.names], dtype=bool)
+
+
+def require_reach(cell: Cell, order: tuple[int, int], points: ProbedPoints, file: str) -> None:
+    """Raise `TandemError` (align.units) for points that no TCP of the arm can come to: they are in another
+    unit or frame. ``order``: indices of the arms that probed first and second."""
+    issues = []
+    for k, where in zip(order, (points.first, points.second), strict=True):
+        arm = cell.arms[k]
+        data = robot(arm.robot)
+        most = (
+            data.reach + float(np.linalg.norm(arm.tool.tcp[:3, 3])) + 1.0
+        )  # the base lies below the shoulder
+        far = np.linalg.norm(where, axis=1)
+        issues += [
+            _too_far(cell.arms[k], data.title, points.names[i], far[i], most, file)
+            for i in np.flatnonzero(far > most).tolist()
+        ]
+    if issues:
+        raise TandemError(issues)
+
+
+def require_readable(text: str, output: Path, document: Document) -> None:
+    """Raise `TandemError` (align.cell) if the new cell cannot be read where it is to be: files that it names
+    are looked for from there."""
+    if output.resolve().parent == document.path.resolve().parent:
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "cell.yaml"
+        copy.write_text(text, encoding="utf-8")
+        new = strict_yaml.read(copy)
+    new.path = output
+    try:
+        read_cell(new)
+    except TandemError as error:
+        what = f"the cell cannot be read at {output}: {error.issues[0].message}"
+        hint = "write it beside the old one, so that the files it names are found"
+        raise TandemError(Issue("align.cell", what, file=str(output), hint=hint)) from error
+
+
+def _too_far(arm: Arm, title: str, point: str, got: float, most: float, file: str) -> Issue:
+    return Issue(
+        "align.units",
+        f"point {point!r} is {got / MM:.0f} mm from the base of {arm.name}, allowed up to "
+        f"{most / MM:.0f} mm, where {title} with its tool comes",
+        file=file,
+        arm=arm.name,
+        target=point,
+        value=got / MM,
+        limit=most / MM,
+        unit="mm",
+        hint="give mm in the robot's own base, not in the world or a work object",
+    )
+
+
+Change = tuple[int, int, str]
+"""From where to where text is replaced, and by what."""
+PARTS: Final = ("xyz_mm", "rpy_deg")
+
+
+def rounded(base: FloatArray) -> tuple[list[float], list[float]]:
+    """Position [mm] to 0.1 um and roll, pitch, yaw [deg] to 1e-6 deg of a pose (4, 4), as in files."""
+    xyz = [round(float(v), 4) + 0.0 for v in base[:3, 3] / MM]
+    rpy = [round(float(v), 6) + 0.0 for v in to_rpy(base[:3, :3]) / DEG]
+    return xyz, rpy
+
+
+def with_base(document: Document, index: int, base: FloatArray) -> str:
+    """The text of a cell's file in which the arm ``index`` has the ``base`` (4, 4), which is no longer to
+    be searched.
+
+    Raises `TandemError` (align.cell) where the file's layout does not allow it: an alias, for example.
+    """
+    text = document.text.decode("utf-8-sig")
+    before: Any = yaml.safe_load(text)
+    values = dict(zip(PARTS, rounded(base), strict=True))
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    if root is None:
+        raise ValueError("an empty file is no cell")
+    try:
+        changes = _changes(root, index, values)
+        for start, end, new in sorted(changes, reverse=True):
+            text = text[:start] + new + text[end:]
+        got: Any = yaml.safe_load(text)
+    except (yaml.YAMLError, LookupError) as error:
+        raise _refuse(document, index, str(error)) from error
+    if _plain(got) != _plain(_wanted(before, index, values)):
+        raise _refuse(document, index, "an alias or merge key stands for a part of it")
+    return text
+
+
+def _wanted(data: Any, index: int, values: dict[str, list[float]]) -> Any:
+    wanted = copy.deepcopy(data)
+    arm = dict(wanted["arms"][index])
+    arm["base"] = dict(values)
+    if arm.get("base_auto"):
+        arm["base_auto"] = False
+    wanted["arms"] = [*wanted["arms"][:index], arm, *wanted["arms"][index + 1 :]]
+    return wanted
+
+
+def _changes(root: yaml.Node, index: int, values: dict[str, list[float]]) -> list[Change]:
+    arm = _get(root, "arms").value[index]
+    changes = []
+    searched = _find(arm, "base_auto")
+    if searched is not None and searched.value.lower() in ("true", "yes", "on"):
+        changes.append(_put(searched, "false"))
+    base = _find(arm, "base")
+    whole = ", ".join(f"{key}: {_listed(values[key])}" for key in PARTS)
+    if base is None:
+        return [*changes, _insert(arm, f"base: {{{whole}}}")]
+    if not isinstance(base, yaml.MappingNode) or not base.value:
+        return [*changes, _put(base, f"{{{whole}}}")]
+    for key in PARTS:
+        node = _find(base, key)
+        if node is None:
+            changes.append(_insert(base, f"{key}: {_listed(values[key])}"))
+        elif isinstance(node, yaml.SequenceNode) and len(node.value) == 3:
+            pairs = zip(node.value, values[key], strict=True)
+            changes += [_put(item, f"{number:.10g}") for item, number in pairs]
+        else:
+            raise LookupError(f"{key} is not a list of three numbers")
+    return changes
+
+
+def _insert(mapping: yaml.MappingNode, entry: str) -> Change:
+    """An entry before the first of a mapping, in its own layout."""
+    mark = mapping.value[0][0].start_mark
+    gap = ", " if mapping.flow_style else "\n" + " " * mark.column
+    return mark.index, mark.index, entry + gap
+
+
+def _put(node: yaml.Node, new: str) -> Change:
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style:
+        raise LookupError("it is laid out in an unexpected way")
+    lead = " " if node.start_mark.index == node.end_mark.index else ""  # a key without a value
+    return node.start_mark.index, node.end_mark.index, lead + new
+
+
+def _get(mapping: yaml.Node, key: str) -> Any:
+    found = _find(mapping, key)
+    if found is None:
+        raise LookupError(f"{key} comes from elsewhere")
+    return found
+
+
+def _find(mapping: yaml.Node, key: str) -> Any:
+    return next((value for name, value in mapping.value if name.value == key), None)
+
+
+def _listed(values: list[float]) -> str:
+    return "[" + ", ".join(f"{value:.10g}" for value in values) + "]"
+
+
+def _plain(data: Any) -> Any:
+    """Numbers as floats, tuples as lists, so that only values are compared."""
+    if isinstance(data, dict):
+        return {key: _plain(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_plain(value) for value in data]
+    if isinstance(data, int | float) and not isinstance(data, bool):
+        return float(data)
+    return data
+
+
+def _refuse(document: Document, index: int, why: str) -> TandemError:
+    return TandemError(
+        Issue(
+            "align.cell",
+            f"the base of arm {index + 1} cannot be rewritten in place: {why}",
+            file=str(document.path),
+            line=document.line(("arms", index, "base")),
+            field=f"arms.{index}.base",
+            hint="write it out, as base: {xyz_mm: [0, 0, 0], rpy_deg: [0, 0, 0]}",
+        )
+    )

@@ -1,0 +1,1 @@
+"""What is built in: robots, materials, codes of issues."""

@@ -1,0 +1,209 @@
+"""The robots that are built in: dimensions, limits and speeds with their sources, from
+``urdf/robots.yaml``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import yaml
+
+from planner.files import is_file
+from planner.geometry.arrays import FloatArray
+from planner.issues import Issue, TandemError
+from planner.units import DEG
+
+DataKind = Literal["urdf", "problems"]
+
+_HERE: Final = Path(__file__).resolve().parents[1]
+
+
+@dataclasses.dataclass(frozen=True)
+class OpwParameters:
+    """Geometry of an ortho-parallel arm with a spherical wrist (Brandstoetter, Angerer, Hofbaur 2014).
+
+    Lengths [m]; ``offsets`` (6,) [rad] and ``signs`` (6,): theta_i = signs_i * q_i - offsets_i. Flange pose
+    in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6) T(0, 0,
+    c4).
+    """
+
+    a1: float
+    a2: float
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    offsets: FloatArray
+    signs: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class RodCoupling:
+    """A parallel rod: motor 3 turns the upper arm against the base, so the controller's axis 3 is serial q3
+    + q2.
+
+    ``axis3_lower``, ``axis3_upper`` [rad] bound that sum; the robot's own limits bound the serial q3. Both
+    hold.
+    """
+
+    axis3_lower: float
+    axis3_upper: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotData:
+    """One robot. Joint angles are serial angles (6,) [rad]; velocity [rad/s], acceleration [rad/s^2].
+
+    ``home`` (6,) [rad] is the posture of cells that state none. ``sources`` say where figures come from,
+    ``assumed`` which ones do not come from a source, and on what ground they were set.
+    """
+
+    name: str
+    title: str
+    family: Literal["ABB", "KUKA"]
+    controller: str
+    opw: OpwParameters
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    payload: float
+    reach: float
+    coupling: RodCoupling | None
+    home: FloatArray
+    sources: tuple[str, ...]
+    assumed: tuple[str, ...]
+
+    def to_controller(self, q: FloatArray) -> FloatArray:
+        """The controller's joint values (..., 6) [rad] of serial angles (..., 6)."""
+        return self._couple(q, 1.0)
+
+    def from_controller(self, values: FloatArray) -> FloatArray:
+        """Serial angles (..., 6) [rad] of the controller's joint values (..., 6)."""
+        return self._couple(values, -1.0)
+
+    def _couple(self, q: FloatArray, sign: float) -> FloatArray:
+        out = np.array(q, dtype=np.float64)
+        if self.coupling is not None:
+            out[..., 2] += sign * out[..., 1]
+        return out
+
+    def limit_margin(self, q: FloatArray) -> FloatArray:
+        """Least distance (...,) [rad] of serial angles (..., 6) to any limit; negative outside, NaN for
+        NaN."""
+        q = np.asarray(q, dtype=np.float64)
+        margin = np.minimum(q - self.lower, self.upper - q).min(axis=-1)
+        if self.coupling is not None:
+            axis3 = q[..., 1] + q[..., 2]
+            rod = np.minimum(axis3 - self.coupling.axis3_lower, self.coupling.axis3_upper - axis3)
+            margin = np.minimum(margin, rod)
+        return np.asarray(margin)
+
+
+def data_dir(kind: DataKind) -> Path:
+    """Folder of the data that travels with the package, in an installed package or in a checkout.
+
+    Raises :class:`TandemError` (``catalogue.missing_data``) when neither has it.
+    """
+    for folder in (_HERE / "_installed" / kind, _HERE.parent / kind):
+        if folder.is_dir():
+            return folder
+    raise _missing(_HERE / "_installed" / kind)
+
+
+def bundled(path: Path) -> Path:
+    """The file itself, or the bundled problem's file of that name where there is none; the name may begin
+    with ``problems/``.
+    """
+    parts = path.parts[1:] if path.parts[:1] == ("problems",) else path.parts
+    inside = data_dir("problems").joinpath(*parts)
+    own = is_file(path) or path.is_absolute() or ".." in parts
+    return inside if not own and is_file(inside) else path
+
+
+def robot_names() -> tuple[str, ...]:
+    """Names of all robots, in the order of the data file."""
+    return tuple(_table())
+
+
+def robot(name: str) -> RobotData:
+    """The robot of that name; raises :class:`TandemError` (``problem.unknown_robot``) naming the known
+    ones."""
+    table = _table()
+    if name not in table:
+        message = f"robot {name!r} is not in the catalogue, which has {', '.join(table)}"
+        raise TandemError(Issue("problem.unknown_robot", message, hint="choose one of these names"))
+    return table[name]
+
+
+def urdf_path(name: str) -> Path:
+    """Path of the robot's URDF file; raises as :func:`robot`, or ``catalogue.missing_data`` without the
+    file."""
+    path = data_dir("urdf") / f"{robot(name).name}.urdf"
+    if not path.is_file():
+        raise _missing(path)
+    return path
+
+
+def damaged(path: Path, what: str) -> TandemError:
+    """The error (``catalogue.missing_data``) of a file of Tandem that cannot be read: ``what`` says why."""
+    return _error(f"{path} is part of Tandem and cannot be read: {what}")
+
+
+def _missing(path: Path) -> TandemError:
+    return _error(f"{path} is missing, which is part of Tandem")
+
+
+def _error(message: str) -> TandemError:
+    return TandemError(
+        Issue("catalogue.missing_data", message, hint="install tandem-planner again, or restore the checkout")
+    )
+
+
+@functools.cache
+def _table() -> dict[str, RobotData]:
+    path = data_dir("urdf") / "robots.yaml"
+    if not path.is_file():
+        raise _missing(path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return {name: _read(name, entry) for name, entry in data.items()}
+
+
+def _read(name: str, entry: dict[str, Any]) -> RobotData:
+    limits = np.array(entry["limits_deg"], dtype=np.float64) * DEG
+    velocity = np.array(entry["velocity_deg_s"], dtype=np.float64) * DEG
+    rise = float(entry["full_speed_after_s"])
+    coupled = entry.get("coupled_deg")
+    acceleration = f"acceleration: assumed, every axis reaches its full speed in {rise:g} s from rest"
+    return RobotData(
+        name=name,
+        title=entry["title"],
+        family=entry["family"],
+        controller=entry["controller"],
+        opw=OpwParameters(
+            **{key: float(value) for key, value in entry["opw_m"].items()},
+            offsets=_frozen(np.array(entry["offset_deg"], dtype=np.float64) * DEG),
+            signs=_frozen(np.array(entry["sign"], dtype=np.float64)),
+        ),
+        lower=_frozen(limits[:, 0]),
+        upper=_frozen(limits[:, 1]),
+        velocity=_frozen(velocity),
+        acceleration=_frozen(velocity / rise),
+        payload=float(entry["payload_kg"]),
+        reach=float(entry["reach_m"]),
+        coupling=None if coupled is None else RodCoupling(coupled[0] * DEG, coupled[1] * DEG),
+        home=_frozen(np.array(entry.get("home_deg", np.zeros(6)), dtype=np.float64) * DEG),
+        sources=tuple(entry["sources"]),
+        assumed=(acceleration, *entry.get("unverified", ())),
+    )
+
+
+def _frozen(array: FloatArray) -> FloatArray:
+    out = array.copy()
+    out.flags.writeable = False
+    return out

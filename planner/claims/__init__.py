@@ -1,0 +1,1 @@
+"""What must hold of a job, as data, and the words that planner and proof share."""

@@ -1,0 +1,331 @@
+"""What programs say: to operators every sentence word for word, to each other by digital signals.
+
+Programs: processes and posts write these sentences, and the proof refuses any other. A sentence is
+plain ASCII and has fields for its figures. Which ones stand where in a program, with which figures,
+is claimed of each operation (`OperatorDialogue`), and follows from the problem for starts, setups
+and error handlers (``verify/programs/operator_dialogue.py``). A program that has more to say gets its
+sentence here, and its place there.
+
+Files beside the programs: the wording which writer and proof both read. Lines of a box have 55
+characters at most, lines of the panel 40.
+
+Signals: how two controllers that share no more than them meet, and how each one knows that the other
+one runs (:class:`Handshake`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal
+
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray
+
+SPELT: Final = str.maketrans(
+    {"ß": "ss", "æ": "ae", "Æ": "Ae", "œ": "oe", "Œ": "Oe", "ø": "o", "Ø": "O", "ł": "l", "Ł": "L", "đ": "d"}
+    | {"–": "-", "—": "-", "’": "'", "‘": "'", "“": '"', "”": '"', "„": '"', "°": " deg", "×": "x"}
+)
+"""Letters and signs that do not come apart into ASCII and accents, as panels get them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sentence:
+    """Words with named fields as ``str.format`` takes them; the format of a field is how its figure is
+    rounded."""
+
+    words: str
+
+    def say(self, **figures: float | str) -> str:
+        """The sentence with its figures."""
+        return self.words.format(**figures)
+
+
+HEADER: Final = "Tandem"
+"""Above each box that asks something."""
+PLAIN: Final = Sentence("{text}")
+"""A sentence of the user's own, in setups."""
+
+# ---- before anything moves ----
+
+NO_WIRE: Final = Sentence(
+    "Is there NO wire between the arms? Each arm now goes alone to home and to its first position. "
+    "Take off what joins them, see that their ways are clear, then press OK."
+)
+"""Where a wire will join the arms."""
+READY: Final = Sentence("Is the stock in place and the way of each arm clear? Press OK to start.")
+CLEAR: Final = Sentence(
+    "Is the way of each arm to its home clear, and nobody in the cell? Press OK to start."
+)
+"""Where the first setup is told and confirmed afterwards."""
+KRL_READY: Final = Sentence("Is the stock in place and the way of the arm clear?")
+KRL_CLEAR: Final = Sentence("Is the way of the arm to its home clear, and nobody in the cell?")
+
+# ---- two controllers ----
+
+EARLIER: Final = Sentence(
+    "Does no program of an earlier run go on at the controller of arm {other}? Press OK."
+)
+KRL_EARLIER: Final = Sentence("Does no program of an earlier run go on at the controller of arm {other}?")
+PARTNER_READY: Final = Sentence(
+    "Does the panel of arm {other} say that it is ready to meet arm {arm}? {start}"
+)
+"""Asked by the program that leads, together with its question before the start."""
+READY_TO_MEET: Final = Sentence("Ready to meet arm {other}.")
+START_PARTNER: Final = Sentence(
+    "Start the program of arm {other} now. When its panel says that it is ready, press Start here."
+)
+"""Told by the program that leads, right before it stops."""
+UNANSWERED: Final = Sentence(
+    "Arm {other} did not answer in time, or its running wire is not as it should be."
+)
+
+WAITING: Final = Sentence("Waiting for arm {arm}.")
+TOGETHER: Final = Sentence("Moves with arm {arm} and waits for it where they meet.")
+"""On the panel of a KUKA controller while its program waits for the other arm, and moves together with it."""
+
+# ---- where a robot stands ----
+
+FOOT: Final = Sentence("Arm {arm}: $ROBROOT is off zero by %1 mm, %2 deg")
+"""Of a KUKA robot; its controller puts the figures in."""
+
+# ---- error handlers ----
+
+FAILED: Final = Sentence("Tandem: error in {procedure}, number")
+"""In front of the error's number."""
+JOINED: Final = Sentence("The arms may be joined: move neither alone.")
+ALONE: Final = Sentence("Check the arm before it moves.")
+
+# ---- a bent wire ----
+
+WIRE: Final = Sentence("Wire: {material} {size}")
+"""Which wire to mount; ``size`` as `SectionFile.size` has it."""
+MOUNT: Final = Sentence("Mount wire: {cold_mm:.1f} mm cold between clamps")
+CLAMPS: Final = Sentence("Clamps {apart_mm:.1f} mm apart, wire at {start_deg:.1f} and {end_deg:.1f} deg")
+CLAMPED: Final = Sentence("Wire clamped, slide free, block fixed, nobody in the cell?")
+LOCKED: Final = Sentence("Slide taken up to {hot_mm:.1f} mm hot and locked?")
+TAKEN_OFF: Final = Sentence("Wire cold and taken off?")
+
+# ---- a bow ----
+
+BOW_POWER: Final = Sentence("Wire {diameter_mm:g} mm{material}, {power_w:g} W")
+"""``material``: empty, or with a space in front."""
+BOW_SLOT: Final = Sentence("Wire {diameter_mm:g} mm{material}, heat for a slot of {kerf_mm:g} mm")
+TAUT: Final = Sentence("Wire taut, block fixed, nobody in the cell?")
+SPACERS: Final = Sentence("Put spacers of {kerf_mm:.1f} mm into the slot")
+SPACED: Final = Sentence("Spacers in the slot, nobody in the cell?")
+COLD: Final = Sentence("Wire cold, hands may come near?")
+
+# ---- a cutter ----
+
+BLOCK: Final = Sentence(
+    "Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm, {rpm:g} 1/min"
+)
+BLOCK_OF_FILE: Final = Sentence("Block {x_mm:g} x {y_mm:g} x {z_mm:g} mm; {kind} mill of {diameter_mm:g} mm")
+"""Where all cuts are files: their questions name the speeds."""
+BLOCK_READY: Final = Sentence("Block and cutter clamped, nobody in the cell?")
+GO_ON: Final = Sentence("Go on: {asked}?")
+"""Between passes of a file, ``asked`` being one or more of the next three with commas between."""
+FILE_LINE: Final = Sentence("line {line} of the file")
+SPEED: Final = Sentence("spindle at {rpm:.0f} 1/min")
+SPEED_BACK: Final = Sentence("spindle at {rpm:.0f} 1/min counterclockwise (M4)")
+STANDS: Final = Sentence("Spindle stands, take the part out?")
+
+# ---- a sheet ----
+
+SHEET: Final = Sentence("Sheet {x_mm:g} x {y_mm:g} x {z_mm:g} mm, {metal}")
+RIM: Final = Sentence("Blank holder {high_mm:.2f} mm above its end, flat sheet on the die?")
+SHEET_READY: Final = Sentence("Sheet clamped and greased, nobody in the cell?")
+FORMED: Final = Sentence("Tools off the sheet, take the part out?")
+
+
+Figure = float | str | None
+"""A figure of a sentence; None: the proof takes it from the motion."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DialogueStep:
+    """One step: a sentence ``told`` on the panel, one ``asked`` that the operator confirms, ``signal``
+    switched ``on`` or ``off``, or a ``wait`` of ``seconds``. ``figures`` of the sentence by name."""
+
+    kind: Literal["told", "asked", "on", "off", "wait"]
+    sentence: Sentence | None = None
+    figures: Mapping[str, Figure] = dataclasses.field(default_factory=dict)
+    signal: str = ""
+    seconds: float = 0.0
+
+
+def tell_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
+    """The operator can read a sentence."""
+    return DialogueStep("told", sentence, figures)
+
+
+def ask_step(sentence: Sentence, **figures: Figure) -> DialogueStep:
+    """The operator reads a sentence and confirms it."""
+    return DialogueStep("asked", sentence, figures)
+
+
+def power_on_steps(signal: str, seconds: float) -> tuple[DialogueStep, DialogueStep]:
+    """A signal goes on, and ``seconds`` [s] pass."""
+    return DialogueStep("on", signal=signal), DialogueStep("wait", seconds=seconds)
+
+
+def power_off_steps(signal: str, seconds: float) -> tuple[DialogueStep, DialogueStep]:
+    """A signal goes off, and ``seconds`` [s] pass."""
+    return DialogueStep("off", signal=signal), DialogueStep("wait", seconds=seconds)
+
+
+@dataclasses.dataclass(frozen=True)
+class DialogueStop:
+    """Steps at a stop within the work: ``before`` the first move of ``segment``, ``behind`` its last one, or
+    ``in`` it and its way in. ``at`` (3,) [m, stock frame]: where the tool is then, within ``near`` [m].
+    ``repeats``: any number of times, each time whole; ``optional``: not at all, or whole."""
+
+    segment: Segment
+    where: Literal["before", "behind", "in"]
+    steps: tuple[DialogueStep, ...]
+    at: FloatArray | None = None
+    near: float = 0.0
+    repeats: bool = False
+    optional: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class OperatorDialogue:
+    """All that the programs say, ask, switch and wait for in an operation of ``arms``, in this order and
+    nothing else: ``first`` when all arms stand at their first targets, ``stops`` on the way, ``last`` when
+    they stand at their last ones. The first of the arms, in the cell's order, speaks, and meanwhile all arms
+    stand still. ``joined``: the arms are joined then, which the operator is asked about before the start."""
+
+    arms: tuple[str, ...]
+    first: tuple[DialogueStep, ...] = ()
+    last: tuple[DialogueStep, ...] = ()
+    stops: tuple[DialogueStop, ...] = ()
+    joined: bool = False
+
+
+BUTTONS: Final = ("Free", "On", "Stop")
+"""Answers to :func:`again`: nothing stands in the way of what follows; power is on again; neither."""
+
+OFF_BY_MM: Final = "is off by [mm]"
+OFF_BY_DEGREES: Final = "and turned by [degrees]"
+NOT_AS_PLANNED: Final = "is not as it was planned."
+NOTHING_MOVES: Final = ("Nothing moves. Put it right,", "then PP to main in all tasks.")
+REFUSED: Final = (
+    "Not started: the power was on at the",
+    "stop. Free the wire or tool, then",
+    "PP to main in all tasks.",
+)
+
+
+def again(signal: str) -> tuple[str, ...]:
+    """The question at a start behind a stop at which the power ``signal`` was on."""
+    return (
+        f"{signal} was on at the stop.",
+        "Free: block and part are out of all that follows.",
+        f"On: {signal} is 1 again by hand,",
+        "and the wire is hot, or the tool at full speed.",
+        "Stop: neither. Free it, then PP to main in all tasks.",
+    )
+
+
+def base_of(arm: str) -> str:
+    """What is compared: the base frame of an arm."""
+    return f"Base of arm {arm}"
+
+
+def frame_of(name: str) -> str:
+    """What is compared: the frame of a tool."""
+    return f"Frame of {name}"
+
+
+def user_frame_of(name: str) -> str:
+    """What is compared: the user frame of a work object."""
+    return f"User frame of {name}"
+
+
+def object_frame_of(name: str) -> str:
+    """What is compared: the object frame of a work object."""
+    return f"Object frame of {name}"
+
+
+def kind_of(name: str) -> str:
+    """What is compared: who holds a tool or a work object."""
+    return f"Holder of {name}"
+
+
+HandshakeKind = Literal["four_phase", "toggle"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PartnerSignals:
+    """Names that one controller has for its output to the other one and for its input from there.
+
+    ``running``: the output that the controller itself holds at 1 while its program runs with the motors on;
+    ``partner_running``: the input that the other one's drives, which no program switches either;
+    ``move_enable``: of a KUKA controller, the output that is looped to its input for $MOVE_ENABLE.
+    """
+
+    output: str = "doPartner"
+    input: str = "diPartner"
+    running: str = "doRunning"
+    partner_running: str = "diPartnerRunning"
+    move_enable: str = "doMoveEnable"
+
+    @property
+    def lost(self) -> str:
+        """Of an ABB controller, what ``partner_running`` is not: its rise stops the program."""
+        return f"{self.partner_running}_lost"
+
+
+@dataclasses.dataclass(frozen=True)
+class SignalWire:
+    """A wire between controllers: the output ``output`` of the arm ``source`` drives the input ``input`` of
+    the arm ``sink``."""
+
+    source: str
+    output: str
+    sink: str
+    input: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Handshake:
+    """The handshake of two controllers.
+
+    ``kind``: two signal changes of each side at every meeting, or one. ``every``: they meet at every so many
+    moves. ``signals`` {arm: names}, the defaults for an arm that is not named; ``wires``: what drives what;
+    ``running``: the wires that say that a controller runs.
+    ``timeout`` [s]: how long an arm waits for the other one at a step of joint work; ``patience`` [s]: how
+    long while the other arm moves alone or asks the operator.
+    """
+
+    kind: HandshakeKind = "four_phase"
+    every: int = 1
+    signals: Mapping[str, PartnerSignals] = dataclasses.field(default_factory=dict)
+    wires: tuple[SignalWire, ...] = ()
+    running: tuple[SignalWire, ...] = ()
+    timeout: float = 30.0
+    patience: float = 3600.0
+
+    def of(self, arm: str) -> PartnerSignals:
+        """The signals of an arm's controller."""
+        return self.signals.get(arm, PartnerSignals())
+
+    def wired(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
+        """The wires between two arms' controllers by which they meet; unless stated, outputs drive the other
+        one's inputs."""
+        if self.wires or len(arms) != 2:
+            return self.wires
+        return tuple(
+            SignalWire(a, self.of(a).output, b, self.of(b).input) for a, b in (tuple(arms), tuple(arms)[::-1])
+        )
+
+    def wired_running(self, arms: Sequence[str]) -> tuple[SignalWire, ...]:
+        """The wires by which two arms' controllers know that the other one runs; as :meth:`wired`."""
+        if self.running or len(arms) != 2:
+            return self.running
+        return tuple(
+            SignalWire(a, self.of(a).running, b, self.of(b).partner_running)
+            for a, b in (tuple(arms), tuple(arms)[::-1])
+        )

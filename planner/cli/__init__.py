@@ -1,0 +1,1 @@
+"""The command ``tandem``: one module for each group of subcommands."""

@@ -1,0 +1,435 @@
+"""The command line.
+
+``tandem plan | check | verify | robots | materials | kerf | align | features | batch | compare | serve |
+token | issues``
+"""
+
+from __future__ import annotations
+
+import _thread
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from planner.cli import align as align_commands
+from planner.cli import batch as batch_commands
+from planner.cli import compare as compare_commands
+from planner.cli import features as feature_commands
+from planner.cli import kerf as kerf_commands
+from planner.cli import service as service_commands
+from planner.cli import statement
+from planner.cli.compare import Difference, differences
+from planner.files import unhurried
+from planner.issues import Issue, Severity, TandemError, accepted, given_wrong, has_errors
+
+if TYPE_CHECKING:
+    from planner.plans import Plan
+    from planner.problem import Problem
+    from planner.verify.result import Proof
+
+DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
+MOST_FIELDS_SHOWN = 40
+"""Fields of two problems that are listed at most."""
+STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+
+app = tyro.extras.SubcommandApp()
+out = Console()
+err = Console(stderr=True)
+
+
+@app.command
+def plan(
+    problem: tyro.conf.Positional[Path],
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out"),
+    sign: Path | None = None,
+) -> int:
+    """Plan a problem file, prove the programs and write them with a report; exit 0 only if verified.
+
+    Args:
+        problem: the problem file, YAML.
+        output: folder for programs, report, replay and plan.
+        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is verified.
+    """
+    pipeline = _pipeline()
+
+    started = time.perf_counter()
+    try:
+        key = None if sign is None else statement.read_private_key(sign)
+        pipeline.claim_output(output, problem)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    try:
+        loaded = pipeline.load(problem)
+    except TandemError as error:
+        pipeline.save_failure(None, error.issues, output)
+        return _refused(error, BAD_INPUT)
+    try:
+        with _progress() as tell:
+            outcome = pipeline.plan(loaded, tell)
+            outcome.save(output, tell)
+    except TandemError as error:
+        pipeline.save_failure(loaded, error.issues, output)
+        return _refused(error, _infeasible_code(error))
+    _print_issues(outcome.issues)
+    _summary(outcome, output, time.perf_counter() - started)
+    if key is not None and not _signed(output, loaded, outcome.proof, key):
+        return NOT_PROVEN
+    return int(pipeline.exit_code(outcome))
+
+
+@app.command
+def check(problem: tyro.conf.Positional[Path]) -> int:
+    """Validate a problem file and test reach, without planning."""
+    pipeline = _pipeline()
+
+    try:
+        loaded = pipeline.load(problem)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    issues = pipeline.check(loaded)
+    _print_issues(issues)
+    if has_errors(issues):
+        return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
+    out.print(f"{loaded.name}: nothing in the way of a plan was found")
+    _tell_accepted(accepted(issues))
+    return DONE
+
+
+@app.command
+def verify(
+    folder: tyro.conf.Positional[Path],
+    problem: Path | None = None,
+    sign: Path | None = None,
+    signed_by: Path | None = None,
+) -> int:
+    """Prove the programs in a result folder again, from their text and the problem alone.
+
+    Args:
+        folder: a result folder; of it, only programs/ and problem/ are read. With ``problem``, also a folder
+            of programs that somebody else has written: what of them can be read and proven is told.
+        problem: your own problem file, to prove against instead of the copy in the folder, and to compare
+            that copy with.
+        sign: an Ed25519 key of OpenSSH, by which the result is signed if it is proven.
+        signed_by: a public key, or a file of allowed signers, by which the result must be signed.
+    """
+    pipeline = _pipeline()
+
+    try:
+        key = None if sign is None else statement.read_private_key(sign)
+        loaded = pipeline.load_result(folder) if problem is None else pipeline.load(problem)
+        signature = () if signed_by is None else statement.check_signed(folder, loaded, signed_by)
+        _print_issues(_compared(pipeline, folder, loaded, problem))
+        _print_issues(signature)
+        programs = pipeline.read_programs(folder, bare=problem is not None)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    try:
+        proof = pipeline.verify(loaded, programs)
+    except TandemError as error:
+        return _refused(error, NOT_PROVEN)
+    foreign = problem is not None and not proof.read
+    if foreign:
+        try:
+            partly = pipeline.read_partly(loaded, programs)
+        except TandemError as error:
+            return _refused(error, NOT_PROVEN)
+        _print_issues(partly.issues)
+        out.print(f"{loaded.name}: not read as a whole; each on its own, proven are {partly.share}")
+    else:
+        _print_issues(proof.issues)
+    passed = sum(rule.passed for rule in proof.rules)
+    out.print(
+        f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
+    )
+    _tell_accepted(loaded.accept)
+    if key is not None and not _signed(folder, loaded, proof, key):
+        return NOT_PROVEN
+    return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
+
+
+def _signed(folder: Path, problem: Problem, proof: Proof, key: statement.PrivateKey) -> bool:
+    """Sign a result folder, and tell it; False where it is not signed."""
+    try:
+        stored = _pipeline().load_result(folder).digest
+        out.print(f"signed by {statement.sign_result(folder, problem, stored, proof, key)}", highlight=False)
+    except TandemError as error:
+        _print_issues(error.issues)
+        return False
+    return True
+
+
+def _compared(pipeline: ModuleType, folder: Path, own: Problem, file: Path | None) -> tuple[Issue, ...]:
+    """Tell how the problem in a folder compares with one's own, read from ``file``."""
+    if file is None:
+        out.print(f"problem in {folder}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
+        out.print("It was not compared with a file of yours: give --problem FILE.", highlight=False)
+        return ()
+    if not (folder / "problem").exists():
+        return ()  # a folder of programs alone
+    try:
+        stored = pipeline.load_result(folder)
+    except TandemError as error:
+        what = f"the problem in {folder} cannot be read: {error.issues[0].message}"
+        hint = "the proof is against your file; plan it into a folder of its own to have its copy there"
+        return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
+    out.print(f"problem in {folder}: {stored.digest}", highlight=False, markup=False, soft_wrap=True)
+    out.print(f"problem in {file}: {own.digest}", highlight=False, markup=False, soft_wrap=True)
+    if stored.digest == own.digest:
+        out.print("They are the same, values and files.", highlight=False)
+        return ()
+    found = differences(stored.source, own.source)
+    _differences(found, folder, file)
+    what = f"the problem in {folder} is not that of {file}: they differ in {len(found)} fields"
+    hint = f"the proof is against your file; plan {file} yourself, or ask why the folder has another one"
+    return (Issue("verify.problem_differs", what, Severity.WARNING, file=str(folder), hint=hint),)
+
+
+def _differences(found: tuple[Difference, ...], folder: Path, file: Path) -> None:
+    for item in found[:MOST_FIELDS_SHOWN]:
+        text = f"  {item.field}: {item.first} in {folder}, {item.second} in {file}"
+        out.print(text, highlight=False, markup=False, soft_wrap=True)
+    if len(found) > MOST_FIELDS_SHOWN:
+        out.print(f"  and {len(found) - MOST_FIELDS_SHOWN} more fields", highlight=False)
+
+
+@app.command
+def robots() -> int:
+    """List the robots of the catalogue."""
+    from planner.catalogue.robots import robot, robot_names
+
+    table = Table("name", "robot", "reach mm", "payload kg", "controller", "assumed")
+    for name in robot_names():
+        data = robot(name)
+        table.add_row(
+            name,
+            data.title,
+            f"{data.reach * 1000:.0f}",
+            f"{data.payload:g}",
+            data.controller,
+            "; ".join(data.assumed),
+        )
+    out.print(table)
+    return DONE
+
+
+@app.command
+def materials() -> int:
+    """List the materials of wires, foams and sheets: their figures, each with its value and source."""
+    from planner.catalogue import materials
+
+    table = Table("name", "material", "figure", "value", "source")
+    for name, title, figure, value, source in [*materials.figures(), *materials.sheet_metal_figures()]:
+        table.add_row(name, title, figure.replace("_", " "), value, source)
+    out.print(table)
+    return DONE
+
+
+@app.command
+def kerf(action: kerf_commands.Action) -> int:
+    """Fit a foam of your own from test cuts, or ask for a kerf, a speed or a power."""
+    try:
+        kerf_commands.run(action)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def align(request: tyro.conf.OmitArgPrefixes[align_commands.Align]) -> int:
+    """Find the base of a cell's second robot from points that both robots probed."""
+    try:
+        _print_issues(align_commands.run(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def features(request: tyro.conf.OmitArgPrefixes[feature_commands.Features]) -> int:
+    """Show the features of a sheet part as a tree, in the order of forming, and draw them."""
+    try:
+        _print_issues(feature_commands.run(request))
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def batch(request: tyro.conf.OmitArgPrefixes[batch_commands.Batch]) -> int:
+    """Plan many problems, each into a folder of its own, with a summary; exit 0 only if all are verified."""
+    _pipeline()
+    try:
+        return batch_commands.run(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT if given_wrong(error.issues) else FAILED)
+
+
+@app.command
+def compare(request: tyro.conf.OmitArgPrefixes[compare_commands.Compare]) -> int:
+    """Show two plans, or two batches, side by side."""
+    _pipeline()
+    try:
+        compare_commands.run(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def serve(request: tyro.conf.OmitArgPrefixes[service_commands.Serve]) -> int:
+    """Serve Tandem over HTTP, with a page for browsers."""
+    try:
+        service_commands.serve(request)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def token(action: service_commands.Token) -> int:
+    """Make, list or revoke the tokens of a service."""
+    try:
+        service_commands.token(action)
+    except TandemError as error:
+        return _refused(error, BAD_INPUT)
+    return DONE
+
+
+@app.command
+def issues() -> int:
+    """List every issue code with its meaning, and what a problem may accept."""
+    from planner.catalogue.issue_codes import CODES
+
+    table = Table("code", "meaning")
+    for code, row in CODES.items():
+        may = " (may be accepted)" if row.accepts else ""
+        table.add_row(code, row.meaning + may)
+    out.print(table)
+    return DONE
+
+
+def main() -> None:
+    """Entry point of the command ``tandem``."""
+    sys.unraisablehook = _unraisable
+    try:
+        sys.exit(
+            app.cli(
+                prog="tandem", description="Plan two robots that share one job, and prove their programs."
+            )
+        )
+    except Exception as error:
+        if _was_stopped(error):
+            _stop()
+        err.print_exception()
+        what = f"{type(error).__name__}: {error}; nothing was written, please report this"
+        _print_issues((Issue("internal.error", what),))
+        sys.exit(FAILED)
+    except KeyboardInterrupt:
+        _stop()
+
+
+def _stop() -> NoReturn:
+    err.print("stopped; nothing half-written was left")
+    sys.exit(130)
+
+
+def _was_stopped(error: BaseException | None) -> bool:
+    """Whether a Ctrl-C is at the root of an error that libraries made of it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """A Ctrl-C that meets a callback which cannot raise comes again a moment later."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        threading.Timer(0.05, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(unraisable)
+
+
+def _pipeline() -> ModuleType:
+    """The pipeline, imported when a command needs it: Drake takes a second, and talks unasked.
+
+    The arrays are small: threads of the linear algebra only get in each other's way, and their number must
+    not change a plan. NumPy reads these when it is loaded; who sets them keeps what was set.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    with unhurried():  # an import that is interrupted may swallow it
+        from planner import pipeline
+
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    return pipeline
+
+
+def _infeasible_code(error: TandemError) -> int:
+    return BAD_INPUT if given_wrong(error.issues) else NO_PLAN
+
+
+def _refused(error: TandemError, code: int) -> int:
+    _print_issues(error.issues)
+    return code
+
+
+def _print_issues(found: tuple[Issue, ...]) -> None:
+    for issue in found:
+        err.print(str(issue), style=STYLES[issue.severity], markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    columns = (SpinnerColumn(), TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        tasks: dict[str, object] = {}
+
+        def tell(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=1.0)
+            bar.update(tasks[stage], completed=fraction)  # type: ignore[arg-type]
+
+        yield tell
+
+
+def _summary(outcome: object, output: Path, seconds: float) -> None:
+    from planner.pipeline import Outcome
+
+    if not isinstance(outcome, Outcome):
+        raise TypeError(f"expected an Outcome, got {type(outcome).__name__}")
+    moves = sum(operation.targets.count for operation in outcome.plan.operations)
+    cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
+    verdict = "verified" if outcome.verified else "NOT verified, no programs written"
+    out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
+    _tell_accepted(outcome.accepted)
+    stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
+    spent = f" ({stages})" if stages else ""
+    out.print(
+        f"planned in {seconds:.1f} s{spent}; see {output / 'report.html'}", highlight=False, markup=False
+    )
+
+
+def _tell_accepted(codes: Sequence[str]) -> None:
+    """What a verdict leaves to the user, beside it."""
+    if codes:
+        out.print(f"accepted by the problem, not by Tandem: {', '.join(codes)}", highlight=False)
+
+
+def _laps(plan: Plan) -> dict[str, float]:
+    """The time [s] of each stage of the motion, over all operations, where it took any."""
+    laps: dict[str, float] = {}
+    for metrics in (plan.metrics, *(operation.metrics for operation in plan.operations)):
+        for name, seconds in metrics.get("stages", {}).items():
+            laps[name] = laps.get(name, 0.0) + float(seconds)
+    return {name: seconds for name, seconds in laps.items() if seconds >= 0.05}

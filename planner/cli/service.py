@@ -1,0 +1,195 @@
+"""``tandem serve`` and ``tandem token``."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime as dt
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from planner.issues import Issue, TandemError
+
+if TYPE_CHECKING:
+    from planner.service.security import Auth
+
+DATA: Final = Path("tandem-data")
+INSTALL: Final = "pip install 'tandem-planner[service]'"
+out: Final = Console()
+
+
+@dataclasses.dataclass(frozen=True)
+class Serve:
+    """Serve Tandem over HTTP, with a page for browsers: jobs, files, progress."""
+
+    host: str = "127.0.0.1"
+    """address to listen at; anything but loopback needs tokens"""
+    port: int = 8000
+    """port to listen at"""
+    data: Path = DATA
+    """folder for files and, without --database, the database"""
+    workers: int = 1
+    """processes that plan, one job each at a time"""
+    cluster: str | None = None
+    """plan on a Dask cluster: tcp://HOST:PORT of its scheduler, or local"""
+    database: str | None = None
+    """postgresql://USER:PASSWORD@HOST/NAME for several hosts; else a file in the data folder"""
+    require_token: bool = False
+    """ask for tokens on loopback too, as behind a proxy"""
+    certificate: Path | None = None
+    """certificate for TLS, PEM"""
+    key: Path | None = None
+    """its key, PEM"""
+    upload_mb: float = 200.0
+    """largest upload"""
+    mesh_mb: float = 50.0
+    """largest mesh in it"""
+    mesh_facets: int = 1_000_000
+    """most facets of a mesh; it may have three times as many vertices"""
+    open_jobs: int = 100
+    """jobs of one token that may wait or run"""
+    kept_jobs: int = 5000
+    """jobs of one token that are kept"""
+    readings: int = 100
+    """uploads of one token that may be read or wait to be read"""
+    token_disk_mb: float = 20_000.0
+    """room for the files of one token"""
+    disk_mb: float | None = None
+    """room for all files; else what the disk has"""
+    job_timeout_s: float = 3600.0
+    """most time of planning, a job"""
+    job_memory_mb: float = 4096.0
+    """most memory of planning, a job"""
+    keep_days: float | None = None
+    """delete finished jobs after so many days"""
+    lease_s: float = 30.0
+    """on a shared database: jobs of a host that has been silent for so long are planned by others"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Add:
+    """Make a token and print it, this once."""
+
+    name: tyro.conf.Positional[str]
+    """whose it is"""
+    data: Path = DATA
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
+@dataclasses.dataclass(frozen=True)
+class List:
+    """List the tokens, without their secrets."""
+
+    data: Path = DATA
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Revoke:
+    """End a token at once; its jobs stay."""
+
+    name: tyro.conf.Positional[str]
+    """whose it is"""
+    data: Path = DATA
+    """data folder of the service"""
+    database: str | None = None
+    """database of the service, if it is not in the data folder"""
+
+
+Token = tyro.conf.OmitSubcommandPrefixes[
+    Annotated[Add, tyro.conf.subcommand("add")]
+    | Annotated[List, tyro.conf.subcommand("list")]
+    | Annotated[Revoke, tyro.conf.subcommand("revoke")]
+]
+
+
+def serve(asked: Serve) -> None:
+    """Serve until told to stop; raises ``TandemError`` where it cannot start."""
+    try:
+        from planner.service import app as server
+        from planner.service.security import Limits
+        from planner.service.service import Options
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+
+    limits = Limits(
+        upload_mb=asked.upload_mb,
+        mesh_mb=asked.mesh_mb,
+        mesh_facets=asked.mesh_facets,
+        open_jobs=asked.open_jobs,
+        kept_jobs=asked.kept_jobs,
+        readings=asked.readings,
+        token_disk_mb=asked.token_disk_mb,
+        disk_mb=asked.disk_mb,
+        job_s=asked.job_timeout_s,
+        job_memory_mb=asked.job_memory_mb,
+        keep_days=asked.keep_days,
+    )
+    more = {"workers": asked.workers, "lease_s": asked.lease_s}
+    for name, value in (dataclasses.asdict(limits) | more).items():
+        if value is not None and not value > 0:
+            raise TandemError(Issue("service.start", f"{name}: got {value:g}, give more than 0", field=name))
+    server.serve(
+        Options(
+            data=asked.data,
+            host=asked.host,
+            port=asked.port,
+            database=asked.database,
+            workers=asked.workers,
+            cluster=asked.cluster,
+            require_token=asked.require_token,
+            lease_s=asked.lease_s,
+            limits=limits,
+        ),
+        asked.certificate,
+        asked.key,
+    )
+
+
+def token(asked: Add | List | Revoke) -> None:
+    """Make, list or end tokens; raises ``TandemError``."""
+    auth = _auth(asked)
+    if isinstance(asked, Add):
+        sys.stdout.write(f"{auth.make(asked.name)}\n")
+    elif isinstance(asked, Revoke):
+        auth.revoke(asked.name)
+        out.print(f"{asked.name}: revoked", highlight=False)
+    else:
+        table = Table("name", "made", "revoked")
+        for known in auth.list():
+            table.add_row(known.name, _moment(known.created), _moment(known.revoked))
+        out.print(table)
+
+
+def not_installed(error: ImportError) -> Issue:
+    """What to install for the service."""
+    return Issue("service.install", f"the service needs {error.name or error}", hint=INSTALL)
+
+
+def _auth(asked: Add | List | Revoke) -> Auth:
+    try:
+        from planner.service.database import Database, default_url
+        from planner.service.security import Auth
+    except ImportError as error:
+        raise TandemError(not_installed(error)) from error
+    if asked.database is None:
+        try:
+            asked.data.mkdir(parents=True, exist_ok=True, mode=0o700)
+        except OSError as error:
+            message = f"data folder {asked.data}: cannot be written ({error.strerror}); give another one"
+            raise TandemError(Issue("service.start", message, field="data")) from error
+    return Auth(Database(asked.database or default_url(asked.data)))
+
+
+def _moment(seconds: float | None) -> str:
+    if seconds is None:
+        return ""
+    return dt.datetime.fromtimestamp(seconds, dt.UTC).strftime("%Y-%m-%d %H:%M UTC")

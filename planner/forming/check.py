@@ -1,0 +1,306 @@
+"""What a forming job is refused for, or warned of, once its tools' paths are known.
+
+**What a ball cannot reach** of a part: sharp floors, fillets and hollows that are tighter than it
+is. There it leaves a fillet of its own radius, whatever the path: told before anything is planned.
+A ball above a hollow is beyond the plane of each place that is in its way, by its radius; the
+nearest place for its centre that is beyond all of them is found by Dykstra's alternating
+projections (Boyle and Dykstra 1986). In a corner between two planes at the angle a to each other it
+stays R (1 / cos(a / 2) - 1) off.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from planner.catalogue.materials import thickness_doubt
+from planner.catalogue.robots import robot
+from planner.forming import two_point
+from planner.forming.contact import MIRROR, Face, Pass, ToolPath
+from planner.forming.operation import die_mesh
+from planner.forming.passes import ALIKE, pass_issues
+from planner.forming.process_plan import Work
+from planner.forming.sheet_mechanics import ForceEstimate, estimate, payload_issue, steepest
+from planner.forming.sheet_state import clear_issues, states
+from planner.forming.support.clearance import clamp_issues
+from planner.forming.support.modes import support_issues
+from planner.forming.two_point import die_issues
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.mesh import TriangleMesh, small_pieces
+from planner.issues import Issue, Severity
+from planner.problem import Setup
+from planner.tooling import profile
+from planner.units import DEG, MM
+
+
+def check(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> list[Issue]:
+    """All issues of a job but its die's: metal, passes, forces, the die's holder, supports that cannot do as
+    they should, tools that would cut into what is formed already."""
+    out = [*work.tree.issues, *_metal(work), *_forces(work, setup, paths), *_clear(work, paths)]
+    return [*out, *two_point.step_issues(work, paths)]
+
+
+def shift_issues(work: Work) -> Iterator[Issue]:
+    """Features around whose wall the support cannot be turned by the stated shift (forming.shift): beyond the
+    vertical it would leave the wall that it supports."""
+    shift, final = work.operation.shift_deg, {one.feature: one for one in work.passes}
+    for number, one in final.items():
+        wall = steepest(one.vertices, one.faces) / DEG
+        if shift > wall + ALIKE / DEG:
+            what = (
+                f"feature {number}: shift_deg is {shift:g}, allowed is 0 to {wall:.1f}, the angle of its wall"
+            )
+            hint = "take a smaller shift_deg; at the wall's angle the support is straight behind the former"
+            yield Issue(
+                "forming.shift", what, field="shift_deg", value=shift, limit=wall, unit="deg", hint=hint
+            )
+
+
+def step_issues(work: Work) -> Iterator[Issue]:
+    """A stepdown that is more than the whole part is deep (forming.path_options): its one loop would be at
+    the floor, where balls are easily too large, and nothing above it would be formed."""
+    op = work.operation
+    deep = max(abs(one.end - one.start) for one in work.passes) / MM
+    if op.mode != "adsif" and op.stepdown_mm is not None and op.stepdown_mm > deep:
+        what = f"stepdown_mm is {op.stepdown_mm:g}, allowed is up to {deep:.3g}, the depth of the part"
+        hint = f"take a tenth of that, {0.1 * deep:.2g}, or state scallop_mm instead"
+        yield Issue(
+            "forming.path_options",
+            what,
+            field="operations.stepdown_mm",
+            value=op.stepdown_mm,
+            limit=deep,
+            unit="mm",
+            hint=hint,
+        )
+
+
+def of_die(work: Work) -> Iterator[Issue]:
+    """Issues of the die, which asks for no path: a part that it is not the die of is not to be blamed on a
+    ball."""
+    die = work.operation.die
+    if die is not None:
+        final = {one.feature: one for one in work.passes}  # shapes in between stand off the die
+        tolerance = work.operation.gouge_tol_mm * MM
+        yield from die_issues(tuple(final.values()), die, die_mesh(die), work.thickness, tolerance)
+
+
+def force(work: Work, one: Pass, path: ToolPath) -> ForceEstimate:
+    """The axial force on the forming tool of a pass."""
+    op, radius = work.operation, work.heads[work.former(one)].radius
+    walls = path.contact.angle[path.contact.angle > 0.0]
+    if op.stepdown_mm is not None:
+        step = op.stepdown_mm * MM
+    else:  # the step whose ridges are as high as stated, at the steepest wall
+        ridge = (op.scallop_mm or 0.0) * MM
+        step = 2.0 * float(np.sin(walls.max())) * float(np.sqrt(2.0 * radius * ridge - ridge**2))
+    return estimate(work.sheet.metal, work.thickness, 2.0 * radius, step, walls, op.force_n)
+
+
+def _clear(work: Work, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    found = states(work.tree, work.mesh, work.passes, work.thickness)
+    for (one, path), state in zip(paths, found, strict=True):
+        arms = tuple(filter(None, (work.former(one), work.supporter(one))))
+        heads = [work.heads[arm] for arm in arms]
+        support = heads[1] if len(heads) > 1 else None
+        yield from support_issues(one, path, work.operation, heads[0], support, work.thickness)
+        profiles = [profile(head) for head in heads]
+        yield from clear_issues(one, path, state, arms, profiles, work.pressed)
+        if work.operation.cone_deg == 0.0:  # else motion may tilt it out of there
+            yield from clamp_issues(one, path, work.clamp, arms, profiles)
+
+
+def _metal(work: Work) -> Iterator[Issue]:
+    doubt = thickness_doubt(work.sheet.metal, work.thickness)
+    if doubt is not None:
+        yield doubt
+    yield from pass_issues(work.passes, work.thickness, work.operation, work.sheet.metal)
+
+
+def _forces(work: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Iterator[Issue]:
+    """The largest force of each arm against what it carries."""
+    most: dict[str, ForceEstimate] = {}
+    for one, path in paths:
+        found = force(work, one, path)
+        for arm in filter(None, (work.former(one), work.supporter(one))):
+            if work.operation.mode == "heat" and arm != work.former(one):
+                continue
+            if arm not in most or found.force > most[arm].force:
+                most[arm] = found
+    for arm, found in most.items():
+        mounted = setup.cell.arm(arm)
+        data = robot(mounted.robot)
+        issue = payload_issue(found, f"arm {arm}", data.title, data.payload, mounted.tool.mass)
+        if issue is not None:
+            yield issue
+
+
+NEARLY: Final = 2e-5
+"""A ball that comes so near [m] to a place reaches it."""
+GRAIN: Final = 0.1
+"""Places are looked at a share of the ball's radius apart."""
+COARSE: Final = 0.35
+"""First they are so far apart, for corners are wider than that all along."""
+TOUCH: Final = 2e-6
+_WORST: Final = 12
+_MOST: Final = 800
+_PIECES: Final = 60_000
+_ROUNDS: Final = 12
+_SWEEPS: Final = 80
+
+
+@dataclasses.dataclass(frozen=True)
+class Unreached:
+    """What a ball does not reach of a pass: by how much at most it stays ``off`` [m], at the place ``at``
+    (3,) [m] of the face that it forms; the ``volume`` [m^3] that its fillets leave, in how many ``places``;
+    and the ``share`` of the walls."""
+
+    off: float
+    at: FloatArray
+    volume: float
+    places: int
+    share: float
+
+
+def unreached(one: Pass, radius: float) -> Unreached | None:
+    """What a ball of ``radius`` [m] does not reach of the face of a pass, None where it reaches all of it."""
+    vertices = one.vertices if one.side > 0 else one.vertices * MIRROR
+    start, end = one.side * one.start, one.side * one.end
+    box = np.stack([one.region.min(axis=0), one.region.max(axis=0)])[:, :2]
+    face = Face(TriangleMesh(vertices, one.faces), radius, box)
+    corners = vertices[face.mesh.faces]
+    moved = np.flatnonzero(corners[:, :, 2].min(axis=1) < start - TOUCH)  # the flat around is reached anyhow
+    corners = corners[moved]
+    parts, owner = small_pieces(corners, GRAIN * radius, _PIECES)
+    area = 0.5 * np.linalg.norm(np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]), axis=1)
+    corner = corners[owner][:, :, 2]
+    flat = [(np.abs(corner - level) < TOUCH).all(axis=1) for level in (start, end)]
+    wall = np.asarray(~(flat[0] | flat[1]))
+    points, normal = parts.mean(axis=1), face.normals[moved[owner]]
+    few = _thinned(points, wall, COARSE * radius)[0]
+    hit = few[face.pushed(points[few], normal[few]) > NEARLY]
+    if not len(hit):
+        return None
+    near = cKDTree(points[hit]).query(points, distance_upper_bound=2.0 * COARSE * radius)[0]
+    some = np.flatnonzero(np.isfinite(near))
+    first, cell = _thinned(points[some], wall[some], GRAIN * radius)
+    total = np.bincount(cell, area[some])
+    all_walls = float(area[wall].sum())
+    rows = some[first]
+    area[rows] = total
+    back = nearest_centres(face, points[rows], normal[rows]) - points[rows]
+    apart = np.linalg.norm(back, axis=1)
+    use = apart > radius + NEARLY
+    rows, back, apart = rows[use], back[use], apart[use]
+    if not len(rows):
+        return None
+    # of each place the sector between it and the ball, as in a straight crease
+    along = np.maximum(dots(back, normal[rows]), 0.0) / apart
+    volume = float((0.5 * (apart**2 - radius**2) / apart * along * area[rows]).sum())
+    k = int(np.argmax(apart))
+    at = points[rows[k]] if one.side > 0 else points[rows[k]] * MIRROR
+    share = float(area[rows][wall[rows]].sum() / max(all_walls, 1e-12))
+    # the farthest are corners of the mesh itself, beside these
+    worst = points[rows[np.argsort(apart)[-_WORST:]]]
+    around = np.unique(np.concatenate(cKDTree(points).query_ball_point(worst, 2.0 * GRAIN * radius)))
+    around = around[:: -(-len(around) // _MOST)].astype(np.int64)
+    corner, up = parts[around].reshape(-1, 3), np.repeat(normal[around], 3, axis=0)
+    far = np.linalg.norm(nearest_centres(face, corner, up) - corner, axis=1)
+    most = max(float(far.max()), float(apart[k]))
+    return Unreached(most - radius, at, volume, _groups(points[rows], radius), share)
+
+
+def _thinned(points: FloatArray, wall: BoolArray, size: float) -> tuple[IntArray, IntArray]:
+    """The first (C,) of N points, of walls and of what is none, in each cell of a ``size`` [m], and the cells
+    (N,)."""
+    key = np.column_stack([np.floor(points / size).astype(np.int64), wall])
+    _, first, cell = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    return first, np.asarray(cell).reshape(-1)
+
+
+def nearest_centres(face: Face, points: FloatArray, normal: FloatArray) -> FloatArray:
+    """The nearest centres (N, 3) [m] to ``points`` (N, 3) of a face, with unit ``normal`` (N, 3) up, of its
+    balls that cut in nowhere."""
+    found = points + face.radius * normal
+    open_: IntArray = np.arange(len(points))
+    # planes in the way: unit normals, and how far along them a centre is at least
+    up = np.zeros((len(points), 0, 3))
+    level = np.zeros((len(points), 0))
+    for _ in range(_ROUNDS):
+        distance, place, away = face.deepest(found[open_])
+        deep = distance < face.radius - TOUCH
+        open_, place, away = open_[deep], place[deep], away[deep]
+        if not len(open_):
+            break
+        up = np.concatenate([up[deep], away[:, None]], axis=1)
+        level = np.concatenate([level[deep], (dots(away, place) + face.radius)[:, None]], axis=1)
+        found[open_] = _projected(points[open_], up, level)
+    return found
+
+
+def _projected(points: FloatArray, up: FloatArray, level: FloatArray) -> FloatArray:
+    """The nearest places (N, 3) to ``points`` (N, 3) beyond K planes, ``up`` (N, K, 3), ``level`` (N, K)."""
+    place = points.copy()
+    push = np.zeros(level.shape)
+    for _ in range(_SWEEPS if level.shape[1] > 1 else 1):
+        for k in range(level.shape[1]):
+            free = dots(place, up[:, k]) - push[:, k]
+            fresh = np.maximum(level[:, k] - free, 0.0)
+            place += (fresh - push[:, k])[:, None] * up[:, k]
+            push[:, k] = fresh
+    return place
+
+
+def _groups(points: FloatArray, radius: float) -> int:
+    """How many places that are apart points (N, 3) make up."""
+    near = cKDTree(points).sparse_distance_matrix(
+        cKDTree(points), 4.0 * GRAIN * radius, output_type="coo_matrix"
+    )
+    return int(connected_components(near, directed=False)[0])
+
+
+def unreached_issues(work: Work) -> list[Issue]:
+    """What the balls do not reach of the part (forming.unreached): a note, a warning where that is more of
+    the walls than may be off, or an error beyond the user's ``unreached_mm``."""
+    op = work.operation
+    out = []
+    for one in {one.feature: one for one in work.passes}.values():
+        radius = work.heads[work.former(one)].radius
+        found = unreached(one, radius)
+        if found is None:
+            continue
+        limit = op.unreached_mm
+        off = found.off / MM
+        x, y, z = found.at / MM
+        many = "one place" if found.places == 1 else f"{found.places} places"
+        what = (
+            f"pass {one.name}: a ball of {radius / MM:.2f} mm radius stays up to {off:.2f} mm off the part, "
+            f"most at ({x:.1f}, {y:.1f}, {z:.1f}) mm, and leaves fillets of its own radius in {many}, about "
+            f"{found.volume / MM**3:.3g} mm3; it does not reach {100.0 * found.share:.1f} % of the walls"
+        )
+        severity = Severity.NOTE if found.share <= 1.0 - op.share else Severity.WARNING
+        hint = "a smaller ball reaches more, and a part that is rounded by the ball's radius is reached whole"
+        if limit is None:
+            hint += "; unreached_mm says how far it may stay off"
+        elif off > limit:
+            severity, what = Severity.ERROR, f"{what}; unreached_mm allows {limit:g} mm"
+            hint = "take a smaller ball, round the part there by the ball's radius"
+            hint += f", or allow {off + 0.01:.2f} mm"
+        out.append(
+            Issue(
+                "forming.unreached",
+                what,
+                severity,
+                field="operations.unreached_mm",
+                value=off,
+                limit=limit,
+                unit="mm",
+                hint=hint,
+            )
+        )
+    return out

@@ -1,0 +1,1 @@
+"""Paths of the contact on the face of a pass."""

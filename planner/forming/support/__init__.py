@@ -1,0 +1,1 @@
+"""Where the second tool is while the first one forms."""

@@ -1,0 +1,377 @@
+"""What must hold of jobs with a hot wire, straight or bent, from the problem alone.
+
+By code of its own, of which nothing makes targets, and which uses nothing that does: of the
+planner's modules of this folder it imports the operation's schema only (a test holds this). What a
+straight wire is to cut, and in which order, is worked out from the problem once more, by none of
+the code that plans (`straight.order`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import numpy as np
+
+from planner.catalogue.materials import wire_material
+from planner.claims import dialogue
+from planner.claims.claim import (
+    Claim,
+    ContactOnlyIn,
+    Contour,
+    CutsSurface,
+    FeedWindow,
+    FollowsRulings,
+    HoldsStock,
+    KerfWithin,
+    LeadsFrom,
+    OneOf,
+    SlitsAllowed,
+    StraightWire,
+    WireJoins,
+)
+from planner.claims.dialogue import (
+    DialogueStop,
+    Figure,
+    OperatorDialogue,
+    ask_step,
+    power_off_steps,
+    power_on_steps,
+    tell_step,
+)
+from planner.claims.segments import Segment
+from planner.claims.wire_physics import cold_length, slot, stiffness
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.rulings import tessellate
+from planner.hotwire.operation import ElasticWire, Straight, SurfaceCut, TrimCut
+from planner.issues import Issue, TandemError
+from planner.problem import Mesh, Part, Ruled, Setup, Stock
+from planner.reading.materials import WireFile
+from planner.tooling import Bow
+from planner.units import MM
+
+SAME_WAY: Final = 1e-6
+"""Surfaces whose mean rulings, as unit vectors, differ by less lie in one another or beside one another."""
+UPRIGHT: Final = 0.5
+"""An axis of the block is level where the vertical's share along it is below this."""
+PLANES: Final = {
+    "left": (0, -1.0),
+    "right": (0, 1.0),
+    "front": (1, -1.0),
+    "back": (1, 1.0),
+    "bottom": (2, -1.0),
+    "top": (2, 1.0),
+}
+"""Axis of the stock frame that is normal to a side of the datum block, and which way it points outwards."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Claimed:
+    """One surface that is to be cut in ``segment``, and what the operation says of that cut."""
+
+    segment: Segment
+    ruled: Ruled
+    cut: SurfaceCut | TrimCut
+
+
+def claimed(op: Straight, stock: Stock, part: Part | None, span: float) -> list[Claimed]:
+    """All that is to be cut, in order; ``span`` [m] of the wire between its clamps. Raises ``TandemError``:
+    part.missing_surface."""
+    known = {} if part is None else {ruled.name: ruled for ruled in part.ruled}
+    if op.cuts == "all":
+        if not known:
+            raise _missing(op, "all")
+        rows = list(known.values())
+        order = _by_support(rows, -stock.gravity)
+        return [
+            Claimed(Segment("cut", rows[k].name), rows[k], SurfaceCut(surface=rows[k].name)) for k in order
+        ]
+    out: list[Claimed] = []
+    for cut in op.cuts:
+        if isinstance(cut, SurfaceCut):
+            if cut.surface not in known:
+                raise _missing(op, cut.surface)
+            out.append(Claimed(Segment("cut", cut.surface), known[cut.surface], cut))
+            continue
+        out += [
+            Claimed(Segment("cut", f"trim_{s}"), datum_side(op, stock, s, cut, span), cut) for s in cut.trim
+        ]
+    return out
+
+
+def _missing(op: Straight, name: str) -> TandemError:
+    what = f"{op.name}: {name} is to be cut, but the part has no such ruled surface; correct the name"
+    return TandemError(Issue("part.missing_surface", what, field="part"))
+
+
+# ---- the order of everything ----
+
+
+def _by_support(rows: list[Ruled], up: FloatArray) -> list[int]:
+    """What lies in others before what is around it, and holes; then strips; then outlines from the top
+    down."""
+    depth = nesting(rows)
+
+    def key(k: int) -> tuple[int, int, float]:
+        one = rows[k]
+        if not one.closed:
+            return (1, -depth[k], 0.0)
+        height = 0.0 if one.hole else -round(float(0.5 * (one.start + one.end).mean(axis=0) @ up), 6)
+        return (0 if one.hole or depth[k] else 2, -depth[k], height)
+
+    return sorted(range(len(rows)), key=key)
+
+
+def nesting(rows: list[Ruled]) -> list[int]:
+    """In how many other closed surfaces with rulings of the same direction each one lies."""
+    out = [0] * len(rows)
+    axes = [_axis(one) for one in rows]
+    for i, inner in enumerate(rows):
+        for o, outer in enumerate(rows):
+            alike = bool(np.abs(axes[i] - axes[o]).max() < SAME_WAY)
+            if i == o or not (inner.closed and outer.closed and alike):
+                continue
+            plane = normal_plane(axes[o])
+            small, large = (0.5 * (one.start + one.end) @ plane for one in (inner, outer))
+            within = inside(small, large).mean() > 0.5
+            out[i] += int(within and abs(area(small)) < abs(area(large)))
+    return out
+
+
+def _axis(ruled: Ruled) -> FloatArray:
+    way = (ruled.end - ruled.start).mean(axis=0)
+    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-12))
+
+
+def normal_plane(axis: FloatArray) -> FloatArray:
+    """Two unit vectors (3, 2) that are normal to a unit vector (3,) and to one another."""
+    return np.asarray(np.linalg.svd(axis[None])[2][1:].T)
+
+
+def area(polygon: FloatArray) -> float:
+    """Area [m^2] of a polygon (M, 2), negative if it runs clockwise."""
+    x, y = polygon.T
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """Which points (N, 2) lie in a polygon (M, 2): a ray from them passes its border an odd number of
+    times."""
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    y = points[:, 1, None]
+    passes = (a[:, 1] > y) != (b[:, 1] > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = a[:, 0] + (y - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return np.asarray(np.sum(passes & (points[:, 0, None] < at), axis=1) % 2 == 1)
+
+
+# ---- sides of the datum block ----
+
+
+def datum_side(op: Straight, stock: Stock, side: str, cut: TrimCut, span: float) -> Ruled:
+    """A side of the block without its oversize, as two rulings whose surface faces away from the block."""
+    axis, outwards = PLANES[side]
+    along = "xyz".index(cut.along) if cut.along != "auto" else _auto(op, stock, axis, span)
+    sweep = ({0, 1, 2} - {axis, along}).pop()
+    low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
+    corner = np.where(outwards > 0.0, high, low)
+    start, end = np.tile(corner, (2, 1)), np.tile(corner, (2, 1))
+    start[:, along], end[:, along] = low[along], high[along]
+    # way times wire points outwards where the axes of way, wire and side follow one another
+    ascends = ((along - sweep) % 3 == 1) == (outwards > 0.0)
+    edges = (low[sweep], high[sweep]) if ascends else (high[sweep], low[sweep])
+    start[:, sweep] = end[:, sweep] = edges
+    return Ruled(f"trim_{side}", start, end, np.zeros(2, dtype=np.bool_))
+
+
+def _auto(op: Straight, stock: Stock, axis: int, span: float) -> int:
+    """The axis that the wire is parallel to: one along which the block as found, with its margins, is no
+    longer than the wire; of these a level one; of these the shorter."""
+    length, upright = stock.upper - stock.lower, np.abs(stock.gravity) >= UPRIGHT
+    choice = [k for k in range(3) if k != axis]
+    fit = [k for k in choice if length[k] <= span - 2.0 * op.margin_mm * MM] or choice
+    level = [k for k in fit if not upright[k]] or fit
+    return min(level, key=lambda k: float(length[k]))
+
+
+RESTS: Final = 0.7
+"""What is above a slot rests on it where the cosine of the slot's lean is more than this."""
+NEARLY: Final = 0.01
+"""Leans are told apart by more than this: nearer to `RESTS`, spacers may be asked for or not."""
+SURFACE_CHORD: Final = 2e-5
+"""[m] the triangles of a wanted surface are as near to it as this."""
+
+
+def straight_claims(op: Straight, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """Claims on the bow, on each cut, on the contact, on the block's holder and on ways in.
+
+    Raises ``TandemError``: bow.missing, part.missing_surface, stock.foam_missing, kerf.no_data.
+    """
+    stock, bow = setup.stock, _bow(op, setup)
+    span, radius = bow.span, bow.radius
+    half = np.array([0.5 * span, 0.0, 0.0])
+    kerf = slot(op.kerf_mm, op.power_w, stock.foam, 2.0 * radius, span)
+    out: list[Claim] = [
+        StraightWire(op.arms[0], -half, half, radius, op.margin_mm * MM),
+        ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
+    ]
+    cuts, tolerance = claimed(op, stock, part, span), op.shape_tol_mm * MM
+    out.append(_straight_dialogue(op, bow, setup, cuts))
+    for cut in cuts:
+        mesh = tessellate(cut.ruled, SURFACE_CHORD)
+        out.append(CutsSurface(cut.segment, mesh.vertices, mesh.faces, kerf, tolerance, op.share))
+        start, end = _closed(cut.ruled)
+        out.append(FollowsRulings(cut.segment, start, end, kerf, tolerance, op.left_mm * MM))
+        if op.power_w is not None:
+            low, high = op.kerf_range_mm
+            out.append(KerfWithin(cut.segment, kerf, low * MM, high * MM))
+        fastest = op.feed_mm_s if cut.cut.feed_mm_s is None else cut.cut.feed_mm_s
+        feed = op.feed_min_mm_s * MM, fastest * MM
+        out += [FeedWindow(cut.segment.at(phase), *feed) for phase in ("", "in", "out")]
+    stock = setup.stock
+    if stock.held_by is not None and stock.mass is not None:
+        middle = np.append(0.5 * (stock.lower + stock.upper), 1.0)
+        out.append(HoldsStock(stock.held_by, stock.grip, stock.mass, (stock.grip @ middle)[:3]))
+    return (*out, *_leads(cuts, tolerance), *_slits(cuts, part, stock.box))
+
+
+def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]) -> OperatorDialogue:
+    """The wire's size and heat are told; where spacers are wanted hands come near it, so that it is off and
+    cold meanwhile."""
+    material = f" {op.wire_material}" if op.wire_material.strip() else ""
+    wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
+    if op.power_w is not None:
+        mounted = tell_step(dialogue.BOW_POWER, **wire, power_w=op.power_w)
+    else:
+        mounted = tell_step(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+    on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
+    spaced = (*off, tell_step(dialogue.SPACERS, kerf_mm=op.kerf_mm), ask_step(dialogue.SPACED), *on)
+    stops = []
+    for cut in cuts if op.spacers and setup.stock.held_by is None else ():
+        lean = 0.0 if cut.ruled.closed else abs(float(_normal(cut.ruled) @ setup.stock.gravity))
+        if lean > RESTS - NEARLY:
+            optional = lean < RESTS + NEARLY
+            stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
+    return OperatorDialogue(
+        op.arms,
+        (mounted, ask_step(dialogue.TAUT), *on),
+        (*off, ask_step(dialogue.COLD)),
+        tuple(stops),
+    )
+
+
+def _normal(ruled: Ruled) -> FloatArray:
+    """The mean unit normal (3,) of a ruled surface, not itself of length 1 where that is bent."""
+    move = 0.5 * (np.diff(ruled.start, axis=0) + np.diff(ruled.end, axis=0))
+    along = ruled.end - ruled.start
+    normal = np.cross(move, along[1:] + along[:-1])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray((normal / np.maximum(size, 1e-12))[size[:, 0] > 1e-12].mean(axis=0))
+
+
+def _bow(op: Straight, setup: Setup) -> Bow:
+    tool = setup.cell.arm(op.arms[0]).tool
+    if isinstance(tool, Bow):
+        return tool
+    what = f"{op.name}: the tool {tool.name} of arm {op.arms[0]} has no straight wire; mount a bow"
+    raise TandemError(Issue("bow.missing", what, field="cell.arms", arm=op.arms[0]))
+
+
+def _leads(cuts: list[Claimed], tolerance: float) -> list[LeadsFrom]:
+    """Directions that the user states."""
+    return [
+        LeadsFrom(one.segment, np.array(one.cut.lead, dtype=np.float64), tolerance)
+        for one in cuts
+        if isinstance(one.cut, SurfaceCut) and not isinstance(one.cut.lead, str)
+    ]
+
+
+def _slits(cuts: list[Claimed], part: Part | None, box: FloatArray) -> list[SlitsAllowed]:
+    """Slits through the part, where it has holes and something closed is cut."""
+    here = {one.ruled.name: one.segment for one in cuts if one.ruled.closed}
+    closed = [ruled for ruled in (() if part is None else part.ruled) if ruled.closed]
+    if not here or not any(ruled.hole for ruled in closed):
+        return []
+    contours = [Contour(here.get(r.name), r.start, r.end, r.corner, r.hole) for r in closed]
+    return [SlitsAllowed(tuple(contours), box)]
+
+
+def _closed(ruled: Ruled) -> tuple[FloatArray, FloatArray]:
+    """Guide lines of a surface, those of a closed one ending where they begin."""
+    if not ruled.closed:
+        return ruled.start, ruled.end
+    return np.concatenate([ruled.start, ruled.start[:1]]), np.concatenate([ruled.end, ruled.end[:1]])
+
+
+def elastic_claims(op: ElasticWire, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    """Claims on the wire, on each face in order, and on the contact; where the operation leaves the wire
+    open, those of each wire at hand, of which the operator is told one.
+
+    Raises ``TandemError``: wire.unknown_material, part.missing_face, stock.foam_missing, kerf.no_data.
+    """
+    if op.wire is not None:
+        return _elastic_claims(op, op.wire, setup, part)
+    return (OneOf(tuple(_elastic_claims(op, w, setup, part) for w in op.wires(setup.cell.wires))),)
+
+
+def _elastic_claims(op: ElasticWire, own: WireFile, setup: Setup, part: Part | None) -> tuple[Claim, ...]:
+    length = own.length_mm * MM
+    diameter, width, thickness = (
+        None if size is None else size * MM for size in (own.diameter_mm, own.width_mm, own.thickness_mm)
+    )
+    wire = stiffness(wire_material(own.material), diameter, width, thickness, own.temperature_c)
+    kerf = slot(op.kerf_mm, op.power_w, setup.stock.foam, diameter or 0.0, length)
+    out: list[Claim] = [
+        WireJoins(
+            arms=op.arms,
+            length=length,
+            ei_soft=wire.ei_soft,
+            ei_stiff=wire.ei_stiff,
+            gj=wire.gj,
+            weight=wire.weight,
+            round_section=diameter is not None,
+            max_curvature=wire.max_curvature,
+            thickness=wire.thickness,
+            end_error=op.end_error_mm * MM,
+        ),
+        ContactOnlyIn(("cut",), op.signal, op.heat_up_s),
+        _elastic_dialogue(op, own),
+    ]
+    for name in op.faces:
+        segment, face = Segment("cut", name), _face(op, name, part)
+        out.append(
+            CutsSurface(segment, face.vertices, face.faces, kerf, op.shape_tol_mm * MM, op.share),
+        )
+        out.append(FeedWindow(segment, op.feed_min_mm_s * MM, op.feed_mm_s * MM))
+        if op.power_w is not None:
+            low, high = op.kerf_range_mm
+            out.append(KerfWithin(segment, kerf, low * MM, high * MM))
+    return tuple(out)
+
+
+def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
+    """The wire is mounted cold and locked hot; how far its clamps are apart then, and how it leaves them, is
+    where the arms stand."""
+    cold = cold_length(wire_material(own.material), own.length_mm * MM, own.temperature_c)
+    return OperatorDialogue(
+        op.arms,
+        (
+            tell_step(dialogue.WIRE, material=own.material, size=own.size),
+            tell_step(dialogue.MOUNT, cold_mm=cold / MM),
+            tell_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            ask_step(dialogue.CLAMPED),
+            *power_on_steps(op.signal, op.heat_up_s),
+            ask_step(dialogue.LOCKED, hot_mm=own.length_mm),
+        ),
+        (*power_off_steps(op.signal, op.cool_down_s), ask_step(dialogue.TAKEN_OFF)),
+        joined=True,
+    )
+
+
+def _face(op: ElasticWire, name: str, part: Part | None) -> Mesh:
+    faces = {} if part is None else {"front": part.front, "back": part.back}
+    face = faces.get(name)
+    if face is None:
+        what = f"{op.name}: the {name} face is to be cut, but the problem's part has none; add it"
+        raise TandemError(Issue("part.missing_face", what, field="part"))
+    return face

@@ -1,0 +1,1 @@
+"""The process ``elastic_wire``: a bent wire between two arms."""

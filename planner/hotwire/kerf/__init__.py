@@ -1,0 +1,1 @@
+"""The kerf: width of the slot that a hot wire melts in foam."""

@@ -1,0 +1,1 @@
+"""The process ``straight_wire``: a bow with a straight hot wire."""

@@ -1,0 +1,224 @@
+"""Kinematics of one arm as planning sees it: closed-form inverse, turns, limit margins, rates.
+
+The inverse is that of ortho-parallel arms with spherical wrists, batched over poses. Formulas:
+Brandstoetter, Angerer, Hofbaur, "An analytical solution of the inverse kinematics problem of
+industrial serial manipulators with an ortho-parallel basis and a spherical wrist", 2014. One branch
+of a thousand poses costs about half a millisecond, so that an optimiser may call it in every step.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from planner.catalogue.robots import OpwParameters, RobotData, robot
+from planner.cell.kinematics import forward, jacobian
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.rigid import inverse as rigid_inverse
+from planner.problem import Arm
+
+BRANCHES: Final = 8
+"""Branch number = shoulder (0 front, 1 back) * 2 + elbow (0, 1) + 4 * wrist (0 theta5 >= 0, 1 flipped)."""
+
+
+def inverse_kinematics(
+    opw: OpwParameters, flange: FloatArray, branches: Sequence[int] = range(BRANCHES)
+) -> FloatArray:
+    """Joint angles (..., len(branches), 6) [rad] of flange poses (..., 4, 4) in the base; NaN where none
+    exists.
+
+    Angles are not wrapped into limits. The branch number of a solution is continuous in the pose while the
+    arm does not pass a singularity.
+    """
+    r = flange[..., :3, :3]
+    centre = flange[..., :3, 3] - opw.c4 * r[..., :, 2]
+    cx, cy, up = centre[..., 0], centre[..., 1], centre[..., 2] - opw.c1
+    with np.errstate(invalid="ignore"):
+        radial = np.sqrt(cx * cx + cy * cy - opw.b * opw.b)
+    turn, skew = np.arctan2(cy, cx), np.arctan2(opw.b, radial)
+    arms = {pair: _first_three(opw, turn, skew, radial, up, *pair) for pair in {_pair(b) for b in branches}}
+    wrists = {pair: _wrist(r, *angles) for pair, angles in arms.items()}
+    out = np.empty((len(branches), 6, *flange.shape[:-2]))  # one block per joint: what follows works by joint
+    for slot, branch in enumerate(branches):
+        pair = _pair(branch)
+        theta4, theta5, theta6 = wrists[pair]
+        flip = branch >= 4
+        columns = (*arms[pair], theta4 + np.pi * flip, -theta5 if flip else theta5, theta6 - np.pi * flip)
+        for j, column in enumerate(columns):
+            np.multiply(column + opw.offsets[j], opw.signs[j], out=out[slot, j])
+    return np.moveaxis(out, (0, 1), (-2, -1))
+
+
+def _pair(branch: int) -> tuple[int, int]:
+    return (branch % 4) // 2, branch % 2
+
+
+def _first_three(
+    opw: OpwParameters,
+    turn: FloatArray,
+    skew: FloatArray,
+    radial: FloatArray,
+    up: FloatArray,
+    shoulder: int,
+    elbow: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Theta 1 to 3 for one choice of shoulder and elbow; the back shoulder is the front one mirrored."""
+    forearm = np.hypot(opw.a2, opw.c3)
+    out = radial - opw.a1 if shoulder == 0 else -(radial + opw.a1)
+    theta1 = turn - skew if shoulder == 0 else turn + skew - np.pi
+    square = out * out + up * up
+    sign = -1.0 if elbow == 0 else 1.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lift = np.arccos((square + opw.c2**2 - forearm**2) / (2.0 * np.sqrt(square) * opw.c2))
+        bend = np.arccos((square - opw.c2**2 - forearm**2) / (2.0 * opw.c2 * forearm))
+    theta2 = np.arctan2(out, up) + sign * lift
+    theta3 = -sign * bend - np.arctan2(opw.a2, opw.c3)
+    return theta1 + 0.0 * bend, theta2, theta3  # a branch exists as a whole or not at all
+
+
+def _wrist(
+    r: FloatArray, theta1: FloatArray, theta2: FloatArray, theta3: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Theta 4 to 6 with theta 5 >= 0, from the rotation that the first three leave over."""
+    c1, s1 = np.cos(theta1), np.sin(theta1)
+    c, s = np.cos(theta2 + theta3), np.sin(theta2 + theta3)
+    front = c1[..., None] * r[..., 0, :] + s1[..., None] * r[..., 1, :]
+    side = c1[..., None] * r[..., 1, :] - s1[..., None] * r[..., 0, :]
+    along = s[..., None] * front + c[..., None] * r[..., 2, :]
+    across = c * front[..., 2] - s * r[..., 2, 2]
+    theta4 = np.arctan2(side[..., 2], across)
+    theta5 = np.arctan2(np.hypot(side[..., 2], across), along[..., 2])
+    theta6 = np.arctan2(along[..., 1], -along[..., 0])
+    return theta4, theta5, theta6
+
+
+TWO_PI = 2.0 * np.pi
+
+
+@dataclasses.dataclass(frozen=True)
+class Chain:
+    """An arm at ``base`` (4, 4) in the world with a tool whose TCP is at ``tcp`` (4, 4) on the flange."""
+
+    name: str
+    robot: RobotData
+    base: FloatArray
+    tcp: FloatArray
+    home: FloatArray
+
+    @staticmethod
+    def of(arm: Arm, base: FloatArray | None = None) -> Chain:
+        """The chain of an arm of a cell, at another base when one is given."""
+        return Chain(arm.name, robot(arm.robot), arm.base if base is None else base, arm.tool.tcp, arm.home)
+
+    def pose(self, q: FloatArray) -> FloatArray:
+        """TCP poses (..., 4, 4) in the world for joint angles (..., 6)."""
+        return np.asarray(self.base @ forward(self.robot, q) @ self.tcp)
+
+    def inverse(self, pose: FloatArray, branches: Sequence[int] = range(BRANCHES)) -> FloatArray:
+        """Joint angles (..., len(branches), 6) of TCP poses (..., 4, 4), each within pi of the middle of its
+        range.
+
+        NaN where a pose is out of reach. Joints that may turn more than once have more states: :attr:`turns`.
+        """
+        flange = rigid_inverse(self.base) @ pose @ rigid_inverse(self.tcp)
+        return wrap(inverse_kinematics(self.robot.opw, flange, branches), self.middle)
+
+    @property
+    def middle(self) -> FloatArray:
+        """Middle (6,) of every joint's range."""
+        return np.asarray(0.5 * (self.robot.lower + self.robot.upper))
+
+    @property
+    def turns(self) -> FloatArray:
+        """Whole turns (T, 6) [rad] that can be added to angles of :meth:`inverse` and may stay within the
+        limits."""
+        span = 0.5 * (self.robot.upper - self.robot.lower)
+        most = np.floor((span + np.pi - 1e-9) / TWO_PI).astype(int)
+        choices = itertools.product(*(range(-m, m + 1) for m in most))
+        return TWO_PI * np.array(sorted(choices, key=lambda c: (sum(map(abs, c)), c)), dtype=np.float64)
+
+    @property
+    def many_turns(self) -> BoolArray:
+        """(6,) which joints may turn more than once."""
+        return np.asarray(self.robot.upper - self.robot.lower > TWO_PI + 1e-9)
+
+    def continuous(self, q: FloatArray, near: FloatArray) -> FloatArray:
+        """The angles q (..., 6), with joints that may turn more than once brought nearest to ``near`` (...,
+        6)."""
+        return np.where(self.many_turns, wrap(q, near), q)
+
+    def limit_margin(self, q: FloatArray) -> FloatArray:
+        """Least distance (...,) [rad] to a joint limit; -inf where q is NaN."""
+        return _plain_margin(self.robot.limit_margin(q))
+
+    def limit_margins(self, q: FloatArray, turns: FloatArray) -> list[FloatArray]:
+        """Limit margins (...,) of principal angles q (..., 6) with each of the turns (T, 6) added; -inf where
+        NaN."""
+        low, high = self.robot.lower, self.robot.upper
+        fixed: FloatArray | None = None
+        for j in np.flatnonzero(~self.many_turns):
+            part = np.minimum(q[..., j] - low[j], high[j] - q[..., j])
+            fixed = part if fixed is None else np.minimum(fixed, part)
+        if self.robot.coupling is not None:
+            axis3 = q[..., 1] + q[..., 2]
+            rod = np.minimum(axis3 - self.robot.coupling.axis3_lower, self.robot.coupling.axis3_upper - axis3)
+            fixed = rod if fixed is None else np.minimum(fixed, rod)
+        parts: dict[tuple[int, float], FloatArray] = {}
+        out = []
+        for turn in turns:
+            margin: FloatArray | None = fixed
+            for j in np.flatnonzero(self.many_turns):
+                key = (int(j), float(turn[j]))
+                if key not in parts:
+                    angle = q[..., j] + turn[j]
+                    parts[key] = np.minimum(angle - low[j], high[j] - angle)
+                margin = parts[key] if margin is None else np.minimum(margin, parts[key])
+            out.append(_plain_margin(np.asarray(margin)))
+        return out
+
+    def singularity_margin(self, q: FloatArray) -> FloatArray:
+        """Least angle (...,) [rad] from a singularity of wrist, elbow or shoulder; -inf where q is NaN."""
+        wrist, elbow, shoulder = self._singularities(q)
+        return _plain_margin(np.minimum(np.minimum(wrist, elbow), shoulder))
+
+    def singularities(self, q: FloatArray) -> FloatArray:
+        """Angles (..., 3) [rad]: axis 5 from lining up axes 4 and 6, the elbow from stretched or folded, and
+        the angle under which the stretched arm would see the distance of the wrist's centre from axis 1."""
+        return np.stack(self._singularities(q), axis=-1)
+
+    def _singularities(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        p = self.robot.opw
+        theta2, theta3, theta5 = (p.signs[j] * q[..., j] - p.offsets[j] for j in (1, 2, 4))
+        wrist = np.abs(wrap(2.0 * theta5, np.zeros(()))) / 2.0
+        elbow = np.abs(wrap(2.0 * (theta3 + np.arctan2(p.a2, p.c3)), np.zeros(()))) / 2.0
+        tilt = theta2 + theta3
+        out = p.a1 + p.c2 * np.sin(theta2) + p.c3 * np.sin(tilt) + p.a2 * np.cos(tilt)
+        shoulder = np.arcsin(np.minimum(1.0, np.abs(out) / (p.c2 + np.hypot(p.a2, p.c3))))
+        return wrist, elbow, shoulder
+
+    def rates(self, q: FloatArray, twist: FloatArray) -> FloatArray:
+        """Joint rates (..., K, 6) for K body twists (..., K, 6) of the TCP (angular part first) at angles q
+        (..., 6)."""
+        jac = jacobian(self.robot, q)
+        flange = forward(self.robot, q)
+        tool = flange[..., :3, :3] @ self.tcp[:3, :3]
+        angular = np.einsum("...ij,...kj->...ik", tool, twist[..., :3])
+        linear = np.einsum("...ij,...kj->...ik", tool, twist[..., 3:])
+        lever = flange[..., :3, :3] @ self.tcp[:3, 3]
+        at_flange = linear - np.cross(np.swapaxes(angular, -1, -2), lever[..., None, :]).swapaxes(-1, -2)
+        rates = np.linalg.solve(jac, np.concatenate([angular, at_flange], axis=-2))
+        return np.swapaxes(rates, -1, -2)
+
+
+def _plain_margin(margin: FloatArray) -> FloatArray:
+    """Margins, -inf where NaN."""
+    return np.where(np.isnan(margin), -np.inf, margin)
+
+
+def wrap(angle: FloatArray, near: FloatArray) -> FloatArray:
+    """Angles brought within pi of ``near`` by whole turns."""
+    return np.asarray(angle - TWO_PI * np.round((angle - near) / TWO_PI))

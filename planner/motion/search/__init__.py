@@ -1,0 +1,1 @@
+"""Paths over sampled freedoms: reach, ladder, collisions, roadmap."""

@@ -1,0 +1,304 @@
+"""Reach: freedoms sampled at all targets, all branches and turns of every arm, margins, collisions.
+
+A sample of the freedoms is checked for collisions once, when somebody first asks for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from planner.cell.clearance import Pairs
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.motion.arm_kinematics import BRANCHES, TWO_PI, Chain
+from planner.motion.scene import Scene
+from planner.targets import Freedom, ScrewFreedom, Targets
+
+SPIN_STEP = np.deg2rad(10.0)
+SLIDES = 5
+MOST_SAMPLES = 500_000
+
+SOFT_LIMIT = np.deg2rad(20.0)
+SOFT_SINGULARITY = np.deg2rad(15.0)
+PENALTY = 5.0
+"""What a path that stays at the edge of what is allowed pays over all its rungs [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """S samples of the freedoms at each target: ``values`` (N, S, F).
+
+    ``before`` (M, S): for each of M kinds of step, the sample that a sample is reached from, -1 for none.
+    Samples of a full turn are a ring, others a line; one step changes each freedom by one sample at most.
+    """
+
+    values: FloatArray
+    before: IndexArray
+
+    @property
+    def samples(self) -> int:
+        """Number of samples S."""
+        return int(self.values.shape[1])
+
+
+@dataclasses.dataclass(frozen=True)
+class Rungs:
+    """What one arm can do on one branch at every target and sample.
+
+    ``q`` (N, S, 6) principal angles, NaN out of reach; ``turns`` (T, 6) [rad] whole turns to add; ``ok`` (N,
+    S, T) whether limits with their margin and singularities allow the state; ``penalty`` (N, S, T) [s], inf
+    if not.
+    """
+
+    arm: str
+    branch: int
+    q: FloatArray
+    turns: FloatArray
+    ok: BoolArray
+    penalty: FloatArray
+    turns_matter: bool = True
+
+    def modulo(self) -> Rungs:
+        """The same with turns forgotten: a state is as good as its best turn."""
+        return dataclasses.replace(
+            self,
+            turns=np.zeros((1, 6)),
+            ok=np.asarray(self.ok.any(axis=-1, keepdims=True)),
+            penalty=self.penalty.min(axis=-1, keepdims=True),
+            turns_matter=False,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Reach:
+    """All branches of one arm: ``branches`` have an allowed state at every target; ``exists`` (8, N) says
+    where each has one, ``solved`` (8, N) where it has a solution regardless of limits."""
+
+    arm: str
+    branches: dict[int, Rungs]
+    exists: BoolArray
+    solved: BoolArray
+
+
+def full_turn(freedom: Freedom) -> bool:
+    """Whether a freedom may turn without end at every target."""
+    if not isinstance(freedom, ScrewFreedom) or not freedom.periodic:
+        return False
+    return bool(np.all(freedom.upper - freedom.lower >= TWO_PI - 1e-9))
+
+
+def slides_only(freedom: Freedom) -> bool:
+    """Whether a freedom turns nothing: a slide or a table, sampled at few places."""
+    return not (isinstance(freedom, ScrewFreedom) and any(np.any(a[:3]) for a in freedom.axis.values()))
+
+
+def sample(targets: Targets, spin_step: float = SPIN_STEP, slides: int = SLIDES, far: int = 1) -> Grid:
+    """Samples of all freedoms on a product grid: spins every ``spin_step`` [rad], slides and tables at
+    ``slides`` places.
+
+    Bounded freedoms are sampled between their bounds at each target, so that a narrow window is never missed.
+    Where one freedom alone is sampled, a step may go ``far`` samples.
+    """
+    counts = [_count(f, spin_step, slides) for f in targets.freedoms]
+    while counts and int(np.prod(counts)) * targets.count > MOST_SAMPLES and max(counts) > 2:
+        largest = int(np.argmax(counts))
+        counts[largest] = max(2, counts[largest] // 2)
+    rings = [full_turn(f) for f in targets.freedoms]
+    picks = np.array(list(itertools.product(*(range(c) for c in counts))), dtype=np.intp)
+    picks = picks.reshape(int(np.prod(counts)), len(counts))
+    columns = [
+        _values(f, picks[:, j], counts[j], ring)
+        for j, (f, ring) in enumerate(zip(targets.freedoms, rings, strict=True))
+    ]
+    shape = (targets.count, len(picks))
+    values = np.stack(columns, axis=-1) if columns else np.zeros((*shape, 0))
+    return Grid(values, _steps(picks, counts, rings, far))
+
+
+def _count(freedom: Freedom, spin_step: float, slides: int) -> int:
+    width = float(np.max(freedom.upper - freedom.lower))
+    if width <= 0.0:
+        return 1
+    if slides_only(freedom):
+        return slides
+    if full_turn(freedom):
+        return max(4, round(TWO_PI / spin_step))
+    return max(3, int(np.ceil(width / spin_step)) + 1)
+
+
+def _values(freedom: Freedom, picks: IndexArray, count: int, ring: bool) -> FloatArray:
+    rows = len(freedom.lower)
+    if ring:
+        return np.broadcast_to(-np.pi + TWO_PI * picks / count, (rows, len(picks)))
+    share = picks / max(count - 1, 1) if count > 1 else np.full(len(picks), 0.5)
+    return freedom.lower[:, None] + share * (freedom.upper - freedom.lower)[:, None]
+
+
+def _steps(picks: IndexArray, counts: list[int], rings: list[bool], far: int) -> IndexArray:
+    """Predecessors (M, S): stay, and each freedom one sample up or down (two freedoms: diagonals as well)."""
+    far = far if sum(count > 1 for count in counts) == 1 else 1
+    away = (0, *itertools.chain.from_iterable((-k, k) for k in range(1, far + 1)))
+    offsets = list(itertools.product(away, repeat=len(counts)))
+    if len(counts) > 2:
+        offsets = [o for o in offsets if np.count_nonzero(o) <= 1]
+    offsets = [o for o in offsets if all(c > 1 or s == 0 for c, s in zip(counts, o, strict=True))]
+    offsets.sort(key=lambda o: sum(map(abs, o)))
+    out = np.empty((len(offsets), len(picks)), dtype=np.intp)
+    for m, offset in enumerate(offsets):
+        wanted = picks - np.array(offset, dtype=np.intp).reshape(-1)
+        inside = np.ones(len(picks), dtype=bool)
+        flat = np.zeros(len(picks), dtype=np.intp)
+        for j, count in enumerate(counts):
+            column = wanted[:, j] % count if rings[j] else wanted[:, j]
+            inside &= (column >= 0) & (column < count)
+            flat = flat * count + column
+        out[m] = np.where(inside, flat, -1)
+    return out
+
+
+def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
+    """All states of all arms over the grid."""
+    rows, samples = grid.values.shape[:2]
+    index = np.repeat(np.arange(rows), samples)
+    poses = scene.tcp(targets, grid.values.reshape(rows * samples, -1), index)
+    return {arm: _known(scene, arm, poses[arm], (rows, samples)) for arm in targets.arms}
+
+
+def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+    """The table of one arm; that of the last poses is remembered, as paths are searched more than once over
+    the same samples."""
+    last = scene.reached.get(arm)
+    if last is not None and last[1] == shape and np.array_equal(last[0], pose):
+        found = last[2]
+        if isinstance(found, Reach):
+            return found
+    found = _reach(scene, scene.chains[arm], pose, shape)
+    for rungs in found.branches.values():
+        for array in (rungs.q, rungs.ok, rungs.penalty):
+            array.flags.writeable = False
+    scene.reached[arm] = pose, shape, found
+    return found
+
+
+def _reach(scene: Scene, chain: Chain, pose: FloatArray, shape: tuple[int, int]) -> Reach:
+    angles = chain.inverse(pose).reshape(*shape, BRANCHES, 6)
+    found: dict[int, Rungs] = {}
+    exists = []
+    solved: BoolArray = np.zeros((BRANCHES, shape[0]), dtype=bool)
+    for branch in range(BRANCHES):
+        q = angles[:, :, branch]
+        solved[branch] = ~np.isnan(q[..., 0]).all(axis=1)
+        rungs = rungs_of(scene, chain, branch, q)
+        exists.append(np.asarray(rungs.ok.any(axis=(1, 2))))
+        if exists[branch].all():
+            found[branch] = rungs
+    return Reach(chain.name, found, np.stack(exists), solved)
+
+
+def rungs_of(scene: Scene, chain: Chain, branch: int, q: FloatArray) -> Rungs:
+    """Margins, turns and penalties of principal angles q (N, S, 6) of one branch."""
+    hard, bend = scene.settings.joint_margin, scene.settings.singularity_margin
+    single = chain.singularity_margin(q)
+    turns, bends = chain.turns, single >= bend
+    margins = chain.limit_margins(q, turns)
+    fits = [(margin >= hard) & bends for margin in margins]
+    used = [k for k, fit in enumerate(fits) if k == 0 or bool(fit.any())]
+    limit = np.stack([margins[k] for k in used], axis=-1)
+    ok = np.stack([fits[k] for k in used], axis=-1)
+    turns = turns[used]
+    cost = _hinge(limit, hard, SOFT_LIMIT) + _hinge(single, bend, SOFT_SINGULARITY)[..., None]
+    return Rungs(chain.name, branch, q, turns, ok, np.where(ok, cost * PENALTY / len(q), np.inf))
+
+
+def _hinge(margin: FloatArray, hard: float, soft: float) -> FloatArray:
+    """1 at the hard margin, falling as a parabola to 0 at the soft one."""
+    return np.square(np.clip((hard + soft - margin) / soft, 0.0, 1.0))
+
+
+COARSE: Final = 12
+"""Once a path has collided, all samples of every 12th target are checked before the next path is chosen."""
+
+SUSPECT: Final = 0.05
+"""Cost [s] of a sample between two of these targets one of which collides with it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Others:
+    """Arms that a search leaves alone: the joints ``standing`` {arm: (N, 6)} at every target, and arms that
+    are ``absent``, as if they were not there."""
+
+    standing: Mapping[str, FloatArray]
+    absent: frozenset[str]
+
+    def ignored(self, scene: Scene) -> Pairs:
+        """Pairs of bodies that absent arms are part of."""
+        if scene.model is None:
+            return frozenset()
+        bodies = {solid.body for solid in scene.model.solids}
+        gone = {body for body in bodies if body.partition("/")[0] in self.absent}
+        return frozenset(frozenset((a, b)) for a in gone for b in bodies if a != b)
+
+
+class Checker:
+    """What is known of the samples of one choice of branches: ``known``, ``collided`` (N, S)."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        targets: Targets,
+        grid: Grid,
+        rungs: Mapping[str, Rungs],
+        others: Others | None = None,
+    ) -> None:
+        self._standing = others.standing if others else {}
+        self._ignored: Pairs = others.ignored(scene) if others else frozenset()
+        self._scene, self._targets, self._rungs = scene, targets, rungs
+        shape = grid.values.shape[:2]
+        self._rungs_shape = (int(shape[0]), int(shape[1]))
+        self.collided = np.zeros(shape, dtype=bool)
+        self.known = np.zeros(shape, dtype=bool)
+        self.checks = self.rounds = 0
+        self.suspect: FloatArray | None = None
+        able = np.stack([np.asarray(r.ok.any(axis=-1)) for r in rungs.values()])
+        self.possible = np.asarray(np.logical_and.reduce(able, axis=0))
+
+    def whole(self, rows: IndexArray) -> None:
+        """Checks all samples of targets ``rows`` (K,) that every arm can take."""
+        where = np.argwhere(self.possible[rows] & ~self.known[rows])
+        self.check(rows[where[:, 0]], where[:, 1])
+
+    def free(self, row: int) -> BoolArray:
+        """(S,) samples of one target that every arm can take and that collide with nothing."""
+        self.whole(np.array([row]))
+        return np.asarray(self.possible[row] & ~self.collided[row])
+
+    def check(self, index: IndexArray, sample: IndexArray) -> None:
+        """Checks states (B,), (B,) that are not known yet."""
+        new = ~self.known[index, sample]
+        index, sample = index[new], sample[new]
+        if len(index) == 0:
+            return
+        q = {arm: r.q[index, sample] for arm, r in self._rungs.items()}
+        q |= {arm: angles[index] for arm, angles in self._standing.items()}
+        self.collided[index, sample] = ~self._scene.free(self._targets, q, index, ignored=self._ignored)
+        self.known[index, sample] = True
+        self.checks += len(index)
+
+    def cost(self) -> FloatArray | None:
+        """What samples (N, S) cost for what is known of collisions [s], inf where they collide; None as long
+        as no path has."""
+        return None if self.suspect is None else np.where(self.collided, np.inf, self.suspect)
+
+    def coarse(self) -> None:
+        """Checks all samples of every 12th target; samples between that are suspect cost something."""
+        rows, samples = self._rungs_shape
+        at = np.unique(np.append(np.arange(0, rows, COARSE), rows - 1))
+        self.whole(at)
+        suspect = np.zeros((rows, samples))
+        for a, b in itertools.pairwise(at):
+            suspect[a : b + 1, self.collided[a] | self.collided[b]] = SUSPECT
+        self.suspect = suspect

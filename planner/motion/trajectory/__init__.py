@@ -1,0 +1,1 @@
+"""From a path to a trajectory: optimised, timed, as controllers take it."""

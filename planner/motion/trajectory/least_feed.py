@@ -1,0 +1,268 @@
+"""Feeds that are kept: least feeds that are required, and stops where a sharp corner costs more than one.
+
+Between stops a tool is as fast as a least feed asks for, in the mean over each move and, at
+corners, at every instant by the share ``LEAST_SPEED_SHARE``. It comes up to it from a stop, and
+goes down to the next one, no slower than a point that accelerates evenly over the run-up; so it
+does where the least feed begins and ends, and between two feeds that no speed keeps both.
+
+A move has one speed. Where a zone leaves hardly any time to change it, both moves beside the corner
+would crawl over all of their length, which takes longer than a stop.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from planner.claims.claim import StraightWire
+from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.rigid import log_rotation
+from planner.issues import Issue, Severity, TandemError, aggregate
+from planner.motion.scene import Scene
+from planner.motion.search.ladder_search import speed_limits
+from planner.motion.trajectory.joint_path import MOST_RAMP, Dense, JointPath, joint_path
+from planner.motion.trajectory.timing import RESERVE, SHORTEST, Clock, Limits, settled
+from planner.targets import Targets
+from planner.units import MM
+
+LEAST_SPEED_SHARE: Final = 0.82
+"""A tool that rounds a corner is nowhere slower than this share of its least feed; the proof asks for 0.8."""
+USED_TIME_SHARE: Final = 0.999
+"""Moves take at most this share of the time they may, for it is rounded when it is written."""
+KRL_TURN_RAD_S: Final = float(np.deg2rad(200.0))
+"""How fast tools may turn in programs in KRL [rad/s], whose moves are led by their way."""
+CORNER_SAMPLES: Final = 33
+"""Instants of a corner that are looked at."""
+
+
+def require(scene: Scene, targets: Targets, samples: Dense, time: FloatArray) -> None:
+    """Raises :class:`TandemError` where the clock ``time`` (N,) [s] does not keep the least feeds."""
+    if targets.run_up is None or not np.any(targets.feed_min[1:] > 0.0):
+        return
+    took = np.diff(time, prepend=time[0])
+    most = allowed(targets)
+    slow = np.flatnonzero(took > USED_TIME_SHARE * most)
+    issues = [_slow(scene, targets, samples, i, float(took[i]), float(most[i])) for i in slow.tolist()]
+    issues += [*_corners(targets, took), *_turns(scene, targets, samples, took)]
+    if issues:
+        raise TandemError(list(aggregate(issues)))
+
+
+def stretches(targets: Targets) -> list[tuple[int, int]]:
+    """Runs of moves (first, last) to targets with a least feed, each between stops, or from where one begins
+    to where it ends."""
+    least, feed, stop = targets.feed_min, targets.feed, targets.stop
+    out: list[tuple[int, int]] = []
+    for i in range(1, targets.count):
+        if least[i] <= 0.0:
+            continue
+        together = least[i] <= feed[i - 1] and least[i - 1] <= feed[i] and least[i - 1] > 0.0
+        if out and out[-1][1] == i - 1 and not stop[i - 1] and together:
+            out[-1] = out[-1][0], i
+        else:
+            out.append((i, i))
+    return out
+
+
+def allowed(targets: Targets) -> FloatArray:
+    """The longest time (N,) [s] of the move to each target; infinite where it has no least feed."""
+    run_up = targets.run_up or 0.0
+    out = np.full(targets.count, np.inf)
+    for first, last in stretches(targets):
+        way = np.concatenate([[0.0], np.cumsum(targets.travel[first : last + 1])])
+        middle = 0.5 * way[-1]
+        rising = _ramp(np.minimum(way, middle), run_up)
+        falling = _ramp(way[-1] - np.maximum(way, middle), run_up)
+        out[first : last + 1] = np.diff(rising - falling) / targets.feed_min[first : last + 1]
+    return out
+
+
+def _ramp(way: FloatArray, run_up: float) -> FloatArray:
+    """How long a point takes that speeds up evenly to the speed 1 over ``run_up`` [m] and goes on at it."""
+    return np.where(way < run_up, 2.0 * np.sqrt(way * run_up), way + run_up)
+
+
+def _slow(scene: Scene, targets: Targets, samples: Dense, i: int, took: float, most: float) -> Issue:
+    """Why the move to target ``i`` takes longer than it may, by what would not do at the least feed."""
+    hint = "lower feed_min_mm_s there, give 0 or a stop in the table"
+    settings = scene.settings
+    least = float(targets.feed_min[i]) / MM
+    rows = np.flatnonzero(samples.move == i)
+    rows = np.concatenate([[rows[0] - 1], rows])
+    need = {}
+    for arm in targets.arms:
+        rate = np.abs(np.diff(samples.q[arm][rows], axis=0)).max(axis=0) * (len(rows) - 1) / most
+        share = rate / (RESERVE * speed_limits(scene, arm))
+        need[arm, int(np.argmax(share))] = float(share.max()), float(np.rad2deg(rate[int(np.argmax(share))]))
+    (arm, joint), (share, rate) = max(need.items(), key=lambda item: item[1][0])
+    travel = float(targets.travel[i])
+    if USED_TIME_SHARE * most < SHORTEST / RESERVE:
+        why = f"it goes {travel / MM:.3f} mm, and controllers plan no move in less than {SHORTEST * 1e3:g} ms"
+        hint = "put the poses farther apart"
+    elif travel / (RESERVE * settings.tcp_speed) > most * USED_TIME_SHARE:
+        why = f"settings.tcp_speed_mm_s is {settings.tcp_speed / MM:g} mm/s, of which plans use {RESERVE:g}"
+        hint = "raise it, or lower feed_min_mm_s"
+    elif share > 1.0:
+        allowed_rate = float(np.rad2deg(RESERVE * speed_limits(scene, arm)[joint]))
+        why = f"joint {joint + 1} of {arm} would turn at {rate:.1f} deg/s, allowed {allowed_rate:.1f} deg/s"
+        hint += "; or let more of the poses be free, or move the block"
+    elif _at_an_end(targets, i):
+        run_up = (targets.run_up or 0.0) / MM
+        why = f"the joints' accelerations need a longer run-up than {run_up:g} mm from and to stops"
+        hint = "give a longer run_up_mm, or lower feed_min_mm_s there"
+    else:
+        why = "the joints cannot change their speeds so fast as the corners there ask of them"
+        hint += "; or round the corner over more poses, or let more of the poses be free"
+    got = travel / took / MM
+    return Issue(
+        "motion.feed_min",
+        f"the move to {targets.name(i)} runs at {got:.4g} mm/s and may take {most:.4g} s at the least feed "
+        f"of {least:g} mm/s, run-up counted, but takes {took:.4g} s: {why}",
+        arm=arm if share > 1.0 else None,
+        index=i,
+        target=targets.name(i),
+        value=got,
+        limit=least,
+        unit="mm/s",
+        hint=hint,
+    )
+
+
+def _at_an_end(targets: Targets, i: int) -> bool:
+    """Whether the move to target ``i`` is the first or last of its stretch, or in a run-up."""
+    first, last = next((a, b) for a, b in stretches(targets) if a <= i <= b)
+    before, behind = targets.travel[first:i].sum(), targets.travel[i + 1 : last + 1].sum()
+    return i in (first, last) or min(before, behind) < (targets.run_up or 0.0)
+
+
+def _corners(targets: Targets, took: FloatArray) -> list[Issue]:
+    """Corners that tools round at less than their share of the least feed: there they go evenly from the
+    speed of one move to that of the next."""
+    out: list[Issue] = []
+    for first, last in stretches(targets):
+        moves = np.arange(first, last + 1)
+        if len(moves) < 2:
+            continue
+        way = np.cumsum(targets.travel[moves])[:-1]
+        run_up = np.minimum(way, targets.travel[moves].sum() - way) / (targets.run_up or np.inf)
+        least = np.minimum(targets.feed_min[moves[:-1]], targets.feed_min[moves[1:]])
+        limit = LEAST_SPEED_SHARE * least * np.sqrt(np.minimum(run_up, 1.0))
+        speed = targets.travel[moves] / took[moves]
+        scale = np.ones(len(moves))  # moves from and to stops end and begin faster than they are on average
+        scale[0] = np.clip(speed[1] / speed[0], 1.0, MOST_RAMP)
+        scale[-1] = np.clip(speed[-2] / speed[-1], 1.0, MOST_RAMP)
+        fastest = np.zeros((CORNER_SAMPLES, len(moves) - 1))
+        share = (np.arange(CORNER_SAMPLES) / (CORNER_SAMPLES - 1))[:, None, None]
+        for pose in targets.pose.values():
+            step = pose[moves, :3, 3] - pose[moves - 1, :3, 3]
+            rate = step * (scale / took[moves])[:, None]
+            between = (1.0 - share) * rate[:-1] + share * rate[1:]
+            fastest = np.maximum(fastest, np.linalg.norm(between, axis=2))
+        slowest = fastest.min(axis=0)
+        bad = np.flatnonzero(slowest < limit).tolist()
+        out += [_corner_issue(targets, first + k, float(slowest[k]), float(limit[k])) for k in bad]
+    return out
+
+
+def _turns(scene: Scene, targets: Targets, samples: Dense, took: FloatArray) -> list[Issue]:
+    """Moves in which the tool of a KUKA arm turns faster than programs in KRL let it, so that it would be
+    slow."""
+    out = []
+    rows = np.flatnonzero(samples.share == 1.0)
+    for arm in targets.arms:
+        chain = scene.chains[arm]
+        if chain.robot.family != "KUKA":
+            continue
+        turned = chain.pose(samples.q[arm][rows])[:, :3, :3]
+        angle = np.linalg.norm(log_rotation(np.swapaxes(turned[:-1], 1, 2) @ turned[1:]), axis=1)
+        rate = angle / np.maximum(took[1:], 1e-9)
+        for i in (np.flatnonzero((rate > KRL_TURN_RAD_S) & (targets.feed_min[1:] > 0.0)) + 1).tolist():
+            got, limit = (float(np.rad2deg(value)) for value in (rate[i - 1], KRL_TURN_RAD_S))
+            what = f"on the way to {targets.name(i)} the tool of {arm} turns at {got:.4g} deg/s; programs in "
+            what += f"KRL with a least feed allow {limit:g} deg/s"
+            measure: dict[str, Any] = {"value": got, "limit": limit, "unit": "deg/s"}
+            hint = "lower feed_min_mm_s and feed_mm_s there, or turn the tool over a longer way"
+            out.append(
+                Issue("motion.feed_min", what, arm=arm, index=i, target=targets.name(i), hint=hint, **measure)
+            )
+    return out
+
+
+def _corner_issue(targets: Targets, i: int, got: float, limit: float) -> Issue:
+    name = targets.name(i)
+    return Issue(
+        "motion.feed_min",
+        f"the corner at {name} is so sharp that the tool rounds it at {got / MM:.4g} mm/s, allowed is "
+        f"{limit / MM:.4g} mm/s at least, {LEAST_SPEED_SHARE:g} of the least feed",
+        index=i,
+        target=name,
+        value=got / MM,
+        limit=limit / MM,
+        unit="mm/s",
+        hint="give a stop there, or round the corner over more poses",
+    )
+
+
+SHARP_CORNER_SHARE: Final = 0.1
+"""A corner that is rounded over less than this share of a move is sharp."""
+CRAWL_FACTOR: Final = 3.0
+"""Moves crawl that take so many times as long as their feeds ask for."""
+WORTH_STOPPING_SHARE: Final = 0.8
+"""Stops are made where the way takes less than this share of the time then."""
+STOP_ROUNDS: Final = 3
+
+
+def clocked_with_stops(
+    scene: Scene,
+    targets: Targets,
+    samples: Dense,
+    limits: Limits,
+    rounded: Callable[[FloatArray], FloatArray],
+) -> tuple[Targets, JointPath, Clock]:
+    """The path and its clock, and the targets with the stops that are worth it. Raises
+    :class:`planner.motion.trajectory.timing.TimingError`."""
+    path = joint_path(scene, targets, samples, limits.speed)
+    ticks = settled(path, limits, rounded)
+    for _ in range(STOP_ROUNDS):
+        sharp = _sharp_corners(targets, ticks, limits)
+        if not sharp.any():
+            break
+        other = dataclasses.replace(targets, stop=targets.stop | sharp)
+        way = joint_path(scene, other, samples, limits.speed)
+        again = settled(way, limits, rounded)
+        if again.time[-1] > WORTH_STOPPING_SHARE * ticks.time[-1]:
+            break
+        targets, path, ticks = other, way, again
+    return targets, path, ticks
+
+
+def _sharp_corners(targets: Targets, ticks: Clock, limits: Limits) -> BoolArray:
+    """Sharp corners (N,) between moves that crawl, where one arm alone is at work and may stand still: not
+    with a hot wire, nor where a least feed is asked for."""
+    out = np.zeros(targets.count, dtype=bool)
+    wire = any(isinstance(claim, StraightWire) for claim in targets.claims)
+    if wire or targets.coupled or len(targets.arms) > 1:
+        return out
+    took, least = np.diff(ticks.time, prepend=0.0), limits.least_time
+    crawls = took[1:-1] + took[2:] > CRAWL_FACTOR * (least[1:-1] + least[2:])
+    stands = (targets.feed_min[1:-1] == 0.0) & (targets.feed_min[2:] == 0.0) & ~targets.stop[1:-1]
+    out[1:-1] = crawls & stands & (limits.rounded[1:-1] < SHARP_CORNER_SHARE)
+    return out
+
+
+def stop_notes(before: Targets, after: Targets) -> list[Issue]:
+    """What users are told of stops that ``after`` has more than ``before``."""
+    more = np.flatnonzero(after.stop & ~before.stop)
+    if not len(more):
+        return []
+    first = int(more[0])
+    what = (
+        f"the arm stops at {len(more)} targets, first at {after.name(first)}, where it would have to pass a "
+        "sharp corner at less than a third of the feed"
+    )
+    hint = "round these corners by more targets if it is not to stop there"
+    name, count = after.name(first), float(len(more))
+    return [Issue("motion.stops", what, Severity.NOTE, index=first, target=name, value=count, hint=hint)]

@@ -1,0 +1,347 @@
+"""Trajectory optimisation in which the freedoms are the only variables.
+
+Poses stay exact, because joints follow from the freedoms by closed-form inverse kinematics on the
+chosen branch in every trial step. The cost is smooth motion at the joints plus hinges (limits,
+singularities, clearance, preferred values); Gauss-Newton steps on it are a banded system, since a
+target meets only its two neighbours on either side.
+
+Where a smoother path came too near to something, the freedoms are narrowed to a corridor around the
+path that is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final, Protocol
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.rigid import inverse, log_pose
+from planner.motion.scene import Scene
+from planner.motion.search.ladder_search import speed_limits
+from planner.motion.search.reach import full_turn, slides_only
+from planner.motion.trajectory.hinges import Rows, margin_rows, preference_rows
+from planner.targets import Freedom, ScrewFreedom, Targets
+
+CURVATURE: Final = 64.0
+"""Weight of second differences against first ones: changes are spread over some eight targets."""
+
+ITERATIONS: Final = 30
+SMALL_GAIN: Final = 3e-3
+NOT_WORTH: Final = 0.02
+"""Once there is a gain, a step that fails and promised less than this share of the cost is the last."""
+
+BOUND_ROUNDS: Final = 4
+DIFFERENCE_STEP: Final = 1e-4
+
+
+class Obstacles(Protocol):
+    """Clearance as hinges; :mod:`planner.motion.trajectory.hinges` has the real one."""
+
+    def rows(self, q: FloatArray) -> Sequence[Rows]:
+        """Hinges at joints q (N, J)."""
+
+    def cost(self, q: FloatArray) -> float:
+        """Their cost alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Improved:
+    """The optimised path, with its cost and that of the path it started from."""
+
+    values: FloatArray
+    q: dict[str, FloatArray]
+    cost: float
+    cost_before: float
+    iterations: int
+
+    def at(self, rows: IndexArray) -> Improved:
+        """The path at some of its targets."""
+        return dataclasses.replace(
+            self, values=self.values[rows], q={arm: angles[rows] for arm, angles in self.q.items()}
+        )
+
+
+def improve(
+    scene: Scene,
+    targets: Targets,
+    branch: Mapping[str, int],
+    values: FloatArray,
+    q: Mapping[str, FloatArray],
+    obstacles: Obstacles | None = None,
+) -> Improved:
+    """Smooths a path of freedom ``values`` (N, F) and joints {arm: (N, 6)} on the branches ``branch``."""
+    problem = _Problem(scene, targets, branch, obstacles)
+    values = problem.unwrapped(values)
+    joints = problem.stack(q)
+    start = cost = problem.cost(values, joints)
+    damping, count = 1e-6, 0
+    while count < ITERATIONS and values.size:
+        count += 1
+        step, expected = problem.step(values, joints, damping)
+        if not expected > SMALL_GAIN * 0.1 * cost:
+            break
+        scale, done = 1.0, False
+        while scale > 0.05:
+            trial = problem.clip(values + scale * step)
+            moved = problem.joints(trial, joints)
+            offered = problem.cost(trial, moved, cost) if moved is not None else np.inf
+            if moved is not None and offered < cost:
+                done = True
+                break
+            scale *= 0.5
+        if not done or moved is None:
+            damping *= 30.0
+            if damping > 1e3 or (cost < start and expected < NOT_WORTH * cost):
+                break
+            continue
+        gain = cost - offered
+        values, joints, cost = trial, moved, offered
+        damping = max(damping * (0.1 if scale == 1.0 else 1.0), 1e-9)
+        if gain < SMALL_GAIN * cost:
+            break
+    return Improved(values, problem.split(joints), cost, start, count)
+
+
+def path_cost(
+    scene: Scene,
+    targets: Targets,
+    values: FloatArray,
+    q: Mapping[str, FloatArray],
+    obstacles: Obstacles | None = None,
+) -> float:
+    """The cost of :func:`improve` of any path."""
+    problem = _Problem(scene, targets, {}, obstacles)
+    return problem.cost(problem.unwrapped(values), problem.stack(q))
+
+
+class _Problem:
+    def __init__(
+        self, scene: Scene, targets: Targets, branch: Mapping[str, int], obstacles: Obstacles | None
+    ) -> None:
+        self.scene, self.targets, self.branch, self.obstacles = scene, targets, branch, obstacles
+        self.speed = np.concatenate([speed_limits(scene, arm) for arm in targets.arms])
+        self.stencil = _stencil(targets)
+        self.rings = np.array([full_turn(f) for f in targets.freedoms], dtype=bool)
+        bounds = [(f.lower, f.upper) for f in targets.freedoms]
+        shape = (targets.count, len(bounds))
+        self.lower = np.stack([b[0] for b in bounds], axis=1) if bounds else np.zeros(shape)
+        self.upper = np.stack([b[1] for b in bounds], axis=1) if bounds else np.zeros(shape)
+        self.lower[:, self.rings], self.upper[:, self.rings] = -np.inf, np.inf
+
+    def stack(self, q: Mapping[str, FloatArray]) -> FloatArray:
+        return np.concatenate([q[arm] for arm in self.targets.arms], axis=-1)
+
+    def split(self, joints: FloatArray) -> dict[str, FloatArray]:
+        return {arm: joints[..., 6 * k : 6 * k + 6].copy() for k, arm in enumerate(self.targets.arms)}
+
+    def clip(self, values: FloatArray) -> FloatArray:
+        return np.clip(values, self.lower, self.upper)
+
+    def unwrapped(self, values: FloatArray) -> FloatArray:
+        out = values.copy()
+        out[:, self.rings] = np.unwrap(values[:, self.rings], axis=0)
+        return out
+
+    def joints(self, values: FloatArray, near: FloatArray) -> FloatArray | None:
+        """Exact joints (N, J) on the branches, or None where a branch or a hard margin is lost."""
+        poses = self.scene.tcp(self.targets, values)
+        out = []
+        for k, arm in enumerate(self.targets.arms):
+            chain = self.scene.chains[arm]
+            q = chain.inverse(poses[arm], [self.branch[arm]])[:, 0]
+            q = chain.continuous(q, near[:, 6 * k : 6 * k + 6])
+            if chain.limit_margin(q).min() < self.scene.settings.joint_margin - 1e-12:
+                return None
+            if chain.singularity_margin(q).min() < self.scene.settings.singularity_margin - 1e-12:
+                return None
+            out.append(q)
+        return np.concatenate(out, axis=-1)
+
+    def rates(self, values: FloatArray, joints: FloatArray) -> FloatArray:
+        """dq/dvalue (N, J, F): the body twist of each freedom through the Jacobian."""
+        twists: dict[str, list[FloatArray]] = {arm: [] for arm in self.targets.arms}
+        for j in range(values.shape[1]):
+            shift = np.zeros(values.shape[1])
+            shift[j] = DIFFERENCE_STEP
+            ahead = self.scene.tcp(self.targets, values + shift)
+            behind = self.scene.tcp(self.targets, values - shift)
+            for arm in self.targets.arms:
+                twists[arm].append(log_pose(inverse(behind[arm]) @ ahead[arm]) / (2.0 * DIFFERENCE_STEP))
+        parts = [
+            self.scene.chains[arm].rates(joints[:, 6 * k : 6 * k + 6], np.stack(twists[arm], axis=1))
+            for k, arm in enumerate(self.targets.arms)
+        ]
+        return np.swapaxes(np.concatenate(parts, axis=-1), 1, 2)
+
+    def hinges(self, joints: FloatArray) -> list[Rows]:
+        rows = margin_rows(self.scene, self.targets.arms, joints)
+        return rows + list(self.obstacles.rows(joints)) if self.obstacles else rows
+
+    def cost(self, values: FloatArray, joints: FloatArray, limit: float = np.inf) -> float:
+        """The cost, or inf where it is ``limit`` or more before obstacles are looked at."""
+        scaled = joints / self.speed
+        total = float(np.sum(scaled * _times(self.stencil, scaled)))
+        total += sum(r.cost for r in margin_rows(self.scene, self.targets.arms, joints, slopes=False))
+        total += sum(r.cost for r in preference_rows(self.targets, values, self.rings))
+        if total >= limit:
+            return np.inf
+        return total + (self.obstacles.cost(joints) if self.obstacles else 0.0)
+
+    def step(self, values: FloatArray, joints: FloatArray, damping: float) -> tuple[FloatArray, float]:
+        """Gauss-Newton step (N, F) and the gain that its model expects."""
+        rows = len(values)
+        rates = self.rates(values, joints)
+        scaled = rates / self.speed[:, None]
+        blocks = [
+            self.stencil[d][: rows - d, None, None]
+            * np.einsum("njf,njg->nfg", scaled[: rows - d], scaled[d:])
+            for d in range(3)
+        ]
+        gradient = np.einsum("njf,nj->nf", scaled, _times(self.stencil, joints / self.speed))
+        for hinge in self.hinges(joints):
+            slope = np.einsum("rj,rjf->rf", hinge.slope, rates[hinge.index])
+            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", slope, slope))
+            np.add.at(gradient, hinge.index, slope * hinge.value[:, None])
+        for hinge in preference_rows(self.targets, values, self.rings):
+            np.add.at(blocks[0], hinge.index, np.einsum("rf,rg->rfg", hinge.slope, hinge.slope))
+            np.add.at(gradient, hinge.index, hinge.slope * hinge.value[:, None])
+        step = self._bounded(blocks, gradient, values, damping)
+        return step, float(-np.sum(step * gradient))
+
+    def _bounded(
+        self, blocks: Sequence[FloatArray], gradient: FloatArray, values: FloatArray, damping: float
+    ) -> FloatArray:
+        """The Gauss-Newton step within the bounds: what would leave them goes to its bound, the rest is
+        solved again."""
+        held = (self.upper <= self.lower) | ((values <= self.lower) & (gradient > 0))
+        held |= (values >= self.upper) & (gradient < 0)
+        fixed = np.zeros_like(values)
+        step = fixed
+        for _ in range(BOUND_ROUNDS):
+            right = np.where(held, 0.0, gradient + _blocks_times(blocks, fixed))
+            banded = _banded(blocks, held, damping)
+            step = -solveh_banded(banded, right.ravel(), lower=True).reshape(values.shape) + fixed
+            target = np.clip(values + step, self.lower, self.upper) - values
+            out = ~held & (np.abs(target - step) > 1e-12)
+            if not out.any():
+                break
+            held |= out
+            fixed = np.where(out, target, fixed)
+        return np.clip(values + step, self.lower, self.upper) - values
+
+
+def _blocks_times(blocks: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """The symmetric block-banded matrix times x (N, F)."""
+    out = np.einsum("nfg,ng->nf", blocks[0], x)
+    for d in (1, 2):
+        if len(x) > d:
+            out[:-d] += np.einsum("nfg,ng->nf", blocks[d], x[d:])
+            out[d:] += np.einsum("nfg,nf->ng", blocks[d], x[:-d])
+    return np.asarray(out)
+
+
+def _banded(blocks: Sequence[FloatArray], held: BoolArray, damping: float) -> FloatArray:
+    """Lower banded form of the block-banded matrix, held variables taken out, the diagonal damped."""
+    rows, free = held.shape
+    width = 3 * free - 1
+    banded = np.zeros((width + 1, rows * free))
+    loose = ~held
+    for d, block in enumerate(blocks):
+        if rows <= d:
+            continue
+        kept = block * loose[: rows - d, :, None] * loose[d:, None, :]
+        for f in range(free):
+            for g in range(free):
+                offset = d * free + g - f
+                if offset >= 0:
+                    columns = np.arange(rows - d) * free + f
+                    banded[offset, columns] = kept[:, f, g]
+    diagonal = banded[0].reshape(rows, free)
+    scale = float(diagonal.max(initial=1e-12))
+    diagonal += damping * scale + 1e-12
+    diagonal[held] = 1.0
+    banded[0] = diagonal.ravel()
+    return banded
+
+
+def _stencil(targets: Targets) -> list[FloatArray]:
+    """Diagonals of the pentadiagonal K with q' K q = N (sum of weighted first and second differences)."""
+    rows = targets.count
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time = np.where(targets.feed > 0, targets.travel / targets.feed, 0.0)[1:]
+    mean = float(time.mean()) if rows > 1 and time.sum() > 0 else 1.0
+    time = np.clip(time / mean, 0.2, 5.0) if mean > 0 else np.ones(rows - 1)
+    out = [np.zeros(rows), np.zeros(max(rows - 1, 0)), np.zeros(max(rows - 2, 0))]
+    out[0][:-1] += 1.0 / time
+    out[0][1:] += 1.0 / time
+    out[1] -= 1.0 / time
+    inner = ~targets.stop[1:-1]
+    weight = CURVATURE * inner / (0.5 * (time[:-1] + time[1:]))
+    a, b = 1.0 / time[:-1], 1.0 / time[1:]
+    out[0][:-2] += weight * a * a
+    out[0][1:-1] += weight * (a + b) ** 2
+    out[0][2:] += weight * b * b
+    out[1][:-1] -= weight * a * (a + b)
+    out[1][1:] -= weight * b * (a + b)
+    out[2] += weight * a * b
+    return [rows * part for part in out]
+
+
+def _times(stencil: Sequence[FloatArray], x: FloatArray) -> FloatArray:
+    """K x for the diagonals of a symmetric pentadiagonal K and x (N, J)."""
+    out = stencil[0][:, None] * x
+    for d in (1, 2):
+        if len(x) > d:
+            out[:-d] += stencil[d][:, None] * x[d:]
+            out[d:] += stencil[d][:, None] * x[:-d]
+    return np.asarray(out)
+
+
+WIDE_BOUND_RAD = 1e3
+"""[rad] bounds of a full turn that is narrowed at some targets only."""
+
+
+def unwrapped(targets: Targets, values: FloatArray) -> FloatArray:
+    """Values (N, F) with full turns counted on from target to target instead of jumping at half a turn."""
+    out = values.copy()
+    for j, freedom in enumerate(targets.freedoms):
+        if full_turn(freedom):
+            out[:, j] = np.unwrap(values[:, j])
+    return out
+
+
+def narrowed_freedoms(targets: Targets, values: FloatArray, rows: BoolArray, width: float) -> Targets:
+    """The targets with freedoms kept near ``values`` (N, F), unwrapped, at ``rows`` (N,).
+
+    ``width`` [rad] either way for what turns; slides and tables keep the same share of their range that
+    ``width`` is of half a turn.
+    """
+    freedoms: list[Freedom] = []
+    for j, freedom in enumerate(targets.freedoms):
+        lower, upper = freedom.lower, freedom.upper
+        if full_turn(freedom):
+            lower, upper = np.full_like(lower, -WIDE_BOUND_RAD), np.full_like(upper, WIDE_BOUND_RAD)
+        share = width / np.pi
+        away = 0.5 * share * (freedom.upper - freedom.lower) if slides_only(freedom) else width
+        low = np.where(rows, np.maximum(lower, values[:, j] - away), lower)
+        high = np.where(rows, np.minimum(upper, values[:, j] + away), upper)
+        if isinstance(freedom, ScrewFreedom):
+            freedom = dataclasses.replace(freedom, periodic=False)
+        freedoms.append(dataclasses.replace(freedom, lower=low, upper=high))
+    return dataclasses.replace(targets, freedoms=tuple(freedoms))
+
+
+def targets_around(count: int, moves: IndexArray, reach: int) -> BoolArray:
+    """(count,) the targets at most ``reach`` away from either end of the moves to targets ``moves`` (M,)."""
+    hit = np.zeros(count, dtype=np.bool_)
+    hit[moves] = True
+    hit[np.maximum(moves - 1, 0)] = True
+    near = np.zeros(count + 1, dtype=np.intp)
+    at = np.flatnonzero(hit)
+    np.add.at(near, np.maximum(at - reach, 0), 1)
+    np.add.at(near, np.minimum(at + reach + 1, count), -1)
+    return np.asarray(np.cumsum(near)[:-1] > 0)

@@ -1,0 +1,406 @@
+"""KRL programs of a job: for each KUKA arm a main program, its data list, and files with moves.
+
+The main program calls subprograms with moves. PTP speeds are whole percents of the axes' speeds at
+which the TCP keeps its limit. For two controllers that share digital signals the steps of
+:mod:`planner.post.handshake` are put as text.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from planner import __version__
+from planner.catalogue.robots import RobotData
+from planner.cell.kinematics import forward
+from planner.claims import dialogue
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.issues import Issue, TandemError
+from planner.plans import Plan
+from planner.post import handshake
+from planner.post.handshake import (
+    Ask,
+    AwaitLine,
+    AwaitRunning,
+    Halt,
+    Note,
+    Partner,
+    PartnerStep,
+    SetLine,
+    Tell,
+)
+from planner.post.krl import linear_moves, spline_blocks, syntax
+from planner.post.krl.data import Data
+from planner.post.krl.linear_moves import Lines
+from planner.post.krl.syntax import comment, mark, name
+from planner.post.program import (
+    Carry,
+    Do,
+    Job,
+    Joints,
+    Load,
+    Meet,
+    OperationProgram,
+    Part,
+    Run,
+    Step,
+    SyncOff,
+    SyncOn,
+    TaskProgram,
+    kilobytes,
+    parts,
+    short,
+)
+from planner.problem import Controller, KrlDialect, Problem
+from planner.targets import Action
+
+
+def partner_lines(
+    partner: Partner, controller: Controller, steps: Sequence[PartnerStep], shown: bool = True
+) -> list[str]:
+    """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
+    a meeting it does already."""
+    waiting = dialogue.WAITING.say(arm=partner.other)
+    own = partner.handshake.of(partner.arm)
+    output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
+    runs = controller.number(partner.arm, own.partner_running)
+    out: list[str] = []
+    for step in steps:
+        match step:
+            case SetLine(value):
+                out.append(f"$OUT[{output}]={_level(value)}")
+            case AwaitLine(value, seconds):
+                wait = _wait(f"$IN[{given}]=={_level(1 - value)}", seconds, partner.unanswered)
+                out += syntax.during(waiting, wait, controller.dialect) if shown else wait
+            case AwaitRunning(value, seconds):
+                wait = _wait(f"$IN[{runs}]=={_level(1 - value)}", seconds, partner.not_as_wanted(value))
+                out += syntax.during(waiting, wait, controller.dialect) if shown else wait
+            case Halt(text):  # krc2: the HALT of the question is a stop itself
+                out += ["HALT"] if controller.dialect == "krc4" else []
+                out += syntax.question_lines(text, controller.dialect)
+            case Ask(text):
+                out += syntax.question_lines(text, controller.dialect)
+            case Tell(text):
+                out += syntax.message_lines(text, controller.dialect)
+            case Note(text):
+                out += comment(text)
+    return out
+
+
+def partner_suffix(phases: tuple[int, ...]) -> str:
+    """The end of the name of the file with a meeting."""
+    return f"meet_{phases[0]}" if len(phases) == 1 else "meet"
+
+
+def _level(value: int) -> str:
+    return "TRUE" if value else "FALSE"
+
+
+def _wait(condition: str, seconds: float, unanswered: str) -> list[str]:
+    """Wait as long as the condition holds; the program halts whenever the time is over, and waits again."""
+    return [
+        "$TIMER[1]=0",
+        "$TIMER_STOP[1]=FALSE",
+        f"WHILE {condition}",
+        f"IF $TIMER[1]>{math.ceil(1e3 * seconds)} THEN",
+        *comment(f"{unanswered} Start waits for it again."),
+        "HALT",
+        "$TIMER[1]=0",
+        "ENDIF",
+        "WAIT SEC 0.01",
+        "ENDWHILE",
+        "$TIMER_STOP[1]=TRUE",
+    ]
+
+
+UNKNOWN_START_PERCENT: Final = 10
+"""Percents of a PTP from a place that is not known: the first one of a program."""
+_SAMPLES: Final = 400
+_SAFE: Final = 0.99
+
+
+def ptp_percent(
+    robot: RobotData, start: FloatArray, end: FloatArray, tcp: FloatArray, limit: float, most: float
+) -> int:
+    """Percents of a PTP between joints (6,) [rad] with the TCP ``tcp`` (4, 4) on the flange.
+
+    The slowest axis runs at its share of the catalogue's speed and the others keep pace, so at the share p
+    the TCP's speed is p times what it is at full speed: at most ``limit`` [m/s]. ``most`` [-]: the
+    largest share. At least 1.
+    """
+    q = start + np.linspace(0.0, 1.0, _SAMPLES + 1)[:, None] * (end - start)
+    point = (forward(robot, q) @ tcp)[:, :3, 3]
+    fastest = float(np.linalg.norm(np.diff(point, axis=0), axis=1).max()) * _SAMPLES
+    seconds = float((np.abs(end - start) / robot.velocity).max())
+    share = most if fastest <= 0.0 else min(most, _SAFE * limit * seconds / fastest)
+    return max(1, int(np.floor(100.0 * share + 1e-9)))
+
+
+class Main:
+    """Writes the main program; :attr:`bodies` are then those of its subprograms by name."""
+
+    def __init__(
+        self,
+        task: TaskProgram,
+        job: Job,
+        problem: Problem,
+        data: Data,
+        layout: Sequence[Part],
+        moves: Sequence[Lines | None],
+        stem: str,
+    ) -> None:
+        self.task, self.job, self.problem, self.data = task, job, problem, data
+        self.layout, self.moves, self.stem = layout, moves, stem
+        self.controller = problem.cell.controller
+        self.dialect = problem.cell.controller.dialect
+        self.partner = Partner.of(task, job)
+        self.bodies: dict[str, list[str]] = {}
+        self._held: Load | None = None
+        self._at: FloatArray | None = None
+        self._percent = 0
+
+    def lines(self) -> list[str]:
+        """The statements of the main program."""
+        out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
+        out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
+        out += [*syntax.prepared(self.dialect), *syntax.robroot_check(self.task.arm.name, self.dialect)]
+        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).say()
+        if self.partner is None:
+            out += syntax.question_lines(clear, self.dialect)
+        else:
+            steps = self.partner.start(clear)
+            out += partner_lines(self.partner, self.controller, steps)
+        for i, operation in enumerate(self.task.operations):
+            out += self._operation(i, operation)
+        if self.partner is not None:
+            out += partner_lines(self.partner, self.controller, self.partner.end())
+            for phases, number in self.partner.kinds(self.task).items():
+                steps = self.partner.step(number)
+                body = partner_lines(self.partner, self.controller, steps, shown=False)
+                self.bodies[f"{self.stem}_{partner_suffix(phases)}"] = body
+        return out
+
+    def _operation(self, index: int, operation: OperationProgram) -> list[str]:
+        out = comment(f"Operation {operation.name}.")
+        if any(isinstance(step, Joints | Run) for step in operation.steps):
+            out += [
+                f"$TOOL={self.data.tool(operation.arm.tool)}",
+                f"$LOAD={self.data.load(operation.arm.tool, self._held)}",
+                f"$BASE={self.data.base(operation)}",
+            ]
+        plain = (step for step in operation.steps if not isinstance(step, SyncOn | SyncOff))
+        for moving, steps in itertools.groupby(plain, lambda step: isinstance(step, Run)):
+            if moving:
+                out += self._runs(index, operation, [step for step in steps if isinstance(step, Run)])
+            else:
+                done = list(steps)
+                for i, step in enumerate(done):
+                    out += self._step(step, index, operation, _question_follows(done[i + 1 :]))
+        return out
+
+    def _step(self, step: Step, index: int, operation: OperationProgram, asks: bool) -> list[str]:
+        """The lines of a step; ``asks``: behind it and what else is told stands a question."""
+        match step:
+            case Joints():
+                return self._ptp(step, index, operation)
+            case Meet(number, reached, seconds) if self.partner is not None:
+                steps = self.partner.meet(number, seconds)
+                lines = partner_lines(self.partner, self.controller, steps)
+                return [*comment(f"Meeting: {reached}"), *lines]
+            case Do(action):
+                return self._action(action, asks)
+            case Carry(load):
+                self._held = load
+                return [f"$LOAD={self.data.load(operation.arm.tool, load)}"]
+        return []
+
+    def _ptp(self, step: Joints, index: int, operation: OperationProgram) -> list[str]:
+        limits = self.problem.settings
+        share = UNKNOWN_START_PERCENT
+        if self._at is not None:
+            tcp, most = operation.arm.tool.tcp, limits.speed_fraction
+            share = ptp_percent(self.task.robot, self._at, step.q, tcp, limits.tcp_speed, most)
+        out = [f"$VEL_AXIS[{i}]={share}" for i in range(1, 7)] if share != self._percent else []
+        self._at, self._percent = step.q, share
+        if step.place == "start" and operation.track is not None:
+            return [*out, f"PTP {self.data.start(operation, step.q, index + 1)}"]
+        return [*out, f"PTP {self.data.joint(step, index + 1)}"]
+
+    def _action(self, action: Action, asks: bool) -> list[str]:
+        match action.kind:
+            case "message":
+                return syntax.message_lines(action.text, self.dialect, before_question=asks)
+            case "confirm":
+                return syntax.question_lines(action.text, self.dialect)
+            case "on" | "off":
+                return [self._switch(action.signal, action.kind == "on")]
+            case "wait":
+                return [f"WAIT SEC {short(action.seconds, 3)}"]
+
+    def _switch(self, signal: str, on: bool) -> str:
+        number = self.controller.number(self.task.arm.name, signal)
+        return f"$OUT[{number}]={'TRUE' if on else 'FALSE'} ; {signal}"
+
+    # ---- moves ----
+
+    def _runs(self, index: int, operation: OperationProgram, runs: Sequence[Run]) -> list[str]:
+        """Calls of the subprograms with the moves of runs that follow one another."""
+        if operation.track is None:
+            return []
+        first, last = runs[0].first, runs[-1].last
+        inside = (p for p in self.layout if p.operation == index and first <= p.first < last)
+        calls = []
+        for _, grouped in itertools.groupby(inside, lambda part: part.module):
+            word = f"{self.stem}_{len(self.bodies) + 1}"
+            self.bodies[word] = self._moves(index, operation, grouped)
+            calls.append(f"{word}()")
+        self._at = operation.track.q[last - 1]
+        if self.partner is not None and operation.meets[first:last].any():
+            together = dialogue.TOGETHER.say(arm=self.partner.other)
+            return syntax.during(together, calls, self.dialect)
+        return calls
+
+    def _moves(self, index: int, operation: OperationProgram, parts: Iterable[Part]) -> list[str]:
+        """The lines of a file: all settings stand before its first move."""
+        lines, track = self.moves[index], operation.track
+        out: list[str] = []
+        if lines is None or track is None:
+            return out
+        calls = {}
+        if self.partner is not None:
+            calls = {
+                row: f"{self.stem}_{partner_suffix(self.partner.phases(int(operation.meets[row])))}()"
+                for row in np.flatnonzero(operation.meets).tolist()
+            }
+        for number, part in enumerate(parts):
+            seconds = short(float(track.duration[part.first : part.last].sum()), 2)
+            out += comment(f"Segment {mark(part.segment)}: {part.last - part.first} moves, {seconds} s.")
+            for row in range(part.first, part.last):
+                out += lines.of(row, fresh=number == 0 and row == part.first)
+                out += [calls[row]] if row in calls else []
+        return out
+
+
+def _question_follows(steps: Sequence[Step]) -> bool:
+    """Whether the next step that is more than a message is a question."""
+    rest = (step for step in steps if not (isinstance(step, Do) and step.action.kind == "message"))
+    first = next(rest, None)
+    return isinstance(first, Do) and first.action.kind == "confirm"
+
+
+LINE_END: Final = "\r\n"
+_STEM: Final = 16
+_FRAME: Final = 1500
+"""Bytes of a part without its moves: the header of a file, settings, comments."""
+_CALL: Final = 30
+
+
+def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
+    """Program files of the KUKA arms by relative name. Raises :class:`TandemError` (``post.*``)."""
+    own = [task for task in job.tasks if task.robot.family == "KUKA"]
+    limits = problem.cell.controller
+    data = {task.number: Data(task, plan) for task in own}
+    moves = {task.number: _lines(task, plan, problem, data[task.number]) for task in own}
+    call = _CALL if job.handshake is not None else 0
+    sizes = [
+        np.max([_sizes(moves[t.number][i], len(t.operations[i].ids)) for t in own], axis=0) + call
+        for i in range(len(plan.operations))
+    ]
+    layout = parts(job, sizes, _FRAME, limits.max_moves, limits.max_bytes)
+    out: dict[str, str] = {}
+    for task in own:
+        out |= _files(task, job, plan, problem, margins, data[task.number], layout, moves[task.number])
+    for path, text in out.items():
+        if len(text.encode()) > limits.max_bytes:
+            message = f"{path} has {len(text.encode())} bytes; allowed: {limits.max_bytes}"
+            hint = f"allow larger files: controller: {{max_kilobytes: {kilobytes(text)}}}"
+            raise TandemError(Issue("post.no_split", message, file=path, hint=hint))
+    return out
+
+
+def _lines(task: TaskProgram, plan: Plan, problem: Problem, data: Data) -> list[linear_moves.Lines | None]:
+    """The text of the moves of each operation."""
+    controller = problem.cell.controller
+    rows = spline_blocks.operation_rows(task, data)
+    lines = [None if own is None else linear_moves.lines(own, controller.dialect) for own in rows]
+    if controller.path == "slin":
+        return lines
+    found = spline_blocks.operation_blocks(task, plan, data)
+    return [
+        None if text is None or own is None else spline_blocks.with_blocks(text, own, runs)
+        for text, own, runs in zip(lines, rows, found, strict=True)
+    ]
+
+
+def _files(
+    task: TaskProgram,
+    job: Job,
+    plan: Plan,
+    problem: Problem,
+    margins: Mapping[str, str],
+    data: Data,
+    layout: Sequence[Part],
+    moves: Sequence[linear_moves.Lines | None],
+) -> dict[str, str]:
+    """The files of one task."""
+    stem = name(problem.name, _STEM)
+    main = Main(task, job, problem, data, layout, moves, stem)
+    body = main.lines()
+    head = _header(task, job, plan, problem, margins)
+    brief = comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
+    dialect = problem.cell.controller.dialect
+    note = "; what this program was planned for; the proof starts from these"
+    listed = data.list(stem, [*head, note], {"problem_digest": plan.digest})
+    head = [*syntax.declarations(dialect), *head]
+    files = {f"{stem}.src": _program(stem, head, body, main.bodies, dialect), f"{stem}.dat": listed}
+    for word, lines in main.bodies.items():
+        files[f"{word}.src"] = _program(word, brief, lines, main.bodies, dialect)
+    return {
+        f"{task.arm.name}/{path}": "".join(f"{line}{LINE_END}" for line in ["&ACCESS RVP", "&REL 1", *lines])
+        for path, lines in files.items()
+    }
+
+
+def _program(
+    word: str, head: Sequence[str], body: Sequence[str], known: Mapping[str, object], dialect: KrlDialect
+) -> list[str]:
+    """A DEF; what it calls is declared where the dialect wants that."""
+    called = dict.fromkeys(line[:-2] for line in body if line.endswith("()") and line[:-2] in known)
+    declared = [f"EXT {other}()" for other in called] if dialect == "krc2" else []
+    if dialect == "krc2" and any(line.startswith("BAS(") for line in body):
+        declared.insert(0, syntax.EXT_BAS)
+    return [f"DEF {word}()", *declared, *head, *body, "END"]
+
+
+def _header(
+    task: TaskProgram, job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]
+) -> list[str]:
+    tools = ", then ".join(dict.fromkeys(op.arm.tool.name for op in task.operations))
+    out = comment(f"Written by Tandem {__version__} for arm {task.arm.name}: {task.robot.title}.")
+    out += comment(f"Tool {tools}. Written, not taught: plan again to change it.")
+    out += comment(f"Problem {plan.problem_name}, SHA-256 {plan.digest}.")
+    for item, value in margins.items():
+        out += comment(f"Proven: {item} {value}.")
+    if problem.cell.controller.path == "spline":
+        for sentence in spline_blocks.ASSUMED:
+            out += comment(sentence)
+    partner = Partner.of(task, job)
+    if partner is not None:
+        for sentence in partner.header():
+            out += comment(sentence)
+        for drift in job.drifts:
+            out += comment(f"Operation {drift.name}: {handshake.drift_sentence(drift)}.")
+    switched = ", ".join(job.switched(task))
+    if switched:
+        out += comment(
+            f"A program that stops leaves {switched} as it is: wire it so that power falls with the drives."
+        )
+    return out
+
+
+def _sizes(lines: linear_moves.Lines | None, count: int) -> IntArray:
+    return np.zeros(count, dtype=np.int64) if lines is None else lines.sizes()

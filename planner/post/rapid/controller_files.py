@@ -1,0 +1,271 @@
+"""Files for an ABB controller, beside the program: what its power outputs hang on besides the program.
+
+The program sets a request; a cross connection lets the real output follow while a program runs and the motors
+are on, of two controllers on both sides. Event routines take the request back at every stop, and ask at a
+start behind a stop in a cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from planner.claims import dialogue
+from planner.claims.dialogue import SignalWire
+from planner.post import handshake
+from planner.post.handshake import ConfigurationRow
+from planner.post.rapid.syntax import identifier, quoted
+from planner.problem import Controller
+
+MODULE: Final = "TandemPower"
+_OFF_AT: Final = ("STOP", "QSTOP", "RESET")
+_AGAIN_AT: Final = ("START", "RESTART", "STEP")
+_WIDTH: Final = 80
+
+
+def files(
+    controller: Controller,
+    tasks: Sequence[str],
+    signals: Sequence[str],
+    arm: str,
+    wires: Sequence[SignalWire] = (),
+) -> dict[str, str]:
+    """The files, by name, for motion ``tasks`` of the one controller of ``arm`` whose programs switch
+    ``signals``; ``wires``: the running wires between it and another controller."""
+    requests = [identifier(signal) for signal in signals]
+    suffix = ".sys" if controller.robotware == 6 else ".sysx"
+    out = {"EIO.cfg": _eio(controller, requests, arm, bool(wires))}
+    if requests:
+        out["SYS.cfg"] = _sys(controller, tasks, suffix)
+        out[f"{MODULE}{suffix}"] = _module(controller, requests, len(tasks) > 1)
+    return out | {"README.txt": _readme(controller, requests, suffix, arm, wires)}
+
+
+def _eio(controller: Controller, requests: Sequence[str], arm: str, joined: bool) -> str:
+    lock = controller.interlock
+    partner = [handshake.rapid_power_term(controller, arm)] if joined else []
+    more = handshake.rapid_running_rows(controller, arm) if joined else {}
+    signals: list[ConfigurationRow] = []
+    crossed: list[ConfigurationRow] = []
+    for number, request in enumerate(requests, 1):
+        real = lock.of(request)
+        place = {"Device": real.device, "DeviceMap": str(real.bit)} if real.device else {}
+        signals.append({"Name": request, "SignalType": "DO", "Access": "TandemRequest"})
+        signals.append({"Name": real.signal, "SignalType": "DO", **place, "Access": "ReadOnly"})
+        terms = (request, lock.cycle, lock.motors, *partner)
+        row: dict[str, str | None] = {"Name": f"TandemPower{number}", "Res": real.signal}
+        for i, term in enumerate(terms, 1):
+            row[f"Act{i}"] = term
+            if i < len(terms):
+                row[f"Oper{i}"] = "AND"
+        crossed.append(row)
+    signals += [
+        {"Name": name, "SignalType": "DO", "Access": "ReadOnly"} for name in (lock.cycle, lock.motors)
+    ]
+    states = [
+        {"Status": "CycleOn", "Signal": lock.cycle},
+        {"Status": "MotOnState", "Signal": lock.motors},
+    ]
+    access: list[ConfigurationRow] = [
+        {"Name": "TandemRequest", "Rapid": None, "LocalManual": None, "LocalAuto": None}
+    ]
+    head = f"EIO:CFG_1.0:{controller.robotware}:{1 if controller.robotware == 6 else 0}::"
+    sections: dict[str, Sequence[ConfigurationRow]] = {
+        "EIO_ACCESS": access if requests else [],
+        "EIO_SIGNAL": [*signals, *more.get("EIO_SIGNAL", [])],
+        "SYSSIG_OUT": states,
+        "SYSSIG_IN": more.get("SYSSIG_IN", []),
+        "EIO_CROSS": [*crossed, *more.get("EIO_CROSS", [])],
+    }
+    return _cfg(head, {kind: rows for kind, rows in sections.items() if rows})
+
+
+def _sys(controller: Controller, tasks: Sequence[str], suffix: str) -> str:
+    hooks: list[ConfigurationRow] = []
+    for number, task in enumerate(tasks):
+        again = "tandem_again" if number == 0 else "tandem_wait"
+        routines = [(shelf, "tandem_off") for shelf in _OFF_AT] + [(shelf, again) for shelf in _AGAIN_AT]
+        hooks += [{"Routine": routine, "Shelf": shelf, "Task": task} for shelf, routine in routines]
+    loaded: list[ConfigurationRow] = [{"File": f"HOME:/{MODULE}{suffix}", "ModName": MODULE, "AllTask": None}]
+    head = f"SYS:CFG_1.0:{controller.robotware}:0::"
+    return _cfg(head, {"CAB_TASK_MODULES": loaded, "CAB_EXEC_HOOKS": hooks})
+
+
+def _cfg(head: str, sections: Mapping[str, Sequence[ConfigurationRow]]) -> str:
+    """A configuration file; long rows go on behind a backslash."""
+    out = [head]
+    for kind, rows in sections.items():
+        out += ["#", f"{kind}:"]
+        for row in rows:
+            out.append("")
+            line = "     "
+            for name, value in row.items():
+                word = f"-{name}" if value is None else f"-{name} {quoted(value)}"
+                if len(line) + len(word) > _WIDTH:
+                    out.append(f"{line}\\")
+                    line = "     "
+                line += f" {word}"
+            out.append(line)
+    return "\n".join([*out, ""])
+
+
+def _module(controller: Controller, requests: Sequence[str], together: bool) -> str:
+    flags = [f"tandem_cut_{number}" for number in range(1, len(requests) + 1)]
+    out = [
+        f"MODULE {MODULE}(SYSMODULE)",
+        "  ! Written by Tandem for the event routines that SYS.cfg names.",
+        "  ! Whether the power was on at a stop, and nobody has said yet how it goes on.",
+        *(f"  PERS bool {flag}:=FALSE;" for flag in flags),
+        "",
+        "  ! At every stop: power that was on does not come back by itself.",
+        "  PROC tandem_off()",
+    ]
+    for flag, request in zip(flags, requests, strict=True):
+        out += [
+            f"    IF DOutput({request})=1 THEN",
+            f"      {flag}:=TRUE;",
+            "    ENDIF",
+            f"    SetDO {request},0;",
+        ]
+    out += ["  ENDPROC", "", "  ! At every start: no arm moves on in a cut before somebody says that it may."]
+    out += ["  PROC tandem_again()", "    VAR num answer;", "    tandem_off;"]
+    buttons = ",".join(quoted(word) for word in dialogue.BUTTONS)
+    stop = "Stop\\AllMoveTasks;" if together else "Stop;"
+    for flag, request in zip(flags, requests, strict=True):
+        lines = [quoted(line) for line in dialogue.again(request)]
+        real = controller.interlock.of(request).signal
+        out += [
+            f"    WHILE {flag} DO",
+            f"      answer:=UIMessageBox(\\Header:={quoted(dialogue.HEADER)}",
+            f"        \\MsgArray:=[{lines[0]},",
+            *(f"          {line}," for line in lines[1:-1]),
+            f"          {lines[-1]}]",
+            f"        \\BtnArray:=[{buttons}]\\Icon:=iconWarning);",
+            "      IF answer=1 THEN",
+            f"        {flag}:=FALSE;",
+            f"      ELSEIF answer=2 AND DOutput({real})=1 THEN",
+            f"        {flag}:=FALSE;",
+            "      ELSE",
+            *(f"        TPWrite {quoted(line)};" for line in dialogue.REFUSED),
+            f"        {stop}",
+            "      ENDIF",
+            "    ENDWHILE",
+        ]
+    out += ["  ENDPROC"]
+    if together:
+        out += ["", "  ! The other task waits for the answer.", "  PROC tandem_wait()", "    tandem_off;"]
+        out += [f"    WaitUntil NOT {flag};" for flag in flags]
+        out += ["  ENDPROC"]
+    return "\n".join([*out, "ENDMODULE", ""])
+
+
+_STEPS: Final = """For the controller that these programs run on. Make a backup first.
+
+1. {module}
+2. Load {files}: Control Panel, Configuration, File, Load Parameters, "Load parameters
+   if no duplicates". A signal that has one of these names already must be taken out first.
+3. Restart the controller.{held}
+4. {trial}
+"""
+_COPY: Final = "Copy {module} to HOME: of the controller."
+_NO_COPY: Final = "No module is needed: this program switches no power."
+_HELD: Final = " Every motion task then holds the module and the event routines."
+_TRIAL: Final = """\
+Try it without wire and with the tool off: start, set the request by hand, stop. The real output
+   must fall with the program, with the motors, and when the enabling device is let go."""
+_LOOK: Final = "Look at the signals below while a program runs and while it stands."
+
+_WIRE: Final = """
+Running wires, between this controller and the one of arm {other}:
+{ends}
+  {lost}: on no device; {partner} turned over, whose rise stops the program
+
+Try them before the first cut, without wire and with the tool off, all motors on: let both programs
+run at reduced speed and pull the wire at {partner}.
+This arm must stop at once{falls}. Its stop must stop arm {other}, too.
+Then the same with the other wire, and by stopping either program.
+After a stop either side may be started first; nothing has power before both run.
+
+Seen in public tools that write such files: -Act1_invert, SYSSIG_IN; in a backup: SYSSIG_OUT with
+CycleOn into EIO_CROSS. To be checked at the controller: SYSSIG_OUT with MotOnState; the action
+Stop, that it acts on the rise alone, and that Start is not held up while
+{lost} is 1. If it is, neither side can be started first: a PLC then
+has to make a pulse of the rise.
+"""
+
+_POWER: Final = """
+Signals:
+{signals}{both}
+
+Seen in backups of real controllers: EIO_CROSS with AND of a request and a CycleOn output
+(RobotWare 5; -Name in RobotWare 6), SYSSIG_OUT with CycleOn, EIO_ACCESS and its attributes,
+-Access "ReadOnly", -Device and -DeviceMap, CAB_TASK_MODULES with HOME: and -AllTask,
+CAB_EXEC_HOOKS for START, RESTART and STEP, a wait in such a routine, UIMessageBox.
+
+To be checked at the controller: SYSSIG_OUT with MotOnState; the shelves STOP, QSTOP and RESET; that
+CycleOn falls at every stop; that Stop in a routine of START or RESTART keeps the arms where they
+are; that both tasks wait there; UIMessageBox with MsgArray and BtnArray; that TandemRequest lets
+the operator set the request by hand in automatic.
+
+A cross connection is no safety function: an emergency stop must cut the power by itself, too.
+
+Mounting a hot wire with the gate open: in automatic the guard stop takes motors and program away,
+and the power with them. Mount it cold; or in manual at reduced speed, while somebody else holds the
+enabling device and the program waits at its question. The job then runs to its end in manual: a
+change to automatic is a stop, at which the power falls.
+"""
+
+
+def _readme(
+    controller: Controller, requests: Sequence[str], suffix: str, arm: str, wires: Sequence[SignalWire]
+) -> str:
+    module = _COPY.format(module=f"{MODULE}{suffix}") if requests else _NO_COPY
+    names = "EIO.cfg and SYS.cfg" if requests else "EIO.cfg"
+    held, trial = (_HELD, _TRIAL) if requests else ("", _LOOK)
+    out = _STEPS.format(module=module, files=names, held=held, trial=trial)
+    if wires:
+        out += _wire(controller, arm, wires, bool(requests))
+    if requests:
+        both = "\nThe power is on only while the program of the other arm runs, too." if wires else ""
+        out += _POWER.format(signals="\n".join(_outputs(controller, requests)), both=both)
+    return out
+
+
+def _outputs(controller: Controller, requests: Sequence[str]) -> list[str]:
+    rows = []
+    for request in requests:
+        real = controller.interlock.of(request)
+        rows.append(f"  {request}: request of the program, on no device")
+        if real.device:
+            rows.append(f"  {real.signal}: {real.device}, bit {real.bit}; the power hangs on this one")
+        else:
+            rows.append(f"  {real.signal}: NO DEVICE, so nothing is powered; state it in the cell:")
+            rows.append(
+                f"    controller: {{interlock: {{outputs: {{{request}: {{device: D, device_map: 0}}}}}}}}"
+            )
+    return rows
+
+
+def _wire(controller: Controller, arm: str, wires: Sequence[SignalWire], powered: bool) -> str:
+    there, here = handshake.running_wires(wires, arm)
+    own = controller.handshake.of(arm)
+    rows = []
+    for name, what in (
+        (own.running, f"output, 1 while this program runs; to {there.input} of arm {there.sink}"),
+        (own.partner_running, f"input, 1 while the other one runs; from {here.output} of arm {here.source}"),
+    ):
+        place = controller.interlock.place(arm, name)
+        rows.append(f"  {name}: {what}")
+        if place is not None:
+            rows.append(f"    {place.device}, bit {place.bit}")
+        else:
+            rows.append("    NO DEVICE, so the wire does not work yet; state it in the cell:")
+            stated = f"places: {{{arm}: {{{name}: {{device: D, device_map: 0}}}}}}"
+            rows.append(f"    controller: {{interlock: {{{stated}}}}}")
+    return _WIRE.format(
+        other=there.sink,
+        ends="\n".join(rows),
+        lost=own.lost,
+        partner=own.partner_running,
+        falls=", and its power fall" if powered else "",
+    )

@@ -1,0 +1,1 @@
+"""Files of users: read, validated, converted to SI units."""

@@ -1,0 +1,407 @@
+"""The cell part of a problem file: its schema in mm and degrees, and its conversion to values in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from planner.catalogue.robots import RobotData, robot
+from planner.geometry.arrays import FloatArray
+from planner.geometry.mesh import read_mesh
+from planner.geometry.rigid import Shape, from_rpy
+from planner.issues import Issue, TandemError
+from planner.problem import Arm, Cell, Obstacle
+from planner.reading.controller import ControllerFile, controllers
+from planner.reading.materials import WiresFile, wires_at_hand
+from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, Unit, Vector
+from planner.tooling import (
+    FormingTool,
+    Gripper,
+    Mill,
+    Tool,
+    ball_tool,
+    bow,
+    disk_tool,
+    gripper_plate,
+    heat_tool,
+    mill,
+    plain,
+    vacuum_cup,
+    wire_holder,
+)
+from planner.units import DEG, LENGTH_UNITS, MM
+
+
+class PoseFile(Strict):
+    """A pose: position and roll, pitch, yaw about fixed x, then y, then z."""
+
+    xyz_mm: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+    def matrix(self) -> FloatArray:
+        """The pose as (4, 4) in metres."""
+        return from_rpy(np.array(self.xyz_mm) * MM, np.array(self.rpy_deg) * DEG)
+
+
+class BoxFile(Strict):
+    """A box centred on its pose."""
+
+    kind: Literal["box"]
+    size_mm: tuple[Positive, Positive, Positive]
+    pose: PoseFile = PoseFile()
+
+
+class RoundFile(Strict):
+    """A cylinder or capsule along z, centred on its pose."""
+
+    kind: Literal["cylinder", "capsule"]
+    radius_mm: Positive
+    length_mm: Positive
+    pose: PoseFile = PoseFile()
+
+
+class SphereFile(Strict):
+    """A sphere."""
+
+    kind: Literal["sphere"]
+    radius_mm: Positive
+    pose: PoseFile = PoseFile()
+
+
+class MeshFile(Strict):
+    """A mesh file in a stated unit; collision sees its convex hull."""
+
+    kind: Literal["mesh"]
+    file: FileName
+    unit: Unit
+    pose: PoseFile = PoseFile()
+
+
+ShapeFile = Annotated[BoxFile | RoundFile | SphereFile | MeshFile, Field(discriminator="kind")]
+
+
+class WireHolderFile(Strict):
+    """The built-in wire holder with a sliding clamp."""
+
+    kind: Literal["wire_holder"]
+    mounting: Literal["along", "across", "diagonal"] = "across"
+    side: Literal["start", "end"]
+
+
+class BowFile(Strict):
+    """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
+
+    kind: Literal["bow"]
+    span_mm: Annotated[float, Field(ge=50, le=3000, description="wire between its clamps")] = 400.0
+    throat_mm: Annotated[float, Field(ge=50, le=3000, description="from the beam to the wire")] = 400.0
+    wire_diameter_mm: Annotated[float, Field(ge=0.01, le=10)] = 0.4
+    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the bow about its wire")] = 0.0
+
+
+class _GripperFile(Strict):
+    """What all tools have that hold a block."""
+
+    name: Annotated[Name | None, Field(description="what people call it; none: by its kind")] = None
+    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+    holding_n: Annotated[
+        float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
+    ] = None
+
+
+class GripperPlateFile(_GripperFile):
+    """The built-in plate with needles that holds a block by its bottom face."""
+
+    kind: Literal["gripper_plate"]
+    width_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
+    depth_mm: Annotated[float, Field(ge=20, le=2000)] = 160.0
+
+
+class VacuumCupFile(_GripperFile):
+    """The built-in vacuum cup that holds a block by its bottom face."""
+
+    kind: Literal["vacuum_cup"]
+    radius_mm: Annotated[float, Field(ge=10, le=500)] = 60.0
+
+
+class BallToolFile(Strict):
+    """The built-in ball tool for sheets, on a shaft as thick as the ball or of its own; its TCP is the ball's
+    centre."""
+
+    kind: Literal["ball_tool"]
+    radius_mm: Annotated[float, Field(ge=0.5, le=100)] = 9.525
+    length_mm: Annotated[
+        float, Field(ge=110, le=1500, description="from the flange to the ball's centre")
+    ] = 300.0
+    shaft_radius_mm: Annotated[float | None, Field(ge=0.5, le=100, description="none: that of the ball")] = (
+        None
+    )
+    neck_mm: Annotated[
+        float, Field(ge=0, le=500, description="from the ball's centre to a shaft of another radius")
+    ] = 0.0
+    tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the tool against the flange's axis")] = (
+        0.0
+    )
+
+
+class DiskToolFile(Strict):
+    """The built-in flat disk that supports the border of what is formed; TCP: the middle of its face."""
+
+    kind: Literal["disk_tool"]
+    radius_mm: Annotated[float, Field(ge=2, le=200)] = 25.4
+    thickness_mm: Annotated[float, Field(ge=1, le=100)] = 12.0
+    rim_mm: Annotated[float, Field(ge=0, le=50, description="rounding of its edge")] = 2.0
+    shaft_radius_mm: Annotated[float, Field(ge=0.5, le=200)] = 9.525
+    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the face")] = 300.0
+
+
+class HeatToolFile(Strict):
+    """The built-in heat gun or laser head; its TCP is the place that it heats."""
+
+    kind: Literal["heat_tool"]
+    radius_mm: Annotated[float, Field(ge=1, le=200)] = 25.0
+    length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the nozzle")] = 250.0
+    standoff_mm: Annotated[float, Field(ge=1, le=1000, description="from the nozzle to the TCP")] = 40.0
+
+
+class HolderPieceFile(Strict):
+    """A piece of a milling tool's holder, a cylinder."""
+
+    length_mm: Annotated[float, Field(ge=1, le=1000)]
+    diameter_mm: Annotated[float, Field(ge=1, le=1000)]
+
+
+class MillFile(Strict):
+    """The built-in milling tool: cutter, holder and spindle; its TCP is the cutter's tip, on its axis."""
+
+    kind: Literal["mill"]
+    cutter: Literal["cylinder", "ball", "bull"] = "cylinder"
+    diameter_mm: Annotated[float, Field(ge=0.1, le=200)]
+    corner_mm: Annotated[float, Field(ge=0, le=100, description="radius of the corners of a bull nose")] = 0.0
+    flute_mm: Annotated[float, Field(ge=0.1, le=500, description="cutting length behind the tip")]
+    overhang_mm: Annotated[float, Field(ge=1, le=800, description="from the nose of the holder to the tip")]
+    shank_diameter_mm: Annotated[
+        float | None, Field(ge=0.1, le=200, description="none: that of the cutter")
+    ] = None
+    holder: Annotated[
+        tuple[HolderPieceFile, ...],
+        Field(min_length=1, max_length=20, description="its pieces from the nose to the spindle"),
+    ] = (HolderPieceFile(length_mm=40, diameter_mm=50),)
+    spindle_diameter_mm: Annotated[float, Field(ge=10, le=600)] = 100.0
+    spindle_length_mm: Annotated[float, Field(ge=10, le=1500)] = 220.0
+    tilt_deg: Annotated[
+        float, Field(ge=-135, le=135, description="of the spindle against the flange's axis")
+    ] = 0.0
+    mass_kg: Annotated[
+        float | None, Field(ge=0.001, le=1000, description="of the whole tool; none: by its volume")
+    ] = None
+
+
+class PlainToolFile(Strict):
+    """Any tool: TCP and shapes in the flange frame, mass, centre of gravity."""
+
+    kind: Literal["plain"]
+    tcp: PoseFile
+    mass_kg: Annotated[float, Field(ge=0.001, le=1000)]
+    cog_mm: Vector = (0.0, 0.0, 50.0)
+    shapes: tuple[ShapeFile, ...] = ()
+
+
+ToolFile = Annotated[
+    WireHolderFile
+    | BowFile
+    | GripperPlateFile
+    | VacuumCupFile
+    | BallToolFile
+    | DiskToolFile
+    | HeatToolFile
+    | MillFile
+    | PlainToolFile,
+    Field(discriminator="kind"),
+]
+
+
+class ArmFile(Strict):
+    """One robot: catalogue name, base, tool, home joints as the controller shows them."""
+
+    name: Name
+    robot: str
+    base: PoseFile = PoseFile()
+    base_auto: bool = False
+    tool: ToolFile
+    home_deg: Annotated[
+        tuple[Angle, Angle, Angle, Angle, Angle, Angle] | None,
+        Field(description="joints at home; none: the upper arm upright, the forearm level"),
+    ] = None
+
+
+class ObstacleFile(Strict):
+    """A fixed body: its shapes are placed in the world."""
+
+    name: Name
+    shapes: Annotated[list[ShapeFile], Field(min_length=1)]
+
+
+class CellFile(Strict):
+    """A robot cell."""
+
+    name: str = "cell"
+    arms: Annotated[list[ArmFile], Field(min_length=1, max_length=2)]
+    obstacles: tuple[ObstacleFile, ...] = ()
+    grippers: Annotated[
+        tuple[Annotated[GripperPlateFile | VacuumCupFile, Field(discriminator="kind")], ...],
+        Field(max_length=40, description="those that lie ready; one is chosen for a block that is held"),
+    ] = ()
+    wires: Annotated[
+        tuple[WiresFile, ...] | None,
+        Field(min_length=1, max_length=50, description="bent wires at hand, from which one is chosen"),
+    ] = None
+    controller: ControllerFile = ControllerFile.model_validate({})
+
+
+def build(spec: CellFile, folder: Path) -> Cell:
+    """The cell in SI units; mesh files are looked up from ``folder``. Raises ``TandemError`` for meshes and
+    robots.
+    """
+    arms = []
+    for number, arm in enumerate(spec.arms):
+        try:
+            data = robot(arm.robot)
+        except TandemError as error:
+            here = [dataclasses.replace(issue, field=f"arms.{number}.robot") for issue in error.issues]
+            raise TandemError(here) from error
+        home = data.home if arm.home_deg is None else data.from_controller(np.array(arm.home_deg) * DEG)
+        if float(data.limit_margin(home)) < 0.0:
+            raise TandemError(_outside(arm, number, data))
+        mounted = tool(arm.tool, folder)
+        if mounted.mass > data.payload:
+            raise TandemError(too_heavy(arm.name, f"arms.{number}.tool", mounted, data))
+        arms.append(Arm(arm.name, arm.robot, arm.base.matrix(), mounted, home, arm.base_auto))
+    obstacles = tuple(
+        Obstacle(item.name, tuple(shape(s, folder) for s in item.shapes)) for item in spec.obstacles
+    )
+    controller = controllers(spec.controller, [arm.name for arm in spec.arms])
+    wires = wires_at_hand(spec.wires or ())
+    return Cell(spec.name, tuple(arms), obstacles, controller, _grippers(spec), wires)
+
+
+def _grippers(spec: CellFile) -> tuple[Gripper, ...]:
+    """The grippers that lie ready, each with a name of its own."""
+    out: list[Gripper] = []
+    for number, one in enumerate(spec.grippers):
+        plate = isinstance(one, GripperPlateFile)
+        size = (
+            f"{one.width_mm:g}x{one.depth_mm:g}"
+            if isinstance(one, GripperPlateFile)
+            else f"{2 * one.radius_mm:g}"
+        )
+        usual = f"{'plate' if plate else 'cup'}_{size}".replace(".", "_")
+        named = one.model_copy(update={"name": one.name or usual})
+        try:
+            made = tool(named, Path())
+        except ValueError as error:
+            raise TandemError(
+                Issue("problem.field", f"grippers.{number}: {error}", field=f"grippers.{number}")
+            ) from error
+        if made.name.lower() in [other.name.lower() for other in out]:
+            what = f"grippers.{number}: the name '{made.name}' is given more than once; name them apart"
+            raise TandemError(Issue("problem.duplicate_name", what, field=f"grippers.{number}"))
+        out += [made] if isinstance(made, Gripper) else []
+    return tuple(out)
+
+
+def shape(spec: ShapeFile, folder: Path) -> Shape:
+    """One shape in SI units."""
+    pose = spec.pose.matrix()
+    if isinstance(spec, BoxFile):
+        return Shape("box", tuple(v * MM for v in spec.size_mm), pose)
+    if isinstance(spec, RoundFile):
+        return Shape(spec.kind, (spec.radius_mm * MM, spec.length_mm * MM), pose)
+    if isinstance(spec, SphereFile):
+        return Shape("sphere", (spec.radius_mm * MM,), pose)
+    mesh = read_mesh(folder / spec.file, LENGTH_UNITS[spec.unit])
+    return Shape("mesh", (), pose, mesh.vertices, mesh.faces)
+
+
+def tool(spec: ToolFile, folder: Path) -> Tool:
+    """One tool in SI units."""
+    if isinstance(spec, WireHolderFile):
+        return wire_holder(spec.mounting, spec.side)
+    if isinstance(spec, BowFile):
+        return bow(spec.span_mm * MM, spec.throat_mm * MM, spec.wire_diameter_mm * MM, spec.tilt_deg * DEG)
+    if isinstance(spec, GripperPlateFile):
+        size = spec.width_mm * MM, spec.depth_mm * MM
+        return gripper_plate(*size, spec.reach_mm * MM, spec.holding_n, spec.name)
+    if isinstance(spec, VacuumCupFile):
+        return vacuum_cup(spec.radius_mm * MM, spec.reach_mm * MM, spec.holding_n, spec.name)
+    if isinstance(spec, BallToolFile | DiskToolFile | HeatToolFile):
+        return _forming_tool(spec)
+    if isinstance(spec, MillFile):
+        return _mill(spec)
+    shapes = tuple(shape(s, folder) for s in spec.shapes)
+    return plain("plain", spec.tcp.matrix(), shapes, spec.mass_kg, np.array(spec.cog_mm) * MM)
+
+
+def _forming_tool(spec: BallToolFile | DiskToolFile | HeatToolFile) -> FormingTool:
+    radius, length = spec.radius_mm * MM, spec.length_mm * MM
+    try:
+        if isinstance(spec, HeatToolFile):
+            return heat_tool(radius, length, spec.standoff_mm * MM)
+        if isinstance(spec, DiskToolFile):
+            return disk_tool(
+                radius, length, spec.thickness_mm * MM, spec.shaft_radius_mm * MM, spec.rim_mm * MM
+            )
+        shaft = None if spec.shaft_radius_mm is None else spec.shaft_radius_mm * MM
+        return ball_tool(radius, length, shaft, spec.neck_mm * MM, spec.tilt_deg * DEG)
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _mill(spec: MillFile) -> Mill:
+    shank = None if spec.shank_diameter_mm is None else 0.5 * spec.shank_diameter_mm * MM
+    try:
+        return mill(
+            spec.cutter,
+            0.5 * spec.diameter_mm * MM,
+            spec.corner_mm * MM,
+            spec.flute_mm * MM,
+            spec.overhang_mm * MM,
+            shank,
+            [(piece.length_mm * MM, 0.5 * piece.diameter_mm * MM) for piece in spec.holder],
+            (0.5 * spec.spindle_diameter_mm * MM, spec.spindle_length_mm * MM),
+            spec.tilt_deg * DEG,
+            spec.mass_kg,
+        )
+    except ValueError as error:
+        raise TandemError(Issue("problem.field", f"tool: {error}", field="tool")) from error
+
+
+def _outside(arm: ArmFile, number: int, data: RobotData) -> Issue:
+    limits = ", ".join(
+        f"{low:.0f} to {high:.0f}" for low, high in np.stack([data.lower, data.upper], axis=1) / DEG
+    )
+    got = ", ".join(f"{angle:g}" for angle in arm.home_deg or ())
+    return Issue(
+        "problem.field",
+        f"home_deg is [{got}], which {data.title} cannot take: its joints, counted without the parallel rod, "
+        f"go {limits} deg; correct it",
+        field=f"arms.{number}.home_deg",
+        arm=arm.name,
+    )
+
+
+def too_heavy(arm: str, field: str, tool: Tool, data: RobotData) -> Issue:
+    """A tool beyond the payload of the robot ``data``."""
+    return Issue(
+        "problem.field",
+        f"the tool weighs {tool.mass:g} kg, {data.title} carries {data.payload:g} kg; "
+        "take a larger robot or a lighter tool",
+        field=field,
+        arm=arm,
+        value=tool.mass,
+        limit=data.payload,
+        unit="kg",
+    )

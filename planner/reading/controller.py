@@ -1,0 +1,450 @@
+"""The controllers of a cell: schema, values in SI units, and what operations ask of their signals.
+
+Signals are of one use each, names fit what the controller allows, and options that are needed are
+there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from planner.catalogue.robots import robot
+from planner.claims.dialogue import Handshake, PartnerSignals, SignalWire
+from planner.issues import Issue, TandemError
+from planner.problem import Cell, Controller, DevicePlace, Interlock, Operation, PowerOutput
+from planner.reading.strict_yaml import Name, Strict
+
+SignalNumber = Annotated[int, Field(ge=1, le=4096)]
+"""``n`` of ``$IN[n]`` or ``$OUT[n]``."""
+
+
+class SignalsFile(Strict):
+    """Signals of one controller to the other one."""
+
+    output: Annotated[Name, Field(description="digital output to the other controller")] = "doPartner"
+    input: Annotated[Name, Field(description="digital input from the other controller")] = "diPartner"
+    running: Annotated[
+        Name, Field(description="output that the controller holds at 1 while its program runs")
+    ] = "doRunning"
+    partner_running: Annotated[
+        Name, Field(description="input from the other controller's `running`; its fall stops this arm")
+    ] = "diPartnerRunning"
+    move_enable: Annotated[
+        Name, Field(description="of a KUKA controller: output that is looped to the input of $MOVE_ENABLE")
+    ] = "doMoveEnable"
+
+
+class WireEndFile(Strict):
+    """One end of a wire between the controllers."""
+
+    arm: Name
+    signal: Name
+
+
+class SignalWireFile(Strict):
+    """A wire between the controllers."""
+
+    output: Annotated[WireEndFile, Field(description="the output that drives it")]
+    input: Annotated[WireEndFile, Field(description="the input that it drives")]
+
+
+class HandshakeFile(Strict):
+    """How two controllers meet that share digital signals only."""
+
+    kind: Annotated[
+        Literal["four_phase", "toggle"],
+        Field(description="signals change twice at each meeting and are 0 between, or once"),
+    ] = "four_phase"
+    every: Annotated[int, Field(ge=1, le=100, description="meet at every so many moves")] = 1
+    signals: Annotated[
+        dict[Name, SignalsFile],
+        Field(default_factory=dict, description="by arm; an arm not named has the defaults"),
+    ]
+    wires: Annotated[
+        tuple[SignalWireFile, ...],
+        Field(
+            max_length=4,
+            description="all four, of `output` and of `running`; none: each drives the other arm's input",
+        ),
+    ] = ()
+    timeout_s: Annotated[
+        float, Field(ge=0.1, le=3600, description="longest wait for the other arm at a step of joint work")
+    ] = 30.0
+    patience_s: Annotated[
+        float,
+        Field(
+            ge=1, le=86_400, description="longest wait while the other arm moves alone or asks the operator"
+        ),
+    ] = 3600.0
+
+
+class PowerOutputFile(Strict):
+    """The output that a request of the program drives."""
+
+    signal: Annotated[
+        Name | None, Field(description="its name, unless stated that of the request and `Out`")
+    ] = None
+    device: Annotated[
+        Name | None, Field(description="I/O device of an ABB controller; none: nothing is wired to it")
+    ] = None
+    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+
+
+class DevicePlaceFile(Strict):
+    """Where an end of a running wire is at an ABB controller."""
+
+    device: Annotated[Name, Field(description="I/O device")]
+    device_map: Annotated[int, Field(ge=0, le=4095, description="bit on that device")] = 0
+
+
+class InterlockFile(Strict):
+    """What the power hangs on besides the program."""
+
+    outputs: Annotated[
+        dict[Name, PowerOutputFile],
+        Field(default_factory=dict, description="by the signal that the program sets, which is a request"),
+    ]
+    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = "soCycleOn"
+    motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
+        "soMotorsOn"
+    )
+    places: Annotated[
+        dict[Name, dict[Name, DevicePlaceFile]],
+        Field(
+            default_factory=dict,
+            description="of `running` and `partner_running` at ABB controllers, by arm and signal",
+        ),
+    ]
+
+
+class ControllerFile(Strict):
+    """Names that the programs use, and whether one controller moves both arms (MultiMove) or each has its
+    own."""
+
+    sync: Annotated[
+        Literal["multimove", "handshake"],
+        Field(description="one controller, or two that share digital signals only"),
+    ] = "multimove"
+    tasks: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="T_ROB1, T_ROB2; with `handshake` T_ROB1 twice"),
+    ] = None
+    units: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="ROB_1, ROB_2; with `handshake` ROB_1 twice"),
+    ] = None
+    handshake: HandshakeFile | None = None
+    wire_signal: Name = "doWirePower"
+    dialect: Annotated[
+        Literal["krc4", "krc2"], Field(description="of KUKA arms: KSS 8.3 on, or the older subset")
+    ] = "krc4"
+    path: Annotated[
+        Literal["slin", "spline"],
+        Field(description="of KUKA arms: straight moves, or spline blocks with times (`krc4`, one arm)"),
+    ] = "slin"
+    io: Annotated[
+        dict[Name, dict[Name, SignalNumber]],
+        Field(
+            default_factory=dict, description="numbers of the signals of KUKA controllers, by arm and name"
+        ),
+    ]
+    robotware: Annotated[
+        Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
+    ] = 6
+    robots: Annotated[
+        tuple[Name, ...] | None,
+        Field(min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"),
+    ] = None
+    options: Annotated[
+        tuple[Annotated[str, Field(min_length=1, max_length=80)], ...] | None,
+        Field(description="options installed, as the controller lists them; none: not stated"),
+    ] = None
+    interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
+    max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
+    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
+
+
+def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
+    """The controller, or the two of them, of a cell with these arms. Raises ``TandemError``."""
+    alone = spec.sync == "handshake"
+    tasks = spec.tasks or (("T_ROB1", "T_ROB1") if alone else ("T_ROB1", "T_ROB2"))
+    units = spec.units or (("ROB_1", "ROB_1") if alone else ("ROB_1", "ROB_2"))
+    stated = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
+    for field, names in stated:
+        if len(names) < len(arms):
+            what = f"{len(names)} {field} for {len(arms)} arms; name one for each arm of the cell"
+            raise TandemError(Issue("post.tasks", what, field=f"controller.{field}"))
+        if not alone and len({name.lower() for name in names}) != len(names):
+            what = f"the {field} {', '.join(names)} are not different; give each arm its own"
+            raise TandemError(Issue("problem.duplicate_name", what, field=f"controller.{field}"))
+    for field, called in (("controller.tasks", tasks), ("arms", tuple(arms))):
+        if "controller" in (name.lower() for name in called):
+            what = "controller is the folder of files for controllers beside the programs; rename it"
+            raise TandemError(Issue("problem.field", what, field=field))
+    if spec.handshake is not None and not alone:
+        raise _wrong("", "a handshake is stated, but sync is multimove; set sync to handshake or take it out")
+    handshake = (
+        _handshake(spec.handshake or HandshakeFile.model_validate({}), arms, spec.wire_signal)
+        if alone
+        else Handshake()
+    )
+    _check_io(spec.io, arms, handshake if alone else None)
+    if spec.path == "spline":
+        _check_path(spec, len(arms))
+    return Controller(
+        tuple(tasks),
+        tuple(units),
+        spec.wire_signal,
+        spec.max_moves,
+        spec.max_kilobytes * 1000,
+        spec.sync,
+        handshake,
+        spec.dialect,
+        {arm: dict(numbers) for arm, numbers in spec.io.items()},
+        spec.path,
+        spec.robotware,
+        _interlock(spec.interlock),
+        tuple(spec.robots or ()),
+        spec.options,
+    )
+
+
+def _check_path(spec: ControllerFile, arms: int) -> None:
+    """Raise where spline blocks cannot be written or proven."""
+    if spec.dialect != "krc4":
+        what = f"path: spline with dialect: {spec.dialect}; allowed: krc4; set dialect: krc4 or path: slin"
+    elif spec.sync == "handshake" or arms > 1:
+        what = (
+            "path: spline for two arms, which would have to stand still at every meeting, and whose "
+            "distance between two of them is proven on straight moves; allowed: one arm alone; set path: slin"
+        )
+    else:
+        return
+    raise TandemError(Issue("problem.field", what, field="controller.path"))
+
+
+def _interlock(spec: InterlockFile) -> Interlock:
+    outputs = {
+        request: PowerOutput(item.signal or f"{request}Out", item.device or "", item.device_map)
+        for request, item in spec.outputs.items()
+    }
+    places = {
+        arm: {signal: DevicePlace(item.device, item.device_map) for signal, item in items.items()}
+        for arm, items in spec.places.items()
+    }
+    return Interlock(outputs, spec.cycle_signal, spec.motors_signal, places)
+
+
+def _check_io(io: Mapping[str, Mapping[str, int]], arms: Sequence[str], handshake: Handshake | None) -> None:
+    """Raise where numbers are stated for an arm that is not there, or two signals share one."""
+    for arm, numbers in io.items():
+        if arm not in arms:
+            what = f"the cell has no arm {arm}; allowed: {', '.join(arms)}"
+            raise TandemError(Issue("problem.field", what, field="controller.io"))
+        own = handshake.of(arm) if handshake else None
+        inputs = {own.input.lower(), own.partner_running.lower()} if own else set()
+        used: dict[tuple[bool, int] | str, str] = {}
+        for name, number in numbers.items():
+            for key in ((name.lower() in inputs, number), name.lower()):
+                if key in used:
+                    what = f"{used[key]} and {name} (number {number}) cannot be told apart"
+                    issue = Issue(
+                        "problem.field",
+                        f"{what}; give each a name and a number of its own",
+                        field=f"controller.io.{arm}",
+                    )
+                    raise TandemError(issue)
+            used |= {(name.lower() in inputs, number): name, name.lower(): name}
+
+
+def _handshake(spec: HandshakeFile, arms: Sequence[str], power: str) -> Handshake:
+    if len(arms) != 2:
+        raise _wrong("", f"the cell has {len(arms)} arm; a handshake joins the controllers of two")
+    for name in spec.signals:
+        if name not in arms:
+            raise _wrong("signals", f"the cell has no arm {name}; allowed: {', '.join(arms)}")
+    signals = {
+        arm: PartnerSignals(
+            names.output, names.input, names.running, names.partner_running, names.move_enable
+        )
+        for arm in arms
+        for names in [spec.signals.get(arm, SignalsFile())]
+    }
+    for arm, names in signals.items():
+        words = [*dataclasses.astuple(names), power]
+        if len({word.lower() for word in words}) != len(words):
+            what = f"{', '.join(words[:-1])} and {power} (the wire's power) must be {len(words)} signals"
+            raise _wrong(f"signals.{arm}", f"{what}; give them different names")
+    wires = tuple(SignalWire(w.output.arm, w.output.signal, w.input.arm, w.input.signal) for w in spec.wires)
+    _check_wires(wires, signals)
+    runs = [wire.output.lower() == signals[wire.source].running.lower() for wire in wires]
+    meet = tuple(wire for wire, running in zip(wires, runs, strict=True) if not running)
+    watch = tuple(wire for wire, running in zip(wires, runs, strict=True) if running)
+    return Handshake(spec.kind, spec.every, signals, meet, watch, spec.timeout_s, spec.patience_s)
+
+
+def _check_wires(wires: Sequence[SignalWire], signals: Mapping[str, PartnerSignals]) -> None:
+    """Raise where stated wires are not two from each controller to the other one: from output to input, and
+    from running output to running input."""
+    if not wires:
+        return
+    first, second = signals
+    wanted = [
+        SignalWire(a, output, b, given)
+        for a, b in ((first, second), (second, first))
+        for output, given in (
+            (signals[a].output, signals[b].input),
+            (signals[a].running, signals[b].partner_running),
+        )
+    ]
+    got = {(w.source, w.output.lower(), w.sink, w.input.lower()) for w in wires}
+    for wire in wanted:
+        if (wire.source, wire.output.lower(), wire.sink, wire.input.lower()) not in got:
+            what = f"no wire leads from {wire.output} of {wire.source} to {wire.input} of {wire.sink}"
+            raise _wrong("wires", f"{what}; add it, name the signals as they are, or leave wires out")
+
+
+def _wrong(field: str, message: str) -> TandemError:
+    place = "controller.handshake" + (f".{field}" if field else "")
+    return TandemError(Issue("problem.field", message, field=place))
+
+
+RAPID_NAME: Final = 32
+SWITCHED_NAME: Final = 28
+"""The longest names [characters] of signals, and of those that programs switch."""
+
+_COORDINATED: Final = {6: "604-1 MultiMove Coordinated", 7: "3102-1 MultiMove Coordinated"}
+"""What one ABB controller needs to move two arms together, by RobotWare."""
+
+
+def faults(cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
+    """Signals that two uses share, names that are too long (both ``problem.field``), and options that are
+    missing (``post.option``), each with its field in the problem file."""
+    used = [(f"operations.{index}", operation) for index, operation in enumerate(operations)]
+    return [*_signals(cell, used), *_places(cell), *_options(cell.controller, cell, operations)]
+
+
+def _signals(cell: Cell, operations: Sequence[tuple[str, Operation]]) -> list[Issue]:
+    """Each name has one use; requests of one use may come again."""
+    controller = cell.controller
+    uses: dict[str, str] = {}
+    issues: list[Issue] = []
+
+    def use(name: str, what: str, field: str, longest: int = RAPID_NAME) -> None:
+        before = uses.setdefault(name.lower(), what)
+        if before != what:
+            got = f"{name} is to be {before} and {what}; a signal has one use"
+            issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
+        if len(name) > longest:
+            got = f"{name} has {len(name)} characters; allowed: {longest}"
+            issues.append(Issue("problem.field", got, field=field, hint="shorten the name"))
+
+    lock, place = controller.interlock, "cell.controller.interlock"
+    if controller.sync == "handshake":
+        for arm in cell.arms:
+            own = controller.handshake.of(arm.name)
+            field = f"cell.controller.handshake.signals.{arm.name}"
+            use(own.output, "an output to the other controller", field)
+            use(own.input, "an input from the other controller", field)
+    use(lock.cycle, "what says that a program runs", f"{place}.cycle_signal")
+    use(lock.motors, "what says that motors are on", f"{place}.motors_signal")
+    for field, operation in operations:
+        die = getattr(operation, "die", None)
+        if die is not None and getattr(die, "holder", "") == "sinking":
+            use(die.signal, "the pulse of a clamp that sinks", f"{field}.die.signal", SWITCHED_NAME)
+        signal = getattr(operation, "signal", None)
+        if isinstance(signal, str):
+            what = "the power of a spindle" if operation.process == "milling" else "the power of a wire"
+            use(signal, what, f"{field}.signal", SWITCHED_NAME)
+            use(lock.of(signal).signal, f"the output that {signal} drives", f"{place}.outputs")
+    for arm in cell.arms:
+        for request, output in lock.outputs.items():
+            if controller.number(arm.name, request) and not controller.number(arm.name, output.signal):
+                got = (
+                    f"{output.signal} has no number on the controller of arm {arm.name}, where {request} has"
+                )
+                hint = f"add it to controller: {{io: {{{arm.name}: ...}}}}"
+                issues.append(Issue("problem.field", got, field=f"{place}.outputs.{request}", hint=hint))
+    wired: dict[tuple[str, int], str] = {}
+    for request, output in lock.outputs.items():
+        key = (output.device.lower(), output.bit)
+        if output.device and key in wired:
+            got = f"{wired[key]} and {output.signal} are both bit {output.bit} of {output.device}"
+            hint = "give each output a bit of its own (device_map)"
+            issues.append(Issue("problem.field", got, field=f"{place}.outputs.{request}", hint=hint))
+        wired[key] = output.signal
+    if controller.sync == "handshake":
+        issues += _running(cell, operations, uses)
+    return issues
+
+
+def _running(cell: Cell, operations: Sequence[tuple[str, Operation]], uses: Mapping[str, str]) -> list[Issue]:
+    """Ends of the running wires have names of their own at their controller, and ABB's bits of their own."""
+    lock, order = cell.controller.interlock, [arm.name for arm in cell.arms]
+    issues = []
+    for arm in cell.arms:
+        own = cell.controller.handshake.of(arm.name)
+        field = f"cell.controller.handshake.signals.{arm.name}"
+        for name in (own.running, own.partner_running, own.lost):
+            if name.lower() in uses:
+                got = f"{name} is to be {uses[name.lower()]} and an end of a running wire"
+                got += "; a signal has one use"
+                issues.append(Issue("problem.field", got, field=field, hint="give them different signals"))
+        taken: dict[tuple[str, int], str] = {}
+        for _, operation in operations:
+            signal = getattr(operation, "signal", None)
+            if isinstance(signal, str) and min(operation.arms, key=order.index) == arm.name:
+                output = lock.of(signal)
+                taken |= {(output.device.lower(), output.bit): output.signal} if output.device else {}
+        place = lock.place(arm.name, own.running)
+        if place is not None and (place.device.lower(), place.bit) in taken:
+            other = taken[place.device.lower(), place.bit]
+            got = f"{other} and {own.running} are both bit {place.bit} of {place.device}"
+            hint = "give each output a bit of its own (device_map)"
+            field = f"cell.controller.interlock.places.{arm.name}"
+            issues.append(Issue("problem.field", got, field=field, hint=hint))
+    return issues
+
+
+def _places(cell: Cell) -> list[Issue]:
+    """Places are stated of the running wires' ends at ABB controllers that have them."""
+    controller, issues = cell.controller, []
+    ends = {
+        arm.name: [own.running, own.partner_running]
+        for arm in cell.arms
+        for own in [controller.handshake.of(arm.name)]
+        if controller.sync == "handshake" and robot(arm.robot).family == "ABB"
+    }
+    for arm, places in controller.interlock.places.items():
+        known = [name.lower() for name in ends.get(arm, ())]
+        for signal in places:
+            if signal.lower() not in known:
+                got = f"arm {arm} has no end {signal} of a running wire at an ABB controller"
+                may = "; ".join(f"{name}: {', '.join(names)}" for name, names in ends.items()) or "none"
+                field = f"cell.controller.interlock.places.{arm}"
+                issues.append(
+                    Issue("problem.field", f"{got}; allowed: {may}", field=field, hint="take it out")
+                )
+    return issues
+
+
+def _options(controller: Controller, cell: Cell, operations: Sequence[Operation]) -> list[Issue]:
+    """One ABB controller that moves two arms needs MultiMove; a cell that states no options is not asked."""
+    arms = {arm for operation in operations for arm in operation.arms}
+    together = [arm for arm in cell.arms if arm.name in arms and robot(arm.robot).family == "ABB"]
+    if controller.options is None or controller.sync == "handshake" or len(together) < 2:
+        return []
+    wanted = _COORDINATED[controller.robotware]
+    if any(option.split()[:1] == wanted.split()[:1] for option in controller.options):
+        return []
+    got = f"two arms on one controller need the option {wanted}; the cell lists {_listed(controller)}"
+    hint = "install the option, or take two controllers that share signals (sync: handshake)"
+    return [Issue("post.option", got, field="cell.controller.options", hint=hint)]
+
+
+def _listed(controller: Controller) -> str:
+    return ", ".join(controller.options or ()) or "none"

@@ -1,0 +1,254 @@
+"""Strict YAML files: the line of every field, and a base for schemas that refuses unknown keys.
+
+A refused value can be found in the file by its line. Schemas share numbers, vectors and names with
+their ranges.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+from planner.files import is_file
+from planner.issues import Issue, TandemError
+
+try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
+    from yaml import CSafeLoader as _SafeLoader
+except ImportError:
+    from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
+
+MAX_BYTES = 5_000_000
+"""A problem or cell file larger than this is refused unread; parts belong in files of their own."""
+
+
+MAX_VALUES = 500_000
+"""At most so many values in a file, aliases written out: a few lines of them can stand for billions."""
+MAX_DEPTH = 50
+_TOO_MANY = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
+_TOO_DEEP = f"is nested more than {MAX_DEPTH} deep; write it flatter"
+PLAIN = {
+    f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map", "merge")
+}
+
+
+class _Loader(_SafeLoader):
+    """SafeLoader that reads 1e-3 as a number (YAML 1.2), as people expect, and a date as text."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if not tag.endswith(":timestamp")]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+0123456789."),
+)
+
+
+class Document:
+    """A parsed file: ``data`` as plain values, :meth:`line` for the place of a field."""
+
+    def __init__(self, path: Path, data: Any, root: yaml.Node | None, text: bytes) -> None:
+        self.path = path
+        self.data = data
+        self.text = text
+        self._root = root
+
+    def with_data(self, data: Any) -> Document:
+        """The same file with other values in the same places."""
+        return Document(self.path, data, self._root, self.text)
+
+    def line(self, location: tuple[str | int, ...]) -> int | None:
+        """Line, from 1, of the deepest part of ``location`` that the file has."""
+        node, line = self._root, None
+        for step in location:
+            child = _child(node, step)
+            if child is None:
+                break
+            node, line = child
+        return line if line is not None else (1 if self._root is not None else None)
+
+
+def read(path: Path) -> Document:
+    """Parse a YAML file whose top level is a mapping.
+
+    Raises ``TandemError`` with ``problem.missing_file``, ``problem.too_large``, ``problem.duplicate_name`` or
+    ``problem.not_yaml``.
+    """
+    name = str(path)
+    if not is_file(path):
+        raise TandemError(Issue("problem.missing_file", f"{name}: no such file; check the path", file=name))
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise TandemError(
+            Issue(
+                "problem.too_large",
+                f"{name}: {size / 1e6:.1f} MB, at most {MAX_BYTES / 1e6:.0f} MB are read as a problem file; "
+                "put meshes and point lists into files of their own",
+                file=name,
+                value=size / 1e6,
+                limit=MAX_BYTES / 1e6,
+                unit="MB",
+            )
+        )
+    try:
+        raw = path.read_bytes()
+        text = raw.decode("utf-8-sig")
+        _refuse_too_large(text, name)
+        root = yaml.compose(text, Loader=_Loader)
+        if root is not None:
+            _refuse_what_is_not_plain(root, name)
+            _refuse_repeated(root, name)
+        data = yaml.load(text, Loader=_Loader)  # a SafeLoader
+    except OSError as error:
+        raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
+    except RecursionError as error:
+        raise _not_yaml(name, _TOO_DEEP) from error
+    except (
+        yaml.YAMLError,
+        ValueError,
+        KeyError,
+        AttributeError,
+    ) as error:  # values of a tag that are not its
+        mark = getattr(error, "problem_mark", None)
+        detail = getattr(error, "problem", None) or str(error).splitlines()[0]
+        line = mark.line + 1 if mark else None
+        tabs = line is not None and "\t" in (text.splitlines()[line - 1 : line] or [""])[0]
+        remedy = "indent with spaces, not tabs" if tabs else "a problem file is a mapping such as 'tandem: 1'"
+        what = f"is not YAML: {detail}; {remedy}"
+        raise _not_yaml(name, what, line) from error
+    if not isinstance(data, dict):
+        got = type(data).__name__ if data is not None else "nothing"
+        what = f"has {got} at its top level; write a mapping that begins with 'tandem: 1'"
+        raise _not_yaml(name, what, 1)
+    return Document(path, data, root, raw)
+
+
+def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if key.value == str(step):
+                return value, key.start_mark.line + 1
+    if isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):
+        child = node.value[step]
+        return child, child.start_mark.line + 1
+    return None
+
+
+def _not_yaml(name: str, what: str, line: int | None = None) -> TandemError:
+    return TandemError(Issue("problem.not_yaml", f"{name} {what}", file=name, line=line))
+
+
+def _refuse_too_large(text: str, name: str) -> None:
+    """Counts values and depth as they are read, before anything is built of them: building what 5 MB can hold
+    takes minutes. Each value has at most one key."""
+    nodes = depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        elif isinstance(event, yaml.NodeEvent):
+            nodes += 1
+            depth += isinstance(event, yaml.CollectionStartEvent)
+        if nodes > 2 * MAX_VALUES or depth > MAX_DEPTH:
+            line = event.start_mark.line + 1 if event.start_mark else None
+            raise _not_yaml(name, _TOO_DEEP if depth > MAX_DEPTH else _TOO_MANY, line)
+
+
+def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
+    """Only text, numbers, lists and mappings by text; no loops, and no more than is sensible when aliases are
+    written out.
+    """
+    sizes: dict[int, int] = {}
+    open_nodes: set[int] = set()
+
+    def size(node: yaml.Node, depth: int) -> int:
+        line = node.start_mark.line + 1
+        if id(node) in open_nodes:
+            raise _not_yaml(name, "has an alias that contains itself; write the values out", line)
+        if depth > MAX_DEPTH:
+            raise _not_yaml(name, _TOO_DEEP, line)
+        if node.tag not in PLAIN:
+            raise _not_yaml(name, f"has a value with the tag {node.tag!r}; write plain values", line)
+        if isinstance(node, yaml.ScalarNode):
+            if any("\ud800" <= letter <= "\udfff" for letter in node.value):
+                raise _not_yaml(name, "has half a character (a lone surrogate); remove it", line)
+            return 1
+        if id(node) in sizes:
+            return sizes[id(node)]
+        children = node.value
+        if isinstance(node, yaml.MappingNode):
+            for key, _ in node.value:
+                if key.tag not in ("tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"):
+                    what = f"has the key {key.value!r}, which is not text; write it as a name"
+                    raise _not_yaml(
+                        name,
+                        what
+                        if isinstance(key, yaml.ScalarNode)
+                        else "has a key that is not text; write a name",
+                        key.start_mark.line + 1,
+                    )
+            children = [value for _, value in node.value]
+        open_nodes.add(id(node))
+        total = 1 + sum(size(child, depth + 1) for child in children)
+        open_nodes.remove(id(node))
+        if total > MAX_VALUES:
+            raise _not_yaml(name, _TOO_MANY, line)
+        sizes[id(node)] = total
+        return total
+
+    size(root, 0)
+
+
+def _refuse_repeated(node: yaml.Node, name: str) -> None:
+    """YAML lets a later key overwrite an earlier one in silence; a problem file may not."""
+    stack: list[yaml.Node] = [node]
+    seen_nodes: set[int] = set()
+    while stack:
+        current = stack.pop()
+        if id(current) in seen_nodes:
+            continue
+        seen_nodes.add(id(current))
+        if isinstance(current, yaml.MappingNode):
+            seen: set[str] = set()
+            for key, value in current.value:
+                if key.value in seen:
+                    raise TandemError(
+                        Issue(
+                            "problem.duplicate_name",
+                            f"key '{key.value}' stands twice in one mapping; keep one",
+                            file=name,
+                            line=key.start_mark.line + 1,
+                            field=str(key.value),
+                        )
+                    )
+                seen.add(key.value)
+                stack.append(value)
+        elif isinstance(current, yaml.SequenceNode):
+            stack.extend(current.value)
+
+
+Far = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A coordinate [mm]: a cell is not larger than 100 m."""
+Angle = Annotated[float, Field(ge=-720, le=720)]
+"""An angle [deg]."""
+Vector = tuple[Far, Far, Far]
+Positive = Annotated[float, Field(ge=0.01, le=100_000)]
+"""A length [mm] of a body."""
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Scale = Annotated[float, Field(gt=0, le=100_000)]
+Unit = Literal["mm", "cm", "m", "in", "ft"]
+Name = Annotated[
+    str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$", description="letter first, at most 24 characters")
+]
+FileName = Annotated[str, Field(min_length=1, max_length=1000)]
+
+
+class Strict(BaseModel):
+    """Base of every schema: unknown keys and non-finite numbers are refused, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

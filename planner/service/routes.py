@@ -1,0 +1,463 @@
+"""The API's routes: jobs over HTTP; schemas, catalogue, issue codes, health, figures; sessions.
+
+Every route is given the service, who asks, and the job that is asked for. Schemas and catalogue are
+imported when they are asked for: with all processes they take seconds to load.
+
+Figures of the service are in Prometheus's text format (version 0.0.4).
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import resource
+import threading
+import time
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Final, get_args
+
+from fastapi import APIRouter, Cookie, Depends, Header, Query, Request, Response, Security
+from fastapi.responses import FileResponse, PlainTextResponse, StreamingResponse
+from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
+
+import planner
+from planner.catalogue.issue_codes import CODES
+from planner.issues import Issue, has_errors
+from planner.service.jobs import Stream
+from planner.service.models import (
+    OPEN,
+    Catalogue,
+    CheckOut,
+    FileList,
+    FileOut,
+    Health,
+    JobList,
+    JobOut,
+    Kind,
+    Refusal,
+    State,
+    Storage,
+)
+from planner.service.security import LOCAL, SESSION_S, RefusedError, unauthorised, unknown_job
+from planner.service.service import Service
+from planner.service.storage import Blob
+from planner.service.upload import documented, take
+
+COOKIE: Final = "tandem_session"
+_BEARER: Final = HTTPBearer(auto_error=False, description="a token that `tandem token add` made")
+_COOKIE: Final = APIKeyCookie(name=COOKIE, auto_error=False, description="what POST /v1/session set")
+_JOB: Final = re.compile(r"[0-9a-f]{32}")
+
+REFUSALS: Final = {
+    401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
+    403: {"model": Refusal, "description": "another token's job, or a request of another site"},
+    404: {"model": Refusal, "description": "there is no such thing"},
+    413: {"model": Refusal, "description": "larger than this service takes"},
+    422: {"model": Refusal, "description": "all that is wrong, by code and field"},
+    503: {"model": Refusal, "description": "the service is stopping; see Retry-After"},
+    507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
+    429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
+}
+
+
+def service(request: Request) -> Service:
+    """The service that the application belongs to."""
+    found = request.app.state.service
+    if not isinstance(found, Service):
+        raise TypeError("the application has no service")
+    return found
+
+
+def caller(
+    request: Request,
+    bearer: Annotated[HTTPAuthorizationCredentials | None, Security(_BEARER)] = None,
+    cookie: Annotated[str | None, Security(_COOKIE)] = None,
+) -> str:
+    """The owner of what is asked; raises :class:`RefusedError`, 401."""
+    here = service(request)
+    if bearer is not None:
+        return here.auth.owner(bearer.credentials)
+    if "authorization" in request.headers:
+        raise unauthorised("the Authorization header is no bearer token; send 'Bearer TOKEN'")
+    if cookie is not None:
+        return here.auth.session(cookie)
+    if here.options.tokens_required:
+        raise unauthorised("a token is needed; send the header 'Authorization: Bearer TOKEN'")
+    return LOCAL
+
+
+Caller = Annotated[str, Depends(caller)]
+Here = Annotated[Service, Depends(service)]
+
+
+def own_job(job: str, owner: Caller, here: Here) -> JobOut:
+    """The job, if it is the caller's; raises :class:`RefusedError`, 403 or 404."""
+    if not _JOB.fullmatch(job):
+        raise unknown_job(job)
+    belongs_to, found = here.jobs.get(job)
+    if belongs_to != owner:
+        raise RefusedError(403, Issue("service.foreign", f"job {job}: it belongs to another token"))
+    return found
+
+
+OwnJob = Annotated[JobOut, Depends(own_job)]
+
+
+STARTED: Final = time.time()
+
+
+class Counter:
+    """Requests by method and status."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counts: dict[tuple[str, int], int] = {}
+
+    def count(self, method: str, status: int) -> None:
+        """One more."""
+        with self._lock:
+            self._counts[method, status] = self._counts.get((method, status), 0) + 1
+
+    def rows(self) -> list[tuple[Mapping[str, str], float]]:
+        """All counts with their labels."""
+        with self._lock:
+            return [({"method": m, "status": str(s)}, n) for (m, s), n in sorted(self._counts.items())]
+
+
+REQUESTS: Final = Counter()
+
+
+def text(here: Service) -> str:
+    """All figures of an instance; jobs are those of the store."""
+    counts = here.jobs.counts()
+    jobs = [({"state": state}, float(counts.get(state, 0))) for state in get_args(State)]
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+    return "".join(
+        (
+            _figure("tandem_info", "gauge", "Version.", [({"version": planner.__version__}, 1.0)]),
+            _figure("tandem_jobs", "gauge", "Jobs in the store by state.", jobs),
+            _figure("tandem_files_bytes", "gauge", "Stored files.", [({}, float(here.files.used))]),
+            _figure("tandem_workers", "gauge", "Worker processes.", [({}, float(here.options.workers))]),
+            _figure(
+                "tandem_planning",
+                "gauge",
+                "Whether jobs are being planned.",
+                [({}, float(here.runner.healthy))],
+            ),
+            _figure("tandem_http_requests_total", "counter", "Requests answered.", REQUESTS.rows()),
+            _figure("process_start_time_seconds", "gauge", "Start, seconds since 1970.", [({}, STARTED)]),
+            _figure("process_max_resident_memory_bytes", "gauge", "Most memory held.", [({}, memory)]),
+        )
+    )
+
+
+def _figure(name: str, kind: str, about: str, rows: Iterable[tuple[Mapping[str, str], float]]) -> str:
+    lines = [f"# HELP {name} {about}", f"# TYPE {name} {kind}"]
+    for labels, value in rows:
+        inner = ",".join(f'{key}="{label}"' for key, label in labels.items())
+        lines.append(f"{name}{{{inner}}} {value:.17g}" if inner else f"{name} {value:.17g}")
+    return "\n".join([*lines, ""])
+
+
+about_router: Final = APIRouter(tags=["about"], responses=REFUSALS)  # type: ignore[arg-type]
+
+
+@about_router.get("/v1/health", responses={503: {"model": Health}}, summary="Whether the service works")
+def health(here: Here, response: Response) -> Health:
+    """Needs no token. 503 where jobs are not being planned."""
+    counts = here.jobs.counts()
+    healthy = here.runner.healthy
+    response.status_code = 200 if healthy else 503
+    return Health(
+        status="ok" if healthy else "degraded",
+        version=planner.__version__,
+        workers=here.options.workers,
+        queued=counts.get("queued", 0),
+        running=counts.get("running", 0),
+    )
+
+
+@about_router.get("/metrics", response_class=PlainTextResponse, summary="Figures for Prometheus")
+def metrics(owner: Caller, here: Here) -> PlainTextResponse:
+    """In Prometheus's text format."""
+    del owner
+    return PlainTextResponse(text(here), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+@about_router.get("/v1/processes", summary="The processes")
+def known_processes(owner: Caller) -> dict[str, str]:
+    """What each one does, by the word that problem files use."""
+    del owner
+    from planner import processes
+
+    return {name: " ".join((m.__doc__ or "").split()) for name, m in processes.schemas().items()}
+
+
+@about_router.get("/v1/processes/{name}/schema", summary="JSON schema of a process's operation")
+def process_schema(name: str, owner: Caller) -> dict[str, Any]:
+    """The fields of an operation, with ranges, defaults and help; units end their names."""
+    del owner
+    from planner.service import catalogue
+
+    return catalogue.process(name)
+
+
+@about_router.get("/v1/schema", summary="JSON schema of problem files")
+def problem_schema(owner: Caller) -> dict[str, Any]:
+    """The whole file with the operations of all processes."""
+    del owner
+    from planner.service import catalogue
+
+    return catalogue.problem_file()
+
+
+@about_router.get("/v1/catalogue/{kind}", summary="What is built in")
+def catalogue_of(kind: Kind, owner: Caller) -> Catalogue:
+    """Robots and materials with the sources of their figures, tools with their schemas, cells as problem
+    files may have them inside."""
+    del owner
+    from planner.service import catalogue
+
+    return Catalogue(entries=catalogue.entries(kind))
+
+
+@about_router.get("/v1/issues", summary="Issue codes")
+def issue_codes(owner: Caller) -> dict[str, str]:
+    """Every code with its meaning."""
+    del owner
+    return {code: row.meaning for code, row in CODES.items()}
+
+
+@about_router.get("/v1/storage", summary="Room for files")
+def storage(owner: Caller, here: Here) -> Storage:
+    """What your files take, and may take."""
+    return Storage(used_mb=here.storage.used(owner) / 1e6, limit_mb=here.limits.token_disk_mb)
+
+
+@about_router.post("/v1/session", status_code=204, summary="Log a browser in")
+def log_in(request: Request, owner: Caller, here: Here) -> Response:
+    """Sets a cookie in exchange for the token of the Authorization header; pages cannot read it."""
+    response = Response(status_code=204)
+    if owner != LOCAL:
+        response.set_cookie(
+            COOKIE,
+            here.auth.open_session(owner),
+            max_age=int(SESSION_S),
+            httponly=True,
+            samesite="strict",
+            secure=request.url.scheme == "https",
+        )
+    return response
+
+
+@about_router.delete("/v1/session", status_code=204, summary="Log a browser out")
+def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) -> Response:
+    """Ends the session of the cookie."""
+    if tandem_session is not None:
+        here.auth.close_session(tandem_session)
+    response = Response(status_code=204)
+    response.delete_cookie(COOKIE)
+    return response
+
+
+job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=REFUSALS)  # type: ignore[arg-type]
+UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
+TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".json": "application/json",
+    ".obj": "model/obj",
+    ".npz": "application/octet-stream",
+    ".yaml": "application/yaml",
+    **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat"), "text/plain; charset=utf-8"),
+}
+SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
+"""What is in a report came from a user: it runs apart from this site, without its cookies."""
+PAGE: Final = 50
+EVENT: Final = {
+    "type": "object",
+    "description": "one event of the stream",
+    "properties": {
+        "id": {"type": "string"},
+        "event": {"enum": ["state", "progress", "issues", "end"]},
+        "data": {"type": "string", "description": "JSON"},
+    },
+}
+
+
+@job_router.post(
+    "/jobs",
+    status_code=201,
+    response_model_exclude_none=True,
+    openapi_extra=UPLOADS,
+    summary="Plan a problem",
+)
+async def create(
+    request: Request,
+    owner: Caller,
+    here: Here,
+    timeout_s: Annotated[
+        float | None,
+        Query(gt=0, le=1e6, description="stop planning after so long; the service has a limit too"),
+    ] = None,
+    memory_mb: Annotated[
+        float | None, Query(gt=0, le=1e6, description="stop planning at so much memory; likewise")
+    ] = None,
+) -> JobOut:
+    """Upload a problem with its files. An identical problem that was planned before has its answer at
+    once."""
+    upload = await take(request, here.storage, owner, here.limits)
+    return await here.in_turn(
+        request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
+    )
+
+
+@job_router.post(
+    "/check", response_model_exclude_none=True, openapi_extra=UPLOADS, summary="Validate without planning"
+)
+async def check(
+    request: Request,
+    owner: Caller,
+    here: Here,
+    reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
+) -> CheckOut:
+    """Read a problem and say what is in its way; a file that cannot be read is 422."""
+    upload = await take(request, here.storage, owner, here.limits)
+    read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
+    return CheckOut(
+        ok=not has_errors(read.issues),
+        name=read.name,
+        digest=read.digest,
+        processes=list(read.processes),
+        summary=dict(read.summary),
+        issues=list(read.issues),
+    )
+
+
+@job_router.get("/jobs", response_model_exclude_none=True, summary="List your jobs")
+def page(
+    owner: Caller,
+    here: Here,
+    limit: Annotated[int, Query(ge=1, le=200)] = PAGE,
+    cursor: Annotated[
+        str | None,
+        Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
+    ] = None,
+    state: Annotated[list[State] | None, Query(description="these states alone")] = None,
+) -> JobList:
+    """The newest first, a page at a time."""
+    found, following = here.jobs.page(owner, state or [], cursor, limit)
+    return JobList(jobs=found, next=following)
+
+
+@job_router.get("/jobs/{job}", response_model_exclude_none=True, summary="State of a job")
+def get(found: OwnJob) -> JobOut:
+    """State, stage, issues, figures."""
+    return found
+
+
+@job_router.get(
+    "/jobs/{job}/events",
+    summary="Events of a job as they happen",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {"schema": EVENT}}}},
+)
+def events(
+    found: OwnJob,
+    owner: Caller,
+    here: Here,
+    last_event_id: Annotated[str | None, Header()] = None,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="events up to this number are known")] = 0,
+) -> StreamingResponse:
+    """Server-sent events from the first on, or after ``Last-Event-ID``: ``state`` {state}, ``progress``
+    {stage, fraction}, ``issues`` {issues; with ``all`` they are the whole list}, ``end`` when no more will
+    come."""
+    if last_event_id is not None and last_event_id.isdecimal() and len(last_event_id) < 10:
+        after = int(last_event_id)
+    return Stream(here.hub, owner, found.id, after)
+
+
+@job_router.post("/jobs/{job}/cancel", response_model_exclude_none=True, summary="Cancel a job")
+def cancel(found: OwnJob, here: Here) -> JobOut:
+    """A job that waits is cancelled at once; one that runs has its worker stopped within a second or two.
+    One that has ended stays as it is."""
+    return here.jobs.cancel(found.id)
+
+
+@job_router.delete("/jobs/{job}", status_code=204, summary="Delete a job")
+def delete(found: OwnJob, here: Here) -> Response:
+    """Delete a job with its files; one that runs is cancelled."""
+    here.jobs.cancel(found.id, also_delete=True)
+    return Response(status_code=204)
+
+
+@job_router.get("/jobs/{job}/files", summary="Files of a job")
+def files(found: OwnJob, here: Here) -> FileList:
+    """Its problem (``problem/...``), and its results when it has ended."""
+    known = here.jobs.files(found.id)
+    return FileList(files=[file_out(name, blob) for name, blob in sorted(known.items())])
+
+
+@job_router.get(
+    "/jobs/{job}/files/{name:path}",
+    summary="A file of a job",
+    response_class=FileResponse,
+    responses={200: {"content": {"application/octet-stream": {"schema": {"type": "string"}}}}},
+)
+def file(
+    found: OwnJob,
+    name: str,
+    here: Here,
+    download: Annotated[bool, Query(description="for saving, not for showing")] = False,
+) -> FileResponse:
+    """The file of that name in the list of files."""
+    blob = here.jobs.files(found.id).get(name)
+    if blob is None:
+        what = f"job {found.id} has no file {name[:200]!r}; list its files"
+        raise RefusedError(404, Issue("service.unknown_file", what, field="name"))
+    headers = {"ETag": f'"{blob.sha}"', "Cache-Control": "private, max-age=3600"}
+    if name.endswith(".html"):
+        headers["Content-Security-Policy"] = SANDBOX
+    return FileResponse(
+        here.files.path(blob.sha),
+        media_type=content_type(name),
+        filename=PurePosixPath(name).name if download else None,
+        headers=headers,
+    )
+
+
+@job_router.get(
+    "/jobs/{job}/programs.zip",
+    summary="The programs of a job",
+    response_class=Response,
+    responses={200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}},
+)
+def programs(found: OwnJob, here: Here) -> Response:
+    """All programs in one archive; they are there if the proof holds."""
+    known = {n: blob for n, blob in here.jobs.files(found.id).items() if n.startswith("programs/")}
+    if not known:
+        waiting = found.state in OPEN
+        what = f"job {found.id} has no programs: it is {found.state}; "
+        what += "ask again when it has ended" if waiting else f"its issues say why: GET /v1/jobs/{found.id}"
+        raise RefusedError(404, Issue("service.unknown_file", what))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, blob in sorted(known.items()):
+            info = zipfile.ZipInfo(name.removeprefix("programs/"))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(info, here.files.read(blob.sha))
+    headers = {"Content-Disposition": f'attachment; filename="{found.name}.zip"'}
+    return Response(packed.getvalue(), media_type="application/zip", headers=headers)
+
+
+def file_out(name: str, blob: Blob) -> FileOut:
+    """A file as the list has it."""
+    return FileOut(name=name, size=blob.size, sha256=blob.sha, content_type=content_type(name))
+
+
+def content_type(name: str) -> str:
+    """By the name; what people uploaded is never shown as anything."""
+    if name.startswith("problem/files/"):
+        return "application/octet-stream"
+    return TYPES.get(PurePosixPath(name).suffix.lower(), "application/octet-stream")

@@ -1,0 +1,303 @@
+"""Who asks, what one user may ask, and what stands before every request.
+
+Of a token only the hash is kept; browsers that showed one get a cookie. Before every request stand
+the size of its body, where it comes from, and what browsers may do with the answer. The service says
+no by an HTTP status and issues that say why.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import hmac
+import json
+import math
+import re
+import secrets
+import time
+from collections.abc import Mapping, MutableMapping, Sequence
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from sqlalchemy import delete, func, insert, select, update
+from sqlalchemy.exc import IntegrityError
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from planner.issues import Issue, TandemError
+from planner.service.database import SESSIONS, TOKENS, Database
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """``upload_mb`` of one request, ``mesh_mb`` and ``mesh_facets`` of one mesh (50 MB of STL are a million
+    facets; three times as many vertices may be), ``files`` of one upload; ``open_jobs`` that wait or run
+    and ``kept_jobs`` in all, of one token; ``token_disk_mb`` of a token's files and ``disk_mb`` of all files,
+    each content once, None for what the disk has; ``readings`` of uploads that wait or are under way, of one
+    token; ``job_s`` and ``job_memory_mb`` of one job's planning,
+    ``check_s`` and ``check_memory_mb`` of reading or checking a problem; ``streams`` of events at once, of
+    one token; ``keep_days`` until a finished job is deleted, None for never.
+    """
+
+    upload_mb: float = 200.0
+    mesh_mb: float = 50.0
+    mesh_facets: int = 1_000_000
+    files: int = 64
+    open_jobs: int = 100
+    kept_jobs: int = 5000
+    token_disk_mb: float = 20_000.0
+    disk_mb: float | None = None
+    readings: int = 100
+    job_s: float = 3600.0
+    job_memory_mb: float = 4096.0
+    check_s: float = 120.0
+    check_memory_mb: float = 4096.0
+    streams: int = 100
+    keep_days: float | None = None
+
+
+class RefusedError(Exception):
+    """A request that is refused; ``issues`` carry code and field."""
+
+    def __init__(
+        self, status: int, issues: Issue | Sequence[Issue], headers: Mapping[str, str] | None = None
+    ) -> None:
+        self.status = status
+        self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
+        self.headers = dict(headers or {})
+        super().__init__("; ".join(issue.message for issue in self.issues))
+
+    @property
+    def body(self) -> dict[str, Any]:
+        """The answer as JSON."""
+        return {"issues": [plain(issue) for issue in self.issues]}
+
+
+def plain(issue: Issue) -> dict[str, Any]:
+    """The issue as JSON has it: numbers that are not finite are left out."""
+    data = issue.to_dict()
+    return {k: v for k, v in data.items() if not isinstance(v, float) or math.isfinite(v)}
+
+
+def unknown_job(job: str) -> RefusedError:
+    """404."""
+    return RefusedError(404, Issue("service.unknown_job", f"job {job[:40]!r}: there is none; list the jobs"))
+
+
+def too_large(what: str, limit_mb: float, field: str | None = None) -> RefusedError:
+    """413."""
+    message = f"{what} is larger than the {limit_mb:g} MB that this service takes; send less, or fewer facets"
+    return RefusedError(413, Issue("service.too_large", message, field=field, limit=limit_mb, unit="MB"))
+
+
+LOCAL: Final = "local"
+"""The owner of jobs that came without a token, over loopback."""
+SESSION_S: Final = 30 * 86400.0
+_TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+
+
+@dataclasses.dataclass(frozen=True)
+class TokenInfo:
+    """A token without its secret; times are seconds since 1970."""
+
+    name: str
+    created: float
+    revoked: float | None
+
+
+class Auth:
+    """The tokens and sessions of one database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def make(self, name: str) -> str:
+        """A new token, which is told this once. Raises ``TandemError`` for a name that is taken or odd."""
+        if not _NAME.fullmatch(name):
+            raise TandemError(_bad_name(name, "use letters, digits and _ . @ -, at most 64"))
+        number = secrets.token_hex(8)
+        token = f"tandem_{number}_{secrets.token_urlsafe(32)}"
+        row = {"id": number, "name": name, "hash": _hash(token), "created": time.time()}
+        try:
+            with self._database.write() as db:
+                db.execute(insert(TOKENS).values(row))
+        except IntegrityError as error:
+            raise TandemError(_bad_name(name, "there is a token of that name; choose another")) from error
+        return token
+
+    def list(self) -> tuple[TokenInfo, ...]:
+        """All tokens, the oldest first."""
+        with self._database.read() as db:
+            rows = db.execute(select(TOKENS).order_by(TOKENS.c.created)).mappings()
+            return tuple(TokenInfo(row["name"], row["created"], row["revoked"]) for row in rows)
+
+    def revoke(self, name: str) -> None:
+        """End a token and its sessions at once; its jobs stay. Raises ``TandemError`` where there is none."""
+        with self._database.write() as db:
+            number = db.execute(select(TOKENS.c.id).where(TOKENS.c.name == name)).scalar()
+            if number is None:
+                raise TandemError(_bad_name(name, "there is no token of that name; list them"))
+            db.execute(update(TOKENS).where(TOKENS.c.id == number).values(revoked=time.time()))
+            db.execute(delete(SESSIONS).where(SESSIONS.c.token == number))
+
+    def any(self) -> bool:
+        """Whether a token is in force."""
+        with self._database.read() as db:
+            alive = select(func.count()).select_from(TOKENS).where(TOKENS.c.revoked.is_(None))
+            return bool(db.execute(alive).scalar_one())
+
+    def owner(self, token: str) -> str:
+        """Whose token it is; raises :class:`RefusedError`, 401."""
+        found = _TOKEN.fullmatch(token)
+        kept, revoked = "", None
+        if found:
+            with self._database.read() as db:
+                row = db.execute(select(TOKENS).where(TOKENS.c.id == found[1])).mappings().first()
+            if row is not None:
+                kept, revoked = row["hash"], row["revoked"]
+        if not hmac.compare_digest(kept, _hash(token)) or found is None or revoked is not None:
+            raise unauthorised("the token is unknown or was revoked; ask for a new one")
+        return found[1]
+
+    def open_session(self, owner: str) -> str:
+        """A cookie for a browser whose user showed the owner's token."""
+        cookie = secrets.token_urlsafe(32)
+        row = {"hash": _hash(cookie), "token": owner, "expires": time.time() + SESSION_S}
+        with self._database.write() as db:
+            db.execute(insert(SESSIONS).values(row))
+        return cookie
+
+    def session(self, cookie: str) -> str:
+        """Whose cookie it is; raises :class:`RefusedError`, 401."""
+        query = (
+            select(SESSIONS)
+            .join(TOKENS, TOKENS.c.id == SESSIONS.c.token)
+            .where(SESSIONS.c.hash == _hash(cookie), TOKENS.c.revoked.is_(None))
+        )
+        with self._database.read() as db:
+            row = db.execute(query).mappings().first()
+        if row is None or row["expires"] < time.time():
+            raise unauthorised("the session is over; show the token again")
+        return str(row["token"])
+
+    def close_session(self, cookie: str) -> None:
+        """End a session."""
+        with self._database.write() as db:
+            db.execute(delete(SESSIONS).where(SESSIONS.c.hash == _hash(cookie)))
+
+
+def unauthorised(why: str) -> RefusedError:
+    """401."""
+    return RefusedError(
+        401, Issue("service.token", why, field="Authorization"), {"WWW-Authenticate": "Bearer"}
+    )
+
+
+def _hash(secret: str) -> str:
+    """SHA-256 is enough for a secret of 256 random bits: there is nothing to guess."""
+    return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+def _bad_name(name: str, what: str) -> Issue:
+    return Issue("service.token", f"token {name[:80]!r}: {what}", field="name")
+
+
+SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
+FORWARDED: Final = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+MB: Final = 1_000_000
+HEADERS: Final = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "SAMEORIGIN",
+    "Referrer-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class Guard:
+    """Wraps the application. ``open_hosts``: the names by which an instance without tokens may be addressed;
+    None where tokens are required."""
+
+    def __init__(self, app: ASGIApp, upload_mb: float, open_hosts: frozenset[str] | None) -> None:
+        self._app, self._limit_mb, self._open_hosts = app, upload_mb, open_hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def hardened(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        try:
+            headers = Headers(scope=scope)
+            self._check_origin(scope, headers)
+            await self._app(scope, self._counted(headers, receive), hardened)
+        except RefusedError as refused:
+            await _answer(refused, hardened)
+
+    def _check_origin(self, scope: Scope, headers: Headers) -> None:
+        host = headers.get("host", "")
+        if self._open_hosts is not None:
+            if _name(host) not in self._open_hosts:
+                raise _foreign(f"the host is {host[:80]!r}; without tokens only this machine may ask")
+            if any(name in headers for name in FORWARDED):
+                raise _foreign("a proxy passed this on; start the service with --require-token behind one")
+        if scope["method"] not in SAFE:
+            origin = headers.get("origin")
+            if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") or (
+                origin is not None and _place(origin) != host.lower()
+            ):
+                raise _foreign("another site sent this request through a browser; use the service's own page")
+
+    def _counted(self, headers: Headers, receive: Receive) -> Receive:
+        """The body, refused when it is longer than may be: at once if it says so, else as soon as it is."""
+        allowed = int(self._limit_mb * MB)
+        said = headers.get("content-length", "0")
+        if said.isdecimal() and int(said[:20]) > allowed:
+            raise too_large("the upload", self._limit_mb)
+        got = 0
+
+        async def counted() -> MutableMapping[str, Any]:
+            nonlocal got
+            message = await receive()
+            got += len(message.get("body", b""))
+            if got > allowed:
+                raise too_large("the upload", self._limit_mb)
+            return message
+
+        return counted
+
+
+def _place(origin: str) -> str:
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:
+        return ""
+
+
+def _name(host: str) -> str:
+    """The host without its port."""
+    if host.startswith("["):
+        return host[1:].split("]")[0].lower()
+    return host.rsplit(":", 1)[0].lower() if host.count(":") == 1 else host.lower()
+
+
+def _foreign(why: str) -> RefusedError:
+    return RefusedError(403, Issue("service.foreign", why))
+
+
+async def _answer(refused: RefusedError, send: Send) -> None:
+    """Send a refusal that no handler of the application saw."""
+    body = json.dumps(refused.body).encode()
+    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    headers += [(name.lower().encode(), value.encode()) for name, value in refused.headers.items()]
+    headers.append((b"connection", b"close"))  # the rest of the body is not read
+    await send({"type": "http.response.start", "status": refused.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

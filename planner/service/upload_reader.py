@@ -1,0 +1,257 @@
+"""Reads an uploaded problem: its name, what stands in its way, its reach, the sizes of its meshes.
+
+It gives the problem as it stands alone, too, and tests its reach if asked. How many facets and
+vertices a mesh file has is told from its text or header without building the mesh.
+
+This runs in a process of its own (:mod:`planner.service.upload_processes`), because what people
+upload may be hostile; it loads all processes, so nothing else imports it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from planner import processes
+from planner.batch.job import PROBLEM
+from planner.issues import Issue, TandemError
+from planner.problem import Problem
+from planner.reading import problem as problem_file
+from planner.reading import strict_yaml
+from planner.reading.strict_yaml import Document
+from planner.service.page.preview import shapes
+from planner.service.uploaded_files import NOWHERE, Examined, Uploaded, base_name
+from planner.units import MM
+
+LINES: Final = 1 << 22
+"""Text is read so many bytes at a time, to the end of a line."""
+STL_HEAD, STL_FACET = 84, 50
+PLY_BYTES: Final = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
+    **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("double", "float64"), 8),
+}
+PLY_HEAD: Final = 1 << 16
+_FACE: Final = re.compile(rb"^[ \t]*f[ \t][^\r\n]*", re.MULTILINE)
+_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_STL_FACET: Final = re.compile(rb"^[ \t]*facet\b", re.MULTILINE | re.IGNORECASE)
+
+
+class MeshSize(NamedTuple):
+    """Polygons count as the triangles that they become."""
+
+    facets: int
+    vertices: int
+
+
+def mesh_size(path: Path, suffix: str) -> MeshSize:
+    """The size of an OBJ, STL or PLY file; zero for other kinds and for what is none."""
+    kind = suffix.lower()
+    if kind == ".obj":
+        return _obj(path)
+    if kind == ".stl":
+        return _stl(path)
+    return _ply(path) if kind == ".ply" else MeshSize(0, 0)
+
+
+def _obj(path: Path) -> MeshSize:
+    facets = vertices = 0
+    for text in _texts(path):
+        vertices += len(_VERTEX.findall(text))
+        facets += sum(max(len(face.split()) - 3, 0) for face in _FACE.findall(text))
+    return MeshSize(facets, vertices)
+
+
+def _stl(path: Path) -> MeshSize:
+    """A binary file is as long as its count says; others are text, or broken."""
+    with path.open("rb") as stream:
+        head = stream.read(STL_HEAD)
+    facets = int.from_bytes(head[80:84], "little")
+    if len(head) < STL_HEAD or STL_HEAD + STL_FACET * facets != path.stat().st_size:
+        facets = sum(len(_STL_FACET.findall(part)) for part in _texts(path))
+    return MeshSize(facets, 3 * facets)
+
+
+def _ply(path: Path) -> MeshSize:
+    with path.open("rb") as stream:
+        head, found, _ = stream.read(PLY_HEAD).partition(b"end_header")
+    if not found:
+        return MeshSize(0, 0)
+    elements = list(_elements(head.decode("latin-1")))
+    most = path.stat().st_size  # no file holds more rows than bytes; the reader refuses one that says so
+    counts = {name: min(count, most) for name, count, _ in elements}
+    facets, vertices = counts.get("face", 0), counts.get("vertex", 0)
+    before, last = elements[:-1], elements[-1] if elements else ("", 0, [])
+    lists = [kind for kind in last[2] if kind[0] == "list"]
+    plain = not any(kind[0] == "list" for _, _, kinds in before for kind in kinds)
+    if last[0] != "face" or len(lists) != 1 or not plain:
+        return MeshSize(facets, vertices)
+    if b"ascii" in head:
+        rows = sum(count for _, count, _ in before)
+        polygons = _corners(path, rows) - 2 * facets if last[2][0] == lists[0] else 0
+    else:
+        # what is left for the corners of all faces tells their number, and n corners make n - 2 triangles
+        fixed = sum(count * PLY_BYTES.get(kind[0], 0) for _, count, kinds in before for kind in kinds)
+        own = sum(PLY_BYTES.get(kind[0], 0) for kind in last[2] if kind[0] != "list")
+        left = most - len(head) - len(b"end_header\n") - fixed
+        left -= facets * (own + PLY_BYTES.get(lists[0][1], 1))
+        polygons = left // PLY_BYTES.get(lists[0][2], 4) - 2 * facets
+    return MeshSize(max(facets, polygons), vertices)
+
+
+def _corners(path: Path, rows: int) -> int:
+    """The corners of all faces of a text file: each begins with its count, ``rows`` come before them."""
+    corners = 0
+    with path.open("rb") as stream:
+        for line in stream:
+            if line.startswith(b"end_header"):
+                break
+        for number, line in enumerate(stream):
+            if number >= rows:
+                first = line.split(None, 1)[:1]
+                corners += min(int(first[0]), len(line)) if first and first[0].isdigit() else 0
+    return corners
+
+
+def _elements(head: str) -> Iterator[tuple[str, int, list[tuple[str, ...]]]]:
+    """Name, count, and the types of the properties (``list``, its count's, its items') of each element."""
+    name, count, kinds = "", 0, list[tuple[str, ...]]()
+    for words in (line.split() for line in head.splitlines()):
+        if words[:1] == ["element"] and len(words) == 3:
+            if name:
+                yield name, count, kinds
+            name, count, kinds = words[1], int(words[2]) if words[2].isdecimal() else 0, []
+        elif words[:1] == ["property"] and len(words) in (3, 5):
+            kinds.append(tuple(words[1:4]) if words[1] == "list" else (words[1],))
+    if name:
+        yield name, count, kinds
+
+
+def _texts(path: Path) -> Iterator[bytes]:
+    """The file in parts that end with a line."""
+    with path.open("rb") as stream:
+        while part := stream.read(LINES):
+            yield part + stream.readline()
+
+
+ARCHIVES: Final = (
+    b"PK\x03\x04",
+    b"PK\x05\x06",
+    b"\x1f\x8b",
+    b"BZh",
+    b"\xfd7zXZ",
+    b"7z\xbc\xaf",
+    b"Rar!",
+    b"\x28\xb5\x2f\xfd",
+    b"\x04\x22\x4d\x18",
+    b"!<arch>\n",
+    b"MSCF",
+)
+"""How zip, gzip, bzip2, xz, 7z, rar, zstd, lz4, ar and cab begin; tar has its word further on."""
+TAR: Final = slice(257, 262)
+
+
+def examine(
+    folder: Path,
+    problem: Path,
+    uploads: Mapping[str, Path],
+    facets: int,
+    reach: bool = False,
+    draw: bool = False,
+) -> Examined:
+    """Read the problem in the file ``problem``; ``uploads`` {name that the user gave: stored file}.
+
+    ``folder`` is an empty one for this call alone. A mesh has at most ``facets``, three vertices for each.
+    With ``reach`` the targets are made and reach is tested, with ``draw`` there are ``shapes`` for the page.
+    """
+    faults = [*_archives(uploads), *_large_meshes(uploads, facets)]
+    if faults:
+        return Examined(tuple(faults))
+    uploaded = Uploaded(folder, uploads)
+    shutil.copyfile(problem, folder / PROBLEM)
+    try:
+        document, faults = uploaded.inside(strict_yaml.read(folder / PROBLEM))
+        if faults:
+            return Examined(uploaded.told([*faults, *_other_faults(document)]))
+        read = problem_file.build(document, processes.readers())
+    except TandemError as error:
+        return Examined(uploaded.told(error.issues))
+    files = problem_file.bundle(read)
+    text = files.pop(PROBLEM).decode()
+    found = [*(read.part.notes if read.part is not None else ()), *read.notes]
+    if reach:
+        from planner import pipeline  # loads Drake
+
+        found += [issue for issue in pipeline.check(read) if issue not in found]
+    drawn: list[dict[str, Any]] = []
+    if draw:
+        drawn, faults = shapes(read)
+        found += [issue for issue in faults if issue not in found]
+    return Examined(
+        issues=uploaded.told(found),
+        name=read.name,
+        digest=read.digest,
+        processes=tuple(dict.fromkeys(operation.process for operation in read.operations)),
+        text=text,
+        files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+        summary=_summary(read),
+        shapes=tuple(drawn),
+    )
+
+
+def _other_faults(document: Document) -> list[Issue]:
+    """What else is wrong where files are missing."""
+    try:
+        problem_file.build(document, processes.readers())
+    except TandemError as error:
+        return [issue for issue in error.issues if NOWHERE not in f"{issue.message} {issue.file}"]
+    return []
+
+
+def _archives(uploads: Mapping[str, Path]) -> Iterator[Issue]:
+    for name, path in uploads.items():
+        with path.open("rb") as stream:
+            head = stream.read(512)
+        if head.startswith(ARCHIVES) or head[TAR] == b"ustar":
+            message = f"{name[:80]!r} is an archive or compressed; unpack it and upload the files themselves"
+            yield Issue("service.archive", message, file=name, field="files")
+
+
+def _large_meshes(uploads: Mapping[str, Path], most: int) -> Iterator[Issue]:
+    """Meshes are counted before they are read, which takes far more time and memory."""
+    for name, path in uploads.items():
+        size = mesh_size(path, Path(base_name(name)).suffix)
+        for what, count, limit in (("facets", size.facets, most), ("vertices", size.vertices, 3 * most)):
+            if count > limit:
+                message = (
+                    f"{name[:80]!r} has {count:,} {what}, this service takes meshes of at most {limit:,}; "
+                    "export it coarser, or simplify it"
+                )
+                yield Issue("service.too_large", message, file=name, field="files", value=count, limit=limit)
+
+
+def _summary(problem: Problem) -> dict[str, Any]:
+    """What is in the problem; boxes as lower and upper corner [mm] in the stock's frame."""
+    arms = [{"name": arm.name, "robot": arm.robot, "tool": arm.tool.name} for arm in problem.cell.arms]
+    operations = [{"name": o.name, "process": o.process, "arms": list(o.arms)} for o in problem.operations]
+    out: dict[str, Any] = {"arms": arms, "operations": operations, "stock_mm": _box(problem.stock.box)}
+    part = problem.part
+    if part is not None:
+        formed = part.formed.mesh if part.formed is not None else None
+        points = [mesh.vertices for mesh in (part.front, part.back, formed) if mesh is not None]
+        points += [np.concatenate([ruled.start, ruled.end]) for ruled in part.ruled]
+        every = np.concatenate(points) if points else np.zeros((0, 3))
+        if len(every):
+            out["part_mm"] = _box(np.stack([every.min(axis=0), every.max(axis=0)]))
+    return out
+
+
+def _box(corners: Any) -> list[list[float]]:
+    return [[round(float(value) / MM, 3) for value in corner] for corner in corners]

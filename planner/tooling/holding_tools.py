@@ -1,0 +1,304 @@
+"""Tools that hold: an end of an elastic wire, a straight wire kept taut, or a block of foam.
+
+The wire holder is a sliding clamp. The bow is a fork that keeps a straight hot wire taut between
+two prongs, carried by one arm. Grippers hold a block by its bottom face: a plate with needles, and
+a vacuum cup.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, Literal
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray
+from planner.geometry.rigid import Shape, corners, from_parts, from_rpy, inverse, transform
+from planner.tooling.base import OnFlange
+
+Mounting = Literal["along", "across", "diagonal"]
+Side = Literal["start", "end"]
+
+TILT_DEG: Final[dict[Mounting, float]] = {"along": 0.0, "diagonal": 45.0, "across": 90.0}
+REACH: Final[dict[Mounting, float]] = {"along": 0.120, "diagonal": 0.110, "across": 0.100}
+"""Distance [m] of the TCP from the flange's face, on the flange axis, with the slide at zero."""
+
+HOLDER_MASS: Final = 0.6
+"""[kg], assumed: an aluminium plate and post, a ceramic block and a brass clamp of the sizes below."""
+
+
+@dataclasses.dataclass(frozen=True)
+class WireHolder(OnFlange):
+    """A holder for the ``side`` end of a wire, which leaves it as the ``mounting`` says; ``slide`` [m]: how
+    far its clamp is moved outward."""
+
+    mounting: Mounting
+    side: Side
+    slide: float
+
+
+def wire_holder(
+    mounting: Mounting = "across",
+    side: Side = "start",
+    slide: float = 0.0,
+    reach: float | None = None,
+    plate_radius: float = 0.034,
+    mass: float = HOLDER_MASS,
+    name: str | None = None,
+) -> WireHolder:
+    """A holder for one end of a wire: flange plate, post, insulated slide block, clamp.
+
+    The TCP is where the wire leaves the clamp. Its x axis is the wire's tangent from the start arm to the
+    end arm, so it points out of the start arm's holder and into the end arm's. The wire leaves along the
+    flange's z axis ("along"), along its -x axis ("across"), or between the two ("diagonal"): with two arms
+    that face each other, forearms level and ("across") hands down, axis 6 is then near zero on both. The
+    TCP's y axis points from the wire back to the flange ("across") or along the flange's -x ("along"),
+    which is up in these postures; z = x cross y.
+
+    ``slide`` [m] moves the clamp and the TCP outward along the wire; ``reach`` [m] replaces the TCP's
+    distance from the flange. Raises ``KeyError`` for another mounting and ``ValueError`` for another side,
+    or sizes that do not fit.
+    """
+    if side not in ("start", "end"):
+        raise ValueError(f"side is {side!r}; it must be 'start' or 'end'")
+    distance = REACH[mounting] if reach is None else reach
+    if not distance >= 0.080:
+        raise ValueError(f"reach is {distance * 1e3:g} mm; the holder needs at least 80 mm")
+    if not 0.0 <= slide <= 0.040:
+        raise ValueError(f"slide is {slide * 1e3:g} mm; the clamp moves from 0 to 40 mm")
+    tilt = np.deg2rad(TILT_DEG[mounting])
+    out = np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    up = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
+    tangent = out if side == "start" else -out
+    turn = np.stack([tangent, up, np.cross(tangent, up)], axis=-1).round(15) + 0.0
+    corner = np.array([0.0, 0.0, distance])
+    along = np.stack([np.cross(up, out), up, out], axis=-1)
+    clamp = 0.028 + slide
+    block = corner - 0.046 * out
+    post = 0.72 * block[0]
+    shapes = (
+        Shape("cylinder", (plate_radius, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0))),
+        Shape(
+            "box",
+            (0.026, 0.034, block[2] - 0.010),
+            from_rpy((post, 0.0, (block[2] + 0.010) / 2), (0.0, 0.0, 0.0)),
+        ),
+        Shape("box", (0.036, 0.036, 0.040), from_parts(along, block)),
+        Shape("cylinder", (0.008, clamp), from_parts(along, corner + (slide - 0.5 * clamp) * out)),
+    )
+    return WireHolder(
+        name=name or f"wire_holder_{mounting}_{side}",
+        tcp=from_parts(turn, corner + slide * out),
+        mass=mass,
+        cog=np.array([0.45 * block[0], 0.0, 0.45 * distance]),
+        shapes=shapes,
+        mounting=mounting,
+        side=side,
+        slide=slide,
+    )
+
+
+STEM_LENGTH: Final = 0.060
+"""[m] from the flange's face to the middle of the beam."""
+BEAM_WIDTH: Final = 0.030
+PRONG_WIDTH: Final = 0.020
+"""Sides [m] of the square tubes of the beam and of the prongs, assumed."""
+TIP_SIZE: Final = (0.024, 0.036, 0.030)
+"""[m] the insulated clamp with its spring at a prong's end: along the wire, across it, along the prong."""
+TUBE_LINE_DENSITY: Final = 0.6
+"""[kg/m] of the tubes: aluminium, 2 mm walls, assumed."""
+BOW_HEAD_MASS: Final = 0.35
+"""[kg] flange plate, stem, clamps and spring, assumed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bow(OnFlange):
+    """A bow: its straight ``wire`` between the clamps is a capsule in the flange frame, along x of the TCP,
+    which is its middle."""
+
+    wire: Shape
+
+    @property
+    def span(self) -> float:
+        """Length [m] of the wire between its clamps."""
+        return float(self.wire.size[1])
+
+    @property
+    def radius(self) -> float:
+        """Radius [m] of the wire."""
+        return float(self.wire.size[0])
+
+    @property
+    def throat(self) -> float:
+        """Free depth [m] behind the middle of the wire: to the nearest solid of the bow there."""
+        to_tcp = inverse(self.tcp)
+        nearest = [-np.inf]
+        for shape in self.shapes:
+            points = transform(to_tcp @ shape.pose, corners(shape))
+            low, high = points.min(axis=0), points.max(axis=0)
+            if low[0] < 0.4 * self.span and high[0] > -0.4 * self.span:
+                nearest.append(float(high[2]))
+        return -max(nearest)
+
+    @property
+    def stated_throat(self) -> float:
+        """The throat [m] as cells state it: from the middle of the beam."""
+        return self.throat + 0.5 * BEAM_WIDTH
+
+
+def bow(
+    span: float = 0.4,
+    throat: float = 0.4,
+    wire_diameter: float = 0.0004,
+    tilt: float = 0.0,
+    name: str | None = None,
+) -> Bow:
+    """A bow whose wire is ``span`` [m] long between its clamps and ``throat`` [m] away from the beam.
+
+    Seed 004, 2.1.2.3 and 2.2.2.3, uses bows of 400 x 400 mm and 650 x 650 mm. The TCP is the middle of the
+    wire, its x axis runs along the wire, its z axis from the beam to the wire, in the flange's frame turned
+    by ``tilt`` [rad] about x: with no tilt the wire crosses the flange's axis. A spring keeps the hot wire
+    straight and at its length. Raises ``ValueError`` for sizes that make no bow.
+    """
+    if not (0.05 <= span <= 3.0 and 0.05 <= throat <= 3.0 and 1e-5 <= wire_diameter <= 0.01):
+        raise ValueError(
+            f"a bow of span {span * 1e3:g} mm, throat {throat * 1e3:g} mm, wire {wire_diameter * 1e3:g} mm; "
+            "span and throat go from 50 to 3000 mm, the wire from 0.01 to 10 mm"
+        )
+    turn = from_rpy((0.0, 0.0, STEM_LENGTH), (tilt, 0.0, 0.0))
+
+    def at(x: float, z: float) -> FloatArray:
+        """A pose in the flange frame: x along the wire, z from the middle of the beam."""
+        return turn @ from_parts(np.eye(3), np.array([x, 0.0, z]))
+
+    half = 0.5 * span + 0.5 * TIP_SIZE[0]
+    shapes = [
+        Shape("cylinder", (0.034, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0))),
+        Shape("box", (0.040, 0.040, STEM_LENGTH), from_rpy((0.0, 0.0, 0.5 * STEM_LENGTH), (0.0, 0.0, 0.0))),
+        Shape("box", (2.0 * half + PRONG_WIDTH, BEAM_WIDTH, BEAM_WIDTH), at(0.0, 0.0)),
+    ]
+    for side in (-1.0, 1.0):
+        shapes.append(Shape("box", (PRONG_WIDTH, PRONG_WIDTH, throat), at(side * half, 0.5 * throat)))
+        shapes.append(Shape("box", TIP_SIZE, at(side * half, throat)))
+    along = at(0.0, throat) @ from_rpy((0.0, 0.0, 0.0), (0.0, np.pi / 2.0, 0.0))
+    tubes = TUBE_LINE_DENSITY * (2.0 * half + PRONG_WIDTH), 2.0 * TUBE_LINE_DENSITY * throat
+    mass = BOW_HEAD_MASS + sum(tubes)
+    lever = (tubes[1] * 0.5 * throat) / mass
+    return Bow(
+        name=name or f"bow_{span * 1e3:.0f}",
+        tcp=at(0.0, throat),
+        mass=round(mass, 3),
+        cog=np.asarray(turn @ np.array([0.0, 0.0, lever, 1.0]))[:3].round(6),
+        shapes=tuple(shapes),
+        wire=Shape("capsule", (0.5 * wire_diameter, span), along),
+    )
+
+
+PLATE_THICKNESS: Final = 0.012
+"""[m] thickness of the plate that lies on the foam."""
+ALUMINIUM_DENSITY: Final = 2700.0
+"""[kg/m^3] of aluminium."""
+NEEDLE_PRESSURE: Final = 8e3
+"""[Pa] what slanted needles hold per area of their plate in foam, assumed."""
+SUCTION_PRESSURE: Final = 25e3
+"""[Pa] below the air's pressure under a cup on foam, which leaks, assumed."""
+GRIPPER_HEAD_MASS: Final = 0.25
+"""[kg] flange plate and needle drive or suction unit, assumed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gripper(OnFlange):
+    """A tool that holds a block by its bottom face: ``footprint``, width and depth [m] of the face that does,
+    centred on the TCP in its x and y, and ``holding``, the force [N] it holds with."""
+
+    footprint: tuple[float, float]
+    holding: float
+
+
+def gripper_plate(
+    width: float, depth: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+) -> Gripper:
+    """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face, with the
+    force ``holding`` [N] or what its area gives.
+
+    The TCP is the middle of the plate's face, ``reach`` [m] from the flange; z points into the block, x along
+    the width. Raises ``ValueError`` for sizes that make no gripper.
+    """
+    if not (0.02 <= width <= 2.0 and 0.02 <= depth <= 2.0 and 0.03 <= reach <= 0.5):
+        raise ValueError(
+            f"a gripper plate of {width * 1e3:g} x {depth * 1e3:g} mm at {reach * 1e3:g} mm; the plate goes "
+            "from 20 to 2000 mm, its distance from the flange from 30 to 500 mm"
+        )
+    shapes = (
+        _flange(),
+        Shape(
+            "box",
+            (0.050, 0.050, reach - PLATE_THICKNESS),
+            from_rpy((0.0, 0.0, 0.5 * (reach - PLATE_THICKNESS)), (0, 0, 0)),
+        ),
+        Shape(
+            "box",
+            (width, depth, PLATE_THICKNESS),
+            from_rpy((0.0, 0.0, reach - 0.5 * PLATE_THICKNESS), (0.0, 0.0, 0.0)),
+        ),
+    )
+    plate = ALUMINIUM_DENSITY * width * depth * PLATE_THICKNESS
+    force = NEEDLE_PRESSURE * width * depth if holding is None else holding
+    return _gripper(name or "gripper_plate", reach, shapes, plate, (width, depth), force)
+
+
+def vacuum_cup(
+    radius: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+) -> Gripper:
+    """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange,
+    that holds with the force ``holding`` [N] or what its area gives.
+
+    z points into the block. Raises ``ValueError`` for sizes that make no cup.
+    """
+    if not (0.01 <= radius <= 0.5 and 0.03 <= reach <= 0.5):
+        raise ValueError(
+            f"a cup of radius {radius * 1e3:g} mm at {reach * 1e3:g} mm; the radius goes from 10 to 500 mm, "
+            "its distance from the flange from 30 to 500 mm"
+        )
+    shapes = (
+        _flange(),
+        Shape(
+            "cylinder",
+            (0.020, reach - PLATE_THICKNESS),
+            from_rpy((0.0, 0.0, 0.5 * (reach - PLATE_THICKNESS)), (0, 0, 0)),
+        ),
+        Shape(
+            "cylinder",
+            (radius, PLATE_THICKNESS),
+            from_rpy((0.0, 0.0, reach - 0.5 * PLATE_THICKNESS), (0.0, 0.0, 0.0)),
+        ),
+    )
+    plate = 0.5 * ALUMINIUM_DENSITY * np.pi * radius**2 * PLATE_THICKNESS
+    force = SUCTION_PRESSURE * np.pi * radius**2 if holding is None else holding
+    return _gripper(name or "vacuum_cup", reach, shapes, plate, (2.0 * radius, 2.0 * radius), float(force))
+
+
+def _flange() -> Shape:
+    return Shape("cylinder", (0.034, 0.010), from_rpy((0.0, 0.0, 0.005), (0.0, 0.0, 0.0)))
+
+
+def _gripper(
+    name: str,
+    reach: float,
+    shapes: tuple[Shape, ...],
+    plate: float,
+    footprint: tuple[float, float],
+    holding: float,
+) -> Gripper:
+    mass = GRIPPER_HEAD_MASS + plate
+    return Gripper(
+        name=name,
+        tcp=from_rpy((0.0, 0.0, reach), (0.0, 0.0, 0.0)),
+        mass=round(float(mass), 3),
+        cog=np.array(
+            [0.0, 0.0, round(float((GRIPPER_HEAD_MASS * 0.03 + plate * (reach - 0.006)) / mass), 6)]
+        ),
+        shapes=shapes,
+        footprint=footprint,
+        holding=holding,
+    )

@@ -1,0 +1,1 @@
+"""Forming tools in the sheet, as the proof sees them."""

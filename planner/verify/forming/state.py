@@ -1,0 +1,399 @@
+"""What the rules on forming share: claims by segment, tracks, faces, each worked out once.
+
+A track is where a forming tool is while it forms: its centres and axes in the sheet's frame, and
+the same way as few straight pieces from which it is off by no more than a stated bound.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+
+from planner.claims.claim import Claim
+from planner.claims.forming import FormsByTable, FormsPart, FormsSheet, SheetState, ToolGap
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots, lengths
+from planner.geometry.rigid import inverse
+from planner.verify.context import Context
+from planner.verify.forming.face import Face, Nearest, left_by
+from planner.verify.forming.shapes import PartShapes, in_order
+from planner.verify.replay.motion import Poses, during
+
+_BLOCK = 32
+_CHUNK = 65_536
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """T samples of the arms ``arms`` in one segment and its ways in and out.
+
+    ``rows`` (T,) samples of the motion; ``centre`` (T, A, 3) the TCPs [m] in the sheet's frame; ``own`` (T,):
+    the move under way forms, and is no way in or out; ``joined`` (T - 1,): the next row is the next sample.
+    ``poses``: the arms' TCPs at all samples in the world, ``back`` (1 | T, 4, 4) from there to the sheet.
+    """
+
+    arms: tuple[str, ...]
+    rows: IntArray
+    centre: FloatArray
+    own: BoolArray
+    joined: BoolArray
+    poses: tuple[Poses, ...]
+    back: FloatArray
+
+    def axis(self, column: int) -> FloatArray:
+        """The z axes (T, 3) of one arm's TCP in the sheet's frame; not kept, for long tracks have many
+        rows."""
+        return _turned(self.back, self.poses[column].z[self.rows])
+
+
+def track(context: Context, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
+    """The track of a segment in setup ``index``; no rows where the programs have none, or an arm is
+    missing."""
+    motion = context.motion
+    own = motion.node_label == segment.key
+    chosen = np.isin(motion.node_label, [way.key for way in segment.ways])
+    rows = np.flatnonzero(during((chosen[motion.node]) & (context.sample_setup == index)))
+    if any(arm not in motion.tcp for arm in arms):
+        rows = rows[:0]
+    back = np.zeros((0, 4, 4))
+    if len(rows):
+        moved = context.holder(index) is not None
+        back = inverse(context.stock_poses(index, rows if moved else rows[:1]))
+    centre = np.empty((len(rows), len(arms), 3))
+    for k, arm in enumerate(arms):
+        if len(rows):
+            centre[:, k] = _turned(back, motion.tcp[arm].place[rows]) + back[:, :3, 3]
+    poses = tuple(motion.tcp[arm] for arm in arms if len(rows))
+    return Track(arms, rows, centre, own[motion.node[rows]], np.diff(rows) == 1, poses, back)
+
+
+def _turned(back: FloatArray, directions: FloatArray) -> FloatArray:
+    """Directions (T, 3) of the world as seen from the sheet; ``back`` (1 | T, 4, 4)."""
+    if len(back) == 1:
+        return directions @ back[0, :3, :3].T
+    return np.asarray(np.einsum("sij,sj->si", back[:, :3, :3], directions))
+
+
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """K straight pieces of a track: from row ``first`` to row ``last`` (K,) of it, with ``off`` (K,) [m], how
+    far the way between them is off the straight one at most, both arms at one share of their pieces, and
+    ``apart`` (K,) [m], by how much the distance of the first two arms is another than on straight ways."""
+
+    first: IntArray
+    last: IntArray
+    off: FloatArray
+    apart: FloatArray
+
+
+def pieces(way: Track, within: float) -> Pieces:
+    """The track in straight pieces that are off it by ``within`` [m] at most at its samples. Between samples
+    the motion bends by what its second differences tell."""
+    count = len(way.rows)
+    if count < 2:
+        none = np.zeros(0, dtype=np.int64)
+        return Pieces(none, none, np.zeros(0), np.zeros(0))
+    cut = np.flatnonzero(~way.joined)
+    turn = np.flatnonzero((way.own[1:] != way.own[:-1]) & way.joined) + 1  # ends one piece and begins another
+    starts = np.sort(np.concatenate([[0], cut + 1, turn]))
+    ends = np.sort(np.concatenate([cut, turn, [count - 1]]))
+    first = np.concatenate([np.arange(a, b, _BLOCK) for a, b in zip(starts, ends, strict=True)])
+    to = np.repeat(ends, [len(range(a, b, _BLOCK)) for a, b in zip(starts, ends, strict=True)])
+    last = np.minimum(first + _BLOCK, to)
+    done_first, done_last = [], []
+    while len(first):
+        good = (last - first == 1) | (_off(way.centre, first, last) <= within)
+        done_first.append(first[good])
+        done_last.append(last[good])
+        first, last = first[~good], last[~good]
+        middle = (first + last) // 2
+        first, last = np.concatenate([first, middle]), np.concatenate([middle, last])
+    first, last = np.concatenate(done_first), np.concatenate(done_last)
+    order = np.argsort(first)
+    first, last = first[order], last[order]
+    bends = _bend(way.centre, way.joined), _stretch(way.centre, way.joined)
+    most, between = (
+        np.maximum.reduceat(np.append(bend, 0.0), first) if len(first) else np.zeros(0) for bend in bends
+    )
+    return Pieces(first, last, within + most, 2.0 * within + between)
+
+
+def _off(centre: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """How far (K,) [m] the rows between two are off the straight way between these."""
+    out = np.zeros(len(first))
+    for some in np.array_split(np.arange(len(first)), max(1, len(first) // 4000)):
+        if not len(some):
+            continue
+        span = int((last[some] - first[some]).max())
+        rows = np.minimum(first[some, None] + np.arange(span + 1), last[some, None])
+        start = centre[first[some]][:, None]
+        way = centre[last[some]][:, None] - start
+        rest = centre[rows] - start
+        square = np.maximum(dots(way, way).sum(axis=2), 1e-30)
+        share = np.clip(dots(rest, way).sum(axis=2) / square, 0.0, 1.0)
+        out[some] = lengths(rest - share[..., None, None] * way).max(axis=(1, 2))
+    return out
+
+
+def _bend(centre: FloatArray, joined: BoolArray) -> FloatArray:
+    """How far (T - 1,) [m] ``centre`` (T, A, 3) may be off the straight way between two samples (`_corner`):
+    what its second differences at both are across that way; changes of speed make no bend."""
+    before, behind = np.zeros((2, len(centre) - 1, centre.shape[1]))
+    for begin, end in _parts(len(centre)):
+        step = np.diff(centre[begin - 1 : end + 1], axis=0)
+        along = step / np.maximum(lengths(step), 1e-12)[..., None]
+        second = np.diff(step, axis=0)
+        # what one corner between two samples makes at either is across one and the same way only so
+        for out, row, way in ((behind, slice(begin - 1, end - 1), 0), (before, slice(begin, end), 1)):
+            across = along[way : way + len(second)]
+            out[row] = lengths(second - dots(second, across)[..., None] * across)
+    return np.asarray(_corner(before, behind, joined).max(axis=1))
+
+
+def _stretch(centre: FloatArray, joined: BoolArray) -> FloatArray:
+    """By how much (T - 1,) [m] the distance d of the first two of ``centre`` (T, A, 3) may be off that on
+    straight ways between two samples: by a deviation along their line whole, by one of e across it by
+    e^2 / 2 d. Zero for one alone."""
+    if centre.shape[1] < 2:
+        return np.zeros(len(centre) - 1)
+    line = np.zeros((len(centre), 1))
+    across, apart = np.zeros_like(line), np.full_like(line, np.inf)
+    for begin, end in _parts(len(centre)):
+        way = centre[begin - 1 : end + 1, 0] - centre[begin - 1 : end + 1, 1]
+        second, length = np.diff(way, n=2, axis=0), lengths(way[1:-1])
+        own = dots(second, way[1:-1]) / np.maximum(length, 1e-12)
+        line[begin:end, 0] = np.abs(own)
+        across[begin:end, 0] = np.sqrt(np.maximum(dots(second, second) - own**2, 0.0))
+        apart[begin:end, 0] = length
+    aside = _corner(across[:-1], across[1:], joined)[:, 0]
+    least = np.minimum(apart[1:, 0], apart[:-1, 0])
+    along = _corner(line[:-1], line[1:], joined)[:, 0]
+    return np.asarray(along + aside**2 / np.maximum(2.0 * (least - aside), 1e-6))
+
+
+def _parts(count: int) -> list[tuple[int, int]]:
+    """Rows from 1 to ``count`` - 1, so many at once."""
+    return [(begin, min(begin + _CHUNK, count - 1)) for begin in range(1, count - 1, _CHUNK)]
+
+
+def _corner(before: FloatArray, behind: FloatArray, joined: BoolArray) -> FloatArray:
+    """What one sharp corner anywhere between two samples makes (T - 1, A) [m], whose second differences are
+    ``before`` a and ``behind`` b (T - 1, A) there: a b / (a + b). An even bend makes a quarter of that."""
+    a, b = (np.where(joined[:, None], one, 0.0) for one in (before, behind))
+    a[1:][~joined[:-1]] = 0.0  # none is known across a gap
+    b[:-1][~joined[1:]] = 0.0
+    return np.asarray(a * b / np.maximum(a + b, 1e-30))
+
+
+TRACK_CHORD_SHARE = 0.1
+"""The straight pieces of a track are off it by this share of the tolerance at most."""
+
+
+class Balls:
+    """The forming ball at rows of a track: what of the face is nearest to it, each row asked once for all
+    claims."""
+
+    def __init__(self, track: Track, face: Face) -> None:
+        self.track, self.face = track, face
+        self._rows = np.zeros(0, dtype=np.int64)
+        self._near = face.nearest(np.zeros((0, 3)), TIED)
+
+    def near(self, rows: IntArray) -> Nearest:
+        """At ``rows`` (K,) of the track, ascending; ties within `TIED`."""
+        fresh = np.setdiff1d(rows, self._rows)
+        if len(fresh):
+            known = np.concatenate([self._rows, fresh])
+            order = np.argsort(known)
+            found = self.face.nearest(self.track.centre[fresh, 0], TIED)
+            self._rows, self._near = known[order], self._near.followed_by(found).at(order)
+        return self._near.at(np.searchsorted(self._rows, rows))
+
+
+@dataclasses.dataclass(frozen=True)
+class Formed:
+    """The face of a pass and the way of its tools; ``knots`` (K + 1,) rows of the track where its pieces
+    meet, ``near`` what of the face is nearest to the forming ball there."""
+
+    claim: FormsSheet
+    setup: int
+    track: Track
+    pieces: Pieces
+    knots: IntArray
+    face: Face
+    balls: Balls
+
+    @cached_property
+    def near(self) -> Nearest:
+        """What of the face is nearest to the forming ball at the knots; ties within 5 um."""
+        return self.balls.near(self.knots)
+
+    @cached_property
+    def left(self) -> Face:
+        """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
+        return left_by(self.face, self.claim.radius, self.claim.side, self.claim.start)
+
+    @cached_property
+    def touches(self) -> BoolArray:
+        """Knots (K + 1,) at which the ball is off the nearest place of the face by no more than the steps of
+        the path leave there."""
+        reach = self.claim.radius + self.claim.scallop[self.face.rows[self.near.triangle]]
+        out = np.zeros(len(self.knots), dtype=np.bool_)
+        np.logical_or.at(out, self.near.row, self.near.apart[self.near.row] <= reach + self.claim.tolerance)
+        return out
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """Two tools in one segment and the gap between them: ``pieces`` those of the segment itself, ``knots``
+    (K,) rows of the track where they meet, ``near`` what of the face is nearest to the forming ball there.
+
+    The wanted gap is between ``low`` and ``high`` (K,) [m].
+    """
+
+    claim: ToolGap
+    track: Track
+    pieces: Pieces
+    knots: IntArray
+    face: Face
+    near: Nearest
+    low: FloatArray
+    high: FloatArray
+
+    @cached_property
+    def got(self) -> FloatArray:
+        """The gap (K,) [m] at the knots: the distance of the balls less their radii."""
+        centre = self.track.centre[self.knots]
+        return np.asarray(np.linalg.norm(centre[:, 0] - centre[:, 1], axis=1) - sum(self.claim.radii))
+
+
+def _meetings(context: Context, way: Track) -> IntArray:
+    """Rows of a track, within what forms, at which two controllers meet: one arm is ahead from one of them to
+    the next, wherever the straight pieces of the track end."""
+    out = [np.zeros(0, dtype=np.int64)]
+    for number, stage in enumerate(context.job.stages):
+        nodes = np.flatnonzero(context.motion.node_stage == number)
+        out.append(context.motion.node_sample[nodes[[end for end in stage.ends if end < len(nodes)]]])
+    rows = np.flatnonzero(np.isin(way.rows, np.concatenate(out)))
+    return rows[way.own[rows]]
+
+
+TIED = 5e-6
+"""Places of a face that are so near to the nearest one [m] are touched as well: facets are chords."""
+
+
+class Forming:
+    """The forming of one proof."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self._tracks: dict[tuple[str, int, tuple[str, ...]], Track] = {}
+        self._faces: list[tuple[float, Face]] = []
+        self._balls: dict[tuple[int, int], Balls] = {}
+        self.by_setup: tuple[tuple[int, Claim], ...] = tuple(
+            (index, claim)
+            for index, setup in enumerate(context.setup_claims)
+            for group in setup.groups
+            for claim in group
+        )
+
+    @cached_property
+    def parts(self) -> tuple[tuple[PartShapes | None, tuple[Claim, ...]], ...]:
+        """What each operation that forms is to make, with its passes, and all its claims; None for the part
+        where nothing says what it is."""
+        out: list[tuple[PartShapes | None, tuple[Claim, ...]]] = []
+        for setup in self.context.setup_claims:
+            for group in setup.groups:
+                part = next((claim for claim in group if isinstance(claim, FormsPart)), None)
+                passes = in_order(group)
+                if part is not None or passes:
+                    out.append((None if part is None else PartShapes(part, passes), group))
+        return tuple(out)
+
+    @cached_property
+    def formed(self) -> tuple[Formed, ...]:
+        """All passes that are claimed, with the forming arm first and the others behind it."""
+        return tuple(
+            self._formed(claim, index) for index, claim in self.by_setup if isinstance(claim, FormsSheet)
+        )
+
+    @cached_property
+    def opened(self) -> tuple[Opened, ...]:
+        """All gaps that are claimed; without knots where the arms never form the segment together."""
+        return tuple(self._opened(c, index) for index, c in self.by_setup if isinstance(c, ToolGap))
+
+    def of(self, segment: Segment) -> Formed | None:
+        """The pass of a segment, None where its tools follow a table instead of a face."""
+        return next((one for one in self.formed if one.claim.segment.key == segment.key), None)
+
+    @cached_property
+    def states(self) -> tuple[tuple[int, SheetState], ...]:
+        """All claims of what tools meet, with their setups."""
+        return tuple((index, claim) for index, claim in self.by_setup if isinstance(claim, SheetState))
+
+    @cached_property
+    def gapped(self) -> frozenset[str]:
+        """Segments in which two tools hold the sheet between them."""
+        return frozenset(claim.segment.key for _, claim in self.by_setup if isinstance(claim, ToolGap))
+
+    def unreached(self, one: Formed) -> float | None:
+        """How far [m] a ball may stay off the part where it does not fit, if the problem says so and no later
+        pass forms the feature further."""
+        finals = [
+            (made.part.unreached, claim)
+            for made, _ in self.parts
+            if made is not None
+            for feature in made.features
+            for claim in feature.final.claims
+        ]
+        return next((limit for limit, claim in finals if claim is one.claim), None)
+
+    @cached_property
+    def labels(self) -> frozenset[str]:
+        """Labels of all moves that claims allow."""
+        names = [claim.segment for _, claim in self.by_setup if isinstance(claim, FormsSheet | FormsByTable)]
+        return frozenset(way.key for name in names for way in name.ways)
+
+    def track(self, segment: Segment, index: int, arms: tuple[str, ...]) -> Track:
+        """The track of a segment, worked out once."""
+        key = (segment.key, index, arms)
+        if key not in self._tracks:
+            self._tracks[key] = track(self.context, segment, index, arms)
+        return self._tracks[key]
+
+    def _face(self, vertices: FloatArray, faces: IntArray, scale: float) -> Face:
+        """A face, worked out once for claims of the same triangles, however they number vertices."""
+        corners = vertices[faces]
+        for known, face in self._faces:
+            if known == scale and np.array_equal(face.given, corners):
+                return face
+        self._faces.append((scale, Face(vertices, faces, scale)))
+        return self._faces[-1][1]
+
+    def _ball(self, way: Track, face: Face) -> Balls:
+        """The forming ball on a track, worked out once for claims of the same track and face, which live as
+        long as this does."""
+        key = (id(way), id(face))
+        if key not in self._balls:
+            self._balls[key] = Balls(way, face)
+        return self._balls[key]
+
+    def _formed(self, claim: FormsSheet, index: int) -> Formed:
+        arms = [arm.name for arm in self.context.setups[index].cell.arms if arm.name != claim.arm]
+        arms = [arm for arm in arms if arm in self.context.motion.tcp]
+        way = self.track(claim.segment, index, (claim.arm, *arms))
+        parts = pieces(way, TRACK_CHORD_SHARE * claim.tolerance)
+        knots = np.unique(np.concatenate([parts.first, parts.last]))
+        face = self._face(claim.vertices, claim.faces, claim.radius)
+        return Formed(claim, index, way, parts, knots, face, self._ball(way, face))
+
+    def _opened(self, claim: ToolGap, index: int) -> Opened:
+        way = self.track(claim.segment, index, claim.arms)
+        parts = pieces(way, TRACK_CHORD_SHARE * claim.tolerance)
+        own = way.own[parts.first]
+        parts = Pieces(parts.first[own], parts.last[own], parts.off[own], parts.apart[own])
+        knots = np.unique(np.concatenate([parts.first, parts.last, _meetings(self.context, way)]))
+        face = self._face(claim.vertices, claim.faces, claim.radii[0])
+        near = self._ball(way, face).near(knots)
+        return Opened(claim, way, parts, knots, face, near, *face.value(near, claim.gap[claim.faces]))

@@ -1,0 +1,248 @@
+"""How a tool follows a way of tips and axes, in order, and how fast it may be at each place of it.
+
+The order counts also where the way crosses itself, goes back on itself, or turns the tool in place.
+The feed may change along a way.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from bisect import bisect_left
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.claims.milling import MillsAlong
+from planner.geometry.arrays import FloatArray, IntArray
+
+Row = list[float]
+
+LEVER = 0.05
+"""What a turn of the axis by one radian counts as, against ways of the tip [m]."""
+AHEAD = 0.05
+"""How far ahead on its way [m] a tool is looked for."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Followed:
+    """Of T samples: how far the tip is ``off`` its way (T,) [m] and the axis ``turn`` (T,) [rad] off the one
+    that is wanted there; ``missed``: how many places of the way no sample and no move between two passes.
+    ``at`` (T,) [m]: how far along the way each sample is, places being ``along`` (K,) [m], turns with
+    ``LEVER``; it never falls."""
+
+    off: FloatArray
+    turn: FloatArray
+    missed: int
+    at: FloatArray
+    along: FloatArray
+
+
+def follow(claim: MillsAlong, tip: FloatArray, axis: FloatArray) -> Followed:
+    """How the samples ``tip``, ``axis`` (T, 3) follow the claimed way.
+
+    Each sample is put on the first stretch of the way from where the sample before is that it keeps the
+    tolerances to, or as far along the stretches that follow as it keeps them without a break and nears the
+    way. One that keeps them to none counts by the nearest, and the next goes on from where this one began.
+    Every place that is passed over must be near the move between both samples.
+    """
+    way = _Way(claim)
+    count = len(tip)
+    off, turn, at = np.empty(count), np.empty(count), np.empty(count)
+    stretch, share = 0, 0.0
+    missed = way.skipped(tip[:1], axis[:1], -1, 0, _step(tip[:2], axis[:2]))
+    tips, axes = tip.tolist(), axis.tolist()
+    for i in range(count):
+        near = way.put(tips[i], axes[i], stretch, share)
+        off[i], turn[i] = near.apart, near.angle
+        if near.cost > 1.0:
+            at[i] = way.at(stretch, share)
+            continue
+        if near.stretch > stretch:
+            pair = [max(i - 1, 0), i]
+            missed += way.skipped(tip[pair], axis[pair], stretch, near.stretch)
+        stretch, share = near.stretch, near.share
+        at[i] = way.at(stretch, share)
+    missed += way.skipped(tip[-1:], axis[-1:], stretch, len(way.step), _step(tip[-2:], axis[-2:]))
+    return Followed(off, turn, missed, at, np.array(way.along))
+
+
+def rows_to_check(tip: FloatArray, axis: FloatArray, tolerance: float) -> IntArray:
+    """Rows (K,) of samples (T, 3) at which a way is held against what is claimed: all that are two tolerances
+    [m] apart, and both ends. Between them a tool goes no farther off than by one more."""
+    if len(tip) < 2:
+        return np.arange(len(tip))
+    ways = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    ways = np.maximum(ways, LEVER * np.linalg.norm(np.diff(axis, axis=0), axis=1))
+    number = np.floor(np.append(0.0, np.cumsum(ways)) / (2.0 * tolerance))
+    # the first sample behind each mark; the last one before it, too, where the next is farther on than that
+    marks = np.diff(number)
+    return np.flatnonzero(np.append(True, marks > 0.0) | np.append(marks > 1.0, True))
+
+
+def _step(tip: FloatArray, axis: FloatArray) -> float:
+    """Way [m] between two samples, by tip or by lever."""
+    ways = np.linalg.norm(tip[-1] - tip[0]), LEVER * np.linalg.norm(axis[-1] - axis[0])
+    return float(max(ways))
+
+
+class _Near(NamedTuple):
+    """A place on a way: ``share`` of a stretch, by its number; how far a sample is off there [m], [rad] and
+    of what is allowed."""
+
+    stretch: int
+    share: float
+    apart: float
+    angle: float
+    cost: float
+
+
+class _Way:
+    """A claimed way as stretches from place to place, along which the tip goes straight and the axis turns
+    evenly by the shortest turn."""
+
+    def __init__(self, claim: MillsAlong) -> None:
+        self.claim = claim
+        self.tip, self.axis = claim.tip, claim.axis
+        self.step, lean = np.diff(claim.tip, axis=0), np.diff(claim.axis, axis=0)
+        square = np.maximum((self.step * self.step).sum(axis=1), 1e-24)
+        leant = np.maximum((lean * lean).sum(axis=1), 1e-24)
+        angle = 2.0 * np.arcsin(np.clip(0.5 * np.sqrt(leant), 0.0, 1.0))
+        # samples come one after the other, and few stretches are looked at for each: plain numbers are faster
+        self.along: Row = np.append(0.0, np.cumsum(np.sqrt(square + LEVER**2 * leant))).tolist()
+        self.places: list[tuple[Row, Row]] = list(zip(claim.tip.tolist(), claim.axis.tolist(), strict=True))
+        self.steps: list[Row] = self.step.tolist()
+        self.leans: list[Row] = lean.tolist()
+        half, wide = np.maximum(0.5 * angle, 1e-12), np.maximum(angle, 1e-9)
+        # squares of step and lean; half of the turn, and all of it, each with its sine
+        sizes = [square, leant, half, np.sin(half), wide, np.sin(wide)]
+        self.sizes: list[Row] = np.stack(sizes, axis=1).tolist()
+
+    def at(self, stretch: int, share: float) -> float:
+        """How far along the way [m] a share of a stretch is."""
+        return self.along[stretch] + share * (self.along[stretch + 1] - self.along[stretch])
+
+    def put(self, tip: Row, axis: Row, stretch: int, share: float) -> _Near:
+        """Where a sample is on the stretches ahead, from ``share`` of ``stretch`` on: the first one that it
+        keeps the tolerances to, or the nearest of those that follow it as long as it keeps them, of equal
+        ones the first; where it keeps them to none, the nearest of all."""
+        here = self.at(stretch, share)
+        end = bisect_left(self.along, here + AHEAD + 20.0 * self.claim.tolerance)
+        end = min(max(end, stretch + 1), len(self.step))
+        near = best = self._near(tip, axis, stretch, share)
+        for number in range(stretch + 1, end):
+            if near.cost <= 1.0:
+                break
+            near = self._near(tip, axis, number)
+            best = near if near.cost < best.cost else best
+        return self._onward(tip, axis, near, end) if near.cost <= 1.0 else best
+
+    def _onward(self, tip: Row, axis: Row, first: _Near, end: int) -> _Near:
+        """The nearest stretch among those from ``first`` on that keep the tolerances, as do all places
+        between them; of equal ones the first."""
+        kept = [first]
+        for number in range(first.stretch + 1, end):
+            near = self._near(tip, axis, number)
+            if near.cost > 1.0 or self._cost(*_off(tip, axis, *self.places[number])) > 1.0:
+                break
+            kept.append(near)
+        least = min(near.cost for near in kept)
+        return next(near for near in kept if near.cost <= least + 1e-6)
+
+    def _near(self, tip: Row, axis: Row, number: int, least: float = 0.0) -> _Near:
+        """Where a sample is nearest to a stretch, not before ``least`` of it. It is looked for by the tip and
+        by the axis, of which one may stand still; the better one counts."""
+        start, lean_from = self.places[number]
+        square, leant, half, sine_of_half, _, _ = self.sizes[number]
+        by_tip = _dot(_less(tip, start), self.steps[number]) / square
+        chord = min(max(_dot(_less(axis, lean_from), self.leans[number]) / leant, 0.0), 1.0)
+        by_axis = 0.5 + 0.5 * math.asin((2.0 * chord - 1.0) * sine_of_half) / half
+        first, second = (max(min(max(guess, 0.0), 1.0), least) for guess in (by_tip, by_axis))
+        near = self._at(tip, axis, number, first)
+        if second == first:
+            return near
+        other = self._at(tip, axis, number, second)
+        return other if other.cost < near.cost else near
+
+    def _at(self, tip: Row, axis: Row, number: int, share: float) -> _Near:
+        """How far a sample is off a place of a stretch."""
+        start, lean_from = self.places[number]
+        lean_to, step = self.places[number + 1][1], self.steps[number]
+        *_, wide, sine = self.sizes[number]
+        one, two = math.sin((1.0 - share) * wide) / sine, math.sin(share * wide) / sine
+        apart, turn = _off(tip, axis, _sum(start, 1.0, step, share), _sum(lean_from, one, lean_to, two))
+        return _Near(number, share, apart, turn, self._cost(apart, turn))
+
+    def _cost(self, apart: float, angle: float) -> float:
+        """How far off, of what is allowed."""
+        return max(apart / self.claim.tolerance, angle / self.claim.turn)
+
+    def skipped(self, tip: FloatArray, axis: FloatArray, before: int, after: int, slack: float = 0.0) -> int:
+        """How many of the places behind ``before`` up to ``after`` the move between samples (2, 3), or one
+        sample (1, 3), does not come near to; ``slack`` [m] more is allowed."""
+        places, axes = self.tip[before + 1 : after + 1], self.axis[before + 1 : after + 1]
+        if not len(places):
+            return 0
+        way = tip[-1] - tip[0]
+        share = np.clip((places - tip[0]) @ way / max(float(way @ way), 1e-24), 0.0, 1.0)
+        apart = np.linalg.norm(tip[0] + share[:, None] * way - places, axis=1)
+        turned = np.minimum(*(_apart(tip[i], axis[i], places, axes)[1] for i in (0, -1)))
+        own = float(_apart(tip[0], axis[0], tip[-1:], axis[-1:])[1][0])
+        allowed = 2.0 * self.claim.turn + own + slack / LEVER
+        return int(((apart > 2.0 * self.claim.tolerance + slack) | (turned > allowed)).sum())
+
+
+def _apart(
+    tip: FloatArray, axis: FloatArray, tips: FloatArray, axes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far [m] and [rad] a sample is off places (K, 3) and axes (K, 3); angles by the chord, which is
+    exact for small ones too."""
+    chord = np.linalg.norm(axes - axis, axis=1)
+    return np.linalg.norm(tips - tip, axis=1), 2.0 * np.arcsin(np.clip(0.5 * chord, 0.0, 1.0))
+
+
+def _off(tip: Row, axis: Row, place: Row, wanted: Row) -> tuple[float, float]:
+    """How far [m] and [rad] a sample is off one place and axis, as :func:`_apart` says it of many."""
+    return math.dist(tip, place), 2.0 * math.asin(min(0.5 * math.dist(axis, wanted), 1.0))
+
+
+def _less(a: Row, b: Row) -> Row:
+    return [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+
+
+def _sum(a: Row, one: float, b: Row, two: float) -> Row:
+    return [one * a[0] + two * b[0], one * a[1] + two * b[1], one * a[2] + two * b[2]]
+
+
+def _dot(a: Row, b: Row) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+FEED_TOLERANCES = 2.0
+"""Feeds that begin or end so many tolerances ahead or behind count, too: corners are rounded, and where the
+tool is on its way is known no better."""
+
+
+def allowed(claim: MillsAlong, some: IntArray, found: Followed, count: int) -> FloatArray:
+    """The feed (T - 1,) [m/s] from each of T samples to the next, of which the rows ``some`` (K,) were put on
+    the way: the highest of all stretches that the tool may be on meanwhile."""
+    before = np.clip(np.searchsorted(some, np.arange(count - 1), side="right") - 1, 0, len(some) - 1)
+    after = np.clip(np.searchsorted(some, np.arange(1, count), side="left"), 0, len(some) - 1)
+    near = FEED_TOLERANCES * claim.tolerance
+    last = len(found.along) - 2
+    first = np.searchsorted(found.along, found.at[before] - near, side="right") - 1
+    end = np.searchsorted(found.along, found.at[after] + near, side="left") - 1
+    first = np.clip(first, 0, last)
+    return highest(claim.feed[1:], first, np.clip(end, first, last))
+
+
+def highest(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """The highest (M,) of the values from each of ``first`` (M,) to ``last`` (M,), both with it; by the
+    highest of all stretches of 1, 2, 4 ... values."""
+    level = np.floor(np.log2(last - first + 1)).astype(np.int64)
+    out, table = np.empty(len(first)), values
+    for k in range(int(level.max(initial=0)) + 1):
+        rows = np.flatnonzero(level == k)
+        out[rows] = np.maximum(table[first[rows]], table[last[rows] - (1 << k) + 1])
+        table = np.maximum(table[: -(1 << k) or None], table[1 << k :]) if len(table) > 1 << k else table
+    return out

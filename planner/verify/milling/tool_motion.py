@@ -1,0 +1,325 @@
+"""Where milling tools are while they mill, their bodies, and the places at which they are looked for.
+
+Tips and axes in the block's frame, at as few places of the replay as the motion between them
+allows. The tool is a row of solids of revolution: how far points are off it along a track. Places
+of faces that count are those near to a tool's way, as near to one another as what is looked for is
+wide. Sharp edges are narrow where they go in, and are looked for more closely.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims.milling import MillsAlong, MillsFlank, MillsOver, MillsSurface, SparesPart
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.rigid import inverse
+from planner.geometry.swept_body import RoundBody, least_distances, places_near
+from planner.problem import Stock
+from planner.tooling import Cutter, Mill
+from planner.verify.context import Context
+from planner.verify.milling.following import Followed, follow, rows_to_check
+from planner.verify.milling.wanted_ways import down, up
+from planner.verify.replay.motion import during
+
+Spaced = tuple[FloatArray, FloatArray, IntArray]
+"""Tips and axes (M, 3) of places on a track, and their rows (M,) of the motion."""
+
+TRACK_LEVER = 0.15
+"""A point so far behind the tip [m] counts, with the tip, for the way between places."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Track:
+    """T samples of one arm in some segments: ``rows`` (T,) of the motion, ``tip``, ``axis`` (T, 3) [m] of the
+    TCP and against its z axis, from tip to spindle, in the block's frame; ``joined`` (T - 1,): the next row
+    is the next sample; ``label`` (T,) of the move under way."""
+
+    rows: IntArray
+    tip: FloatArray
+    axis: FloatArray
+    joined: BoolArray
+    label: NDArray[np.str_]
+
+    def spaced(self, step: float) -> Spaced:
+        """Tips and axes (M, 3), and rows (M,) of the motion, at places at most ``step`` [m] apart along the
+        way of tip and shank, which goes straight between samples."""
+        if not len(self.rows):
+            return self.tip, self.axis, self.rows
+        ends = np.stack([self.tip, self.tip + TRACK_LEVER * self.axis], axis=1)
+        way = np.linalg.norm(np.diff(ends, axis=0), axis=2).max(axis=1)
+        along = np.concatenate([[0.0], np.cumsum(np.where(self.joined, way, 0.0))])
+        marks = np.arange(0.0, along[-1], step)
+        at = np.unique(np.concatenate([marks, along[np.append(True, ~self.joined)], along[-1:]]))
+        # where the way is longer than the step from sample to sample, places lie between these
+        to = np.clip(np.searchsorted(along, at, side="left"), 0, len(along) - 1)
+        back = np.maximum(to - 1, 0)
+        span = along[to] - along[back]
+        share = np.where(span > 0.0, (at - along[back]) / np.maximum(span, 1e-12), 1.0)[:, None]
+        tip = self.tip[back] + share * (self.tip[to] - self.tip[back])
+        axis = self.axis[back] + share * (self.axis[to] - self.axis[back])
+        first = np.flatnonzero(np.append(True, ~self.joined))  # the first of each stretch, as it stands
+        tip, axis = np.concatenate([tip, self.tip[first]]), np.concatenate([axis, self.axis[first]])
+        rows = np.concatenate([self.rows[to], self.rows[first]])
+        return tip, axis / np.linalg.norm(axis, axis=1, keepdims=True), rows
+
+
+def in_block(track: Track, length: float, radius: float, stock: Stock) -> BoolArray:
+    """(T,) whether a cutter, as a row of balls along its axis, is in the block."""
+    out = np.zeros(len(track.rows), dtype=bool)
+    for back in np.append(np.arange(0.0, length, max(radius, 1e-3)), length):
+        at = track.tip + back * track.axis
+        beyond = np.maximum(np.maximum(stock.lower - at, at - stock.upper), 0.0)
+        # the first ball is the tip's end, a disk: less than its radius counts there
+        near = 1e-6 if back == 0.0 else radius
+        out |= np.linalg.norm(beyond, axis=1) < min(near, radius) - 1e-9
+    return out
+
+
+class Milling:
+    """The milling of one proof: its claims by setup, and tracks worked out when asked."""
+
+    def __init__(self, context: Context) -> None:
+        self.context = context
+        self.by_setup: tuple[
+            tuple[int, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart], ...
+        ] = tuple(
+            (index, claim)
+            for index, setup in enumerate(context.setup_claims)
+            for group in setup.groups
+            for claim in group
+            if isinstance(claim, MillsSurface | MillsAlong | MillsFlank | MillsOver | SparesPart)
+        )
+        self._tracks: dict[tuple[int, str, tuple[str, ...]], Track] = {}
+        self._spaced: dict[tuple[int, str, tuple[str, ...], float], Spaced] = {}
+        self._followed: dict[tuple[int, int], tuple[IntArray, Followed]] = {}
+
+    @property
+    def surfaces(self) -> tuple[tuple[int, MillsSurface], ...]:
+        """Surfaces that are milled."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsSurface))
+
+    @property
+    def curves(self) -> tuple[tuple[int, MillsAlong], ...]:
+        """Curves that tips follow; among them the ways to passes over faces and from them, straight along the
+        axis from the safe plane to wherever these begin and end."""
+        own = [(i, self._said(i, claim)) for i, claim in self.by_setup if isinstance(claim, MillsAlong)]
+        return (*own, *self._over_ways)
+
+    def _said(self, index: int, claim: MillsAlong) -> MillsAlong:
+        """The claim, or where either way will do, that for the way that its tool goes."""
+        track = self.track(index, claim.arm, (claim.segment.key,)) if claim.back else None
+        if claim.back is None or track is None or not len(track.rows):
+            return claim
+        seen = track.tip[[0, -1]]
+        apart = [np.linalg.norm(own.tip[[0, -1]] - seen, axis=1).sum() for own in (claim, claim.back)]
+        return claim if apart[0] <= apart[1] else claim.back
+
+    @cached_property
+    def _over_ways(self) -> tuple[tuple[int, MillsAlong], ...]:
+        out: list[tuple[int, MillsAlong]] = []
+        for index, claim in self.over:
+            for segment in claim.segments:
+                track = self.track(index, claim.arm, (segment.key,))
+                for way, row in ((down, 0), (up, -1)) if len(track.rows) else ():
+                    ends, bounds = (track.tip[row], track.axis[row]), (claim.tolerance, claim.turn)
+                    out.append((index, way(claim.safe, segment, claim.arm, *ends, *bounds)))
+        return tuple(out)
+
+    @property
+    def over(self) -> tuple[tuple[int, MillsOver], ...]:
+        """Faces that the ends of cutters pass over."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsOver))
+
+    @property
+    def flanks(self) -> tuple[tuple[int, MillsFlank], ...]:
+        """Ruled surfaces that cutters pass with their sides."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, MillsFlank))
+
+    @property
+    def spared(self) -> tuple[tuple[int, SparesPart], ...]:
+        """Faces that tools must not go into."""
+        return tuple((i, claim) for i, claim in self.by_setup if isinstance(claim, SparesPart))
+
+    @cached_property
+    def labels(self) -> frozenset[str]:
+        """Labels of all moves in which a face is spared, a surface made or a curve followed."""
+        names: list[Segment] = []
+        for _, claim in self.by_setup:
+            names += (claim.segment,) if isinstance(claim, MillsAlong) else claim.segments
+        return frozenset(way.key for name in names for way in name.ways)
+
+    def mounted(self, index: int, arm: str) -> Cutter | None:
+        """The cutter of the tool on ``arm`` in setup ``index``."""
+        tool = self.context.setups[index].cell.arm(arm).tool
+        return tool.cutter if isinstance(tool, Mill) else None
+
+    def track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
+        """The track of ``arm`` in setup ``index`` on moves of segments with these keys."""
+        key = (index, arm, labels)
+        if key not in self._tracks:
+            self._tracks[key] = self._track(*key)
+        return self._tracks[key]
+
+    def followed(self, index: int, claim: MillsAlong) -> tuple[IntArray, Followed] | None:
+        """How the claimed way is followed at those samples of its track whose rows come first; None where the
+        track has none."""
+        key = (index, id(claim))  # claims live as long as this does
+        track = self.track(index, claim.arm, (claim.segment.key,))
+        if key not in self._followed and len(track.rows):
+            some = rows_to_check(track.tip, track.axis, claim.tolerance)
+            self._followed[key] = some, follow(claim, track.tip[some], track.axis[some])
+        return self._followed.get(key)
+
+    def spaced(self, index: int, arm: str, labels: tuple[str, ...], step: float) -> Spaced:
+        """Places along :meth:`track`, as :meth:`Track.spaced` has them: each face is held against them."""
+        key = (index, arm, labels, step)
+        if key not in self._spaced:
+            self._spaced[key] = self.track(index, arm, labels).spaced(step)
+        return self._spaced[key]
+
+    def _track(self, index: int, arm: str, labels: tuple[str, ...]) -> Track:
+        context, motion = self.context, self.context.motion
+        names = motion.node_label
+        chosen = np.isin(names, labels)[motion.node] & (context.sample_setup == index)
+        rows = np.flatnonzero(during(chosen))
+        if arm not in motion.tcp or not len(rows):
+            none = np.zeros((0, 3))
+            return Track(rows[:0], none, none, np.zeros(0, bool), np.zeros(0, "<U1"))
+        poses, node = motion.tcp[arm][rows], motion.node[rows]
+        # a segment that begins from rest begins at the written target; samples may miss that moment
+        rests = ~chosen[rows] & motion.node_stop[node] & np.isfinite(motion.node_tcp[arm][node, 0, 0])
+        poses[rests] = motion.node_tcp[arm][node[rests]]
+        seen = inverse(context.stock_poses(index, rows)) @ poses
+        joined = (np.diff(rows) == 1) & chosen[rows[1:]]
+        return Track(rows, seen[:, :3, 3], -seen[:, :3, 2], joined, names[motion.node[rows]])
+
+
+SIGHT = 3e-3
+"""Points farther off than this [m] are not told apart."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Solid:
+    """One piece of a tool: a cylinder of ``radius`` [m] from ``start`` to ``end`` [m] behind the tip, the
+    edge of its front rounded by ``corner`` [m]; ``name`` as a person calls it."""
+
+    name: str
+    start: float
+    end: float
+    radius: float
+    corner: float = 0.0
+
+
+def solids(cutter: Cutter) -> tuple[Solid, ...]:
+    """Cutting part, shank, and the pieces of holder and spindle."""
+    out = [Solid("cutter", 0.0, cutter.flute, cutter.radius, cutter.corner)]
+    if cutter.overhang > cutter.flute:
+        out.append(Solid("shank", cutter.flute, cutter.overhang, cutter.shank))
+    count = len(cutter.behind) // 2
+    for k in range(count):
+        a, b = cutter.behind[2 * k], cutter.behind[2 * k + 1]
+        name = "spindle" if k == count - 1 else "holder"
+        out.append(Solid(name, float(a[0]), float(b[0]), float(a[1])))
+    return tuple(out)
+
+
+def signed(solid: Solid, back: FloatArray, beside: FloatArray) -> FloatArray:
+    """Distance [m] of points ``back`` behind the tip and ``beside`` the axis from a solid, below zero inside,
+    in the shape of both: that from its half section, a rectangle, and where one of its corners is round, from
+    the arc there."""
+    aside = beside - solid.radius
+    ends = np.maximum(solid.start - back, back - solid.end)
+    out = np.maximum(aside, ends)
+    edge = np.nonzero((aside > 0.0) & (ends > 0.0))
+    out[edge] = np.hypot(aside[edge], ends[edge])
+    if solid.corner > 0.0:
+        before, over = solid.start + solid.corner - back, aside + solid.corner
+        arc = np.nonzero((before > 0.0) & (over > 0.0))
+        out[arc] = np.hypot(before[arc], over[arc]) - solid.corner
+    return np.asarray(out)
+
+
+def comes_near(vertices: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid) -> bool:
+    """Whether a solid at places (M, 3) of a track may come within ``SIGHT`` of a face with ``vertices``
+    (V, 3), by the boxes around both."""
+    ends = np.concatenate([tip + solid.start * axis, tip + solid.end * axis])
+    room = solid.radius + SIGHT
+    apart = (ends.min(axis=0) - room > vertices.max(axis=0)) | (
+        ends.max(axis=0) + room < vertices.min(axis=0)
+    )
+    return not bool(apart.any())
+
+
+def sweep(
+    points: FloatArray, tip: FloatArray, axis: FloatArray, solid: Solid, below: float = np.inf
+) -> tuple[FloatArray, IntArray]:
+    """Least distance (P,) [m] of points (P, 3) from a solid at any of the places (M, 3) of a track, below
+    zero inside, and the index (P,) of that place; at most ``SIGHT`` is told. All places count. With ``below``
+    [m] what is not less may be told too large, but for the least of all."""
+
+    def distance(back: FloatArray, beside: FloatArray) -> FloatArray:
+        return signed(solid, back, beside)
+
+    body = RoundBody(solid.start, solid.end, solid.radius, distance, solid.corner == 0.0)
+    return least_distances(points, tip, axis, body, SIGHT, below)
+
+
+SLICE = 5e-3
+"""How long slices of a tool at its edges are [m]: what goes in by more than half of that is seen without."""
+RIM_STEP = 2.0
+"""Way between places over the tolerance: an edge at 45 degrees that goes in by the tolerance is so wide, and
+leaves stairs half as deep as the step between two places."""
+LEAST_STEP = 0.1e-3
+"""The same at least [m]."""
+FINEST = 0.4e-3
+"""Places of a face are no nearer to one another than this [m],"""
+MOST = 4_000_000
+"""and there are at most so many by one piece of a tool."""
+
+
+def rim_step(tolerance: float) -> float:
+    """Way between places [m] at which edges are looked at."""
+    return max(RIM_STEP * tolerance, LEAST_STEP)
+
+
+def edges(pieces: tuple[Solid, ...]) -> tuple[Solid, ...]:
+    """Slices of a tool's pieces at their sharp edges: at the front where a piece is wider than what is before
+    it, and behind where it is wider than what follows."""
+    out: list[Solid] = []
+    for k, own in enumerate(pieces):
+        before = pieces[k - 1].radius if k else 0.0
+        behind = pieces[k + 1].radius if k + 1 < len(pieces) else 0.0
+        if own.corner == 0.0 and own.radius > before:
+            out.append(dataclasses.replace(own, end=min(own.end, own.start + SLICE)))
+        if own.radius > behind:
+            out.append(dataclasses.replace(own, start=max(own.start, own.end - SLICE), corner=0.0))
+    return tuple(out)
+
+
+def rim_size(tolerance: float) -> float:
+    """How near [m] to one another places of a face are by an edge: as it is wide where it goes in by the
+    tolerance."""
+    return max(RIM_STEP * tolerance, FINEST)
+
+
+def round_size(radius: float, tolerance: float) -> float:
+    """The same for what is round, of ``radius`` [m]: between them it is in the face by half of the tolerance
+    at most, s^2 / 6 r."""
+    return max(float(np.sqrt(3.0 * radius * tolerance)), FINEST)
+
+
+def near_places(
+    corners: FloatArray, solid: Solid, tip: FloatArray, axis: FloatArray, size: float
+) -> tuple[FloatArray, int]:
+    """Places (P, 3) of triangles (T, 3, 3) within sight of a solid somewhere on its way ``tip``, ``axis``
+    (M, 3), as near to one another as pieces of edges of ``size`` [m] are, and how many these are: above
+    ``MOST`` that is too many, and there are none."""
+    body = RoundBody(solid.start, solid.end, solid.radius, functools.partial(signed, solid))
+    places, _, count = places_near(corners, tip, axis, body, SIGHT, size, MOST)
+    return places, count

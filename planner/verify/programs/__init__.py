@@ -1,0 +1,1 @@
+"""Programs in any robot language: steps, text, what operators read, meetings of two controllers."""

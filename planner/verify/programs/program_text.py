@@ -1,0 +1,311 @@
+"""Files of programs and controllers as text: characters, ends of lines, names of segments, words.
+
+- Bytes to characters, and the characters that a controller may take for something else than the
+  readers here do.
+- Which segment a program says that it runs, from the names of procedures and from KRL's marks.
+- Files for a controller: configuration of ABB as rows by type, modules of RAPID and lines of KRL as
+  words; and what two controllers need beside their programs to know of each other: an output that
+  says that this one runs, an input of the other one's, whose fall stops this arm and takes its
+  power.
+- Files that a result folder carries: each has the beginning of its contents' SHA-256 as its name.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+import unicodedata
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from planner.claims.segments import Segment
+from planner.problem import Controller
+from planner.verify.programs.steps import Fault
+from planner.verify.rapid.lexer import Cursor
+
+MARK = "\ufeff"
+"""The byte order mark that some editors put before UTF-8."""
+_CONTROL = re.compile(r"[^\t\n\r -~]|\r(?!\n)")
+_STRING = re.compile(r'"[^"\n]*"')
+_COMMENT = {".src": ";", ".dat": ";", ".sub": ";"}
+
+
+def decode(data: bytes, file: str = "") -> str:
+    """UTF-8 where the bytes are that, a mark at the start kept, else ISO 8859-1, which any bytes are, unless
+    the controller that loads the ``file`` reads UTF-8 alone. Raises ``UnicodeDecodeError``."""
+    if _utf_8(file):
+        return data.decode("utf-8")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def settled(file: str, text: str) -> tuple[str, tuple[Fault, ...]]:
+    """A file's text without a byte order mark and with ends of lines that the readers know, and what was
+    put right.
+
+    Lone carriage returns end lines only where no line feed does: where both are there, a controller may see
+    other lines than the readers, and :func:`strange` refuses the text.
+    """
+    notes = []
+    if text.startswith(MARK) and not _utf_8(file):
+        text = text[1:]
+        what = "the file begins with a byte order mark, which controllers do not expect; save it without"
+        notes.append(Fault(1, 1, "text.encoding", what, file))
+    if "\r" in text and "\n" not in text:
+        text = text.replace("\r", "\n")
+        what = "lines end with a lone carriage return; save the file with CR LF"
+        notes.append(Fault(1, 1, "text.encoding", what, file))
+    return text, tuple(notes)
+
+
+def _utf_8(file: str) -> bool:
+    """Whether a module is of RobotWare 7, which reads UTF-8 without a mark."""
+    return PurePosixPath(file).suffix.lower() in (".modx", ".sysx")
+
+
+def strange(file: str, text: str) -> list[Fault]:
+    """The first character that a controller may take for something else, such as a lone carriage return,
+    which would end a comment. Letters of any alphabet may stand in comments, and there alone."""
+    mark = _COMMENT.get(PurePosixPath(file).suffix.lower(), "!")
+    for found in _CONTROL.finditer(text):
+        letter = found.group()
+        if not _takes_only_place(letter):
+            what = f"character {ord(letter)} in the text: it may end or hide a line; take it out"
+        elif _commented(text, found.start(), mark):
+            continue
+        else:
+            what = f"character {ord(letter)} stands outside of a comment; write ASCII there"
+        return [Fault(text.count("\n", 0, found.start()) + 1, 1, "text.encoding", what, file)]
+    return []
+
+
+def _takes_only_place(letter: str) -> bool:
+    """Whether a character that is not ASCII takes a place on its line and does nothing else. Those of 0x80 to
+    0x9F are letters in files of Windows; NEL (0x85) ends lines."""
+    if "\x80" <= letter <= "\x9f":
+        return letter != "\x85"
+    return letter > "\x7f" and unicodedata.category(letter) not in ("Cf", "Zl", "Zp", "Cs", "Cc", "Cn")
+
+
+def _commented(text: str, at: int, mark: str) -> bool:
+    """Whether a place is behind the mark of a comment on its line; a mark in a string opens none."""
+    before = text[text.rfind("\n", 0, at) + 1 : at]
+    if mark == ";" and before.lstrip().startswith("&"):
+        return True  # a line of KRL's header
+    return mark in _STRING.sub("", before).partition('"')[0]
+
+
+_AGAIN: Final = re.compile(r"__[0-9]+$")
+"""Ends the name of a procedure that is not the first one of its segment."""
+_LONG_KIND: Final = "__k"
+"""Stands behind a kind that has underscores of its own, which else ends at the first one."""
+
+
+@functools.lru_cache(maxsize=65536)
+def segment_of_name(procedure: str) -> Segment:
+    """The segment of a RAPID procedure, or of the label that stands in a KRL comment; in lower case.
+
+    ``cut_front`` and ``cut_front__2``, its second visit, are the cut of ``front``, ``cut_front_in`` the way
+    in to it, and ``cut_way_in_on`` the cut of ``way_in``. Labels have a ``/`` behind the kind, or no name.
+    """
+    name = procedure.strip().lower()
+    if "/" in name:
+        kind, _, rest = name.partition("/")
+        return _phased(kind, rest)
+    name = _AGAIN.sub("", name)
+    kind, long, rest = name.partition(_LONG_KIND)
+    if long and rest[:1] in ("", "_"):
+        return _phased(kind, rest[1:])
+    kind, _, rest = name.partition("_")
+    return _phased(kind, rest)
+
+
+def _phased(kind: str, rest: str) -> Segment:
+    """A kind and what stands behind it: a name, and perhaps a word for the phase; each run of signs that are
+    neither letters nor digits counts as one underscore."""
+    for word in ("in", "out", "on"):
+        before = rest.removesuffix(f"_{word}")
+        if before and before != rest:
+            return Segment(
+                _plain_name(kind),
+                _plain_name(before),
+                "in" if word == "in" else "out" if word == "out" else "",
+            )
+    return Segment(_plain_name(kind), _plain_name(rest))
+
+
+def _plain_name(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", text).strip("_")
+
+
+Row = frozenset[tuple[str, str]]
+"""Attributes of an instance with their values, "" for one that has none; names in lower case."""
+
+_SILENT = ("label", "category")
+"""Attributes that change nothing."""
+_WORD = re.compile(r'-(\w+)(?:\s+("[^"]*"|[^\s"-]\S*))?\s*')
+_KIND = re.compile(r"(\w+):")
+
+
+class UnreadError(Exception):
+    """A file that is not what its name says; the message says where."""
+
+
+def configuration(text: str) -> tuple[str, dict[str, list[Row]]]:
+    """The head of a configuration file, and its rows by type. Raises :class:`UnreadError`."""
+    head, _, rest = text.replace("\r\n", "\n").partition("\n")
+    out: dict[str, list[Row]] = {}
+    kind: str | None = None
+    for line in re.sub(r"\\\n\s*", " ", rest).split("\n"):
+        plain = line.strip()
+        if not plain:
+            continue
+        found = _KIND.fullmatch(plain)
+        if plain == "#":
+            kind = None
+        elif found is not None and kind is None:
+            kind = found.group(1).upper()
+            if kind in out:
+                raise UnreadError(f"{kind} stands there twice")
+            out[kind] = []
+        elif kind is not None:
+            out[kind].append(_row(plain))
+        else:
+            raise UnreadError(f"{plain[:40]!r} belongs to no type")
+    return head.strip(), out
+
+
+def _row(line: str) -> Row:
+    values: dict[str, str] = {}
+    place = 0
+    while place < len(line):
+        found = _WORD.match(line, place)
+        if found is None:
+            raise UnreadError(f"{line[place : place + 40]!r} is no attribute")
+        name, value = found.group(1).lower(), (found.group(2) or "").strip('"')
+        if name in values:
+            raise UnreadError(f"-{name} stands there twice in one row")
+        values[name] = value
+        place = found.end()
+    return frozenset((name, value) for name, value in values.items() if name not in _SILENT)
+
+
+def crossed(row: Row) -> tuple[str, frozenset[str]] | None:
+    """The result and the terms of a cross connection, all of them joined by AND, "not " before one that is
+    turned over; None for any other."""
+    values = dict(row)
+    values.pop("name", None)
+    result = values.pop("res", "")
+    terms: list[str] = []
+    while f"act{len(terms) + 1}" in values:
+        number = len(terms) + 1
+        turned = values.get(f"act{number}_invert") == ""
+        if turned:
+            del values[f"act{number}_invert"]
+        terms.append(f"{'not ' if turned else ''}{values.pop(f'act{number}')}")
+    joints = [values.pop(f"oper{number}", "") for number in range(1, len(terms))]
+    if values or not result or any(joint.upper() != "AND" for joint in joints):
+        return None
+    return result.lower(), frozenset(term.lower() for term in terms)
+
+
+def rapid_words(text: str) -> list[str]:
+    """The words of RAPID text without comments, case only kept in strings, numbers by their values."""
+    cursor, out = Cursor(text), []
+    while cursor.token.kind != "end":
+        kind, word = cursor.token.kind, cursor.token.text
+        out.append(word if kind == "string" else repr(float(word)) if kind == "number" else word.lower())
+        cursor.take()
+    return out
+
+
+def krl_lines(text: str) -> list[str]:
+    """Statements of KRL text, without comments and folds, in capitals and without the spaces that count for
+    nothing."""
+    lines = (re.sub(r";.*", "", line) for line in text.replace("\r\n", "\n").split("\n"))
+    tight = (re.sub(r"\s*([=(),\[\]])\s*", r"\1", " ".join(line.split())) for line in lines)
+    return [line.upper() for line in tight if line]
+
+
+@dataclass(frozen=True)
+class Partner:
+    """The ends of the running wires at the controller of ``arm``, which another one stands beside."""
+
+    controller: Controller
+    arm: str
+    seen: str = "TANDEM_SEEN"
+
+    @property
+    def running(self) -> str:
+        """The output that is 1 while the program of this arm runs."""
+        return self.controller.handshake.of(self.arm).running
+
+    @property
+    def given(self) -> str:
+        """The input that is 1 while the other arm's program runs."""
+        return self.controller.handshake.of(self.arm).partner_running
+
+    @property
+    def lost(self) -> str:
+        """Of ABB, the signal whose rise stops this arm."""
+        return f"{self.given}_lost"
+
+    @property
+    def signals(self) -> list[dict[str, str]]:
+        """Of ABB, the signals by attribute: an output that nobody sets by hand, two inputs."""
+        rows = [
+            {"name": self.running, "signaltype": "DO", "access": "ReadOnly"},
+            {"name": self.given, "signaltype": "DI"},
+            {"name": self.lost, "signaltype": "DI"},
+        ]
+        for row in rows[:2]:
+            place = self.controller.interlock.place(self.arm, row["name"])
+            if place is not None:
+                row |= {"device": place.device, "devicemap": str(place.bit)}
+        return rows
+
+    @property
+    def input(self) -> str:
+        """Of KUKA, the input that is 1 while the other arm's program runs."""
+        return f"$IN[{self.controller.number(self.arm, self.given)}]"
+
+    def watched(self, runs: str) -> list[str]:
+        """Of KUKA, the lines of the submit interpreter: the output says what ``runs``; moves are free unless
+        the other one, which was seen to run since this program started, does not run any more."""
+        own = self.controller.handshake.of(self.arm)
+        out, free = (self.controller.number(self.arm, name) for name in (own.running, own.move_enable))
+        return [
+            f"$OUT[{out}]={runs}",
+            *("IF NOT $PRO_ACT THEN", f"{self.seen}=FALSE", "ENDIF"),
+            *(f"IF $PRO_ACT AND {self.input} THEN", f"{self.seen}=TRUE", "ENDIF"),
+            f"$OUT[{free}]={self.input} OR NOT {self.seen}",
+        ]
+
+
+_CARRIED: Final = re.compile(r"[0-9a-f]{16}")
+
+
+def changed(source: Any) -> tuple[str, ...]:
+    """Names of carried files of a problem's source that are not what they were when they were carried."""
+    out: list[str] = []
+    if isinstance(source, Mapping):
+        for key, value in source.items():
+            path = Path(value) if key == "file" and isinstance(value, str) else None
+            if path is None:
+                out += changed(value)
+            elif path.parent.name == "files" and _CARRIED.fullmatch(path.stem) and _other(path):
+                out.append(f"{path.parent.name}/{path.name}")
+    elif isinstance(source, list | tuple):
+        for value in source:
+            out += changed(value)
+    return tuple(dict.fromkeys(out))
+
+
+def _other(path: Path) -> bool:
+    """Whether a file has other contents than its name says."""
+    return path.is_file() and not hashlib.sha256(path.read_bytes()).hexdigest().startswith(path.stem)

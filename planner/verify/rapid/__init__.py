@@ -1,0 +1,1 @@
+"""RAPID read strictly: from text to the straight way of a task."""

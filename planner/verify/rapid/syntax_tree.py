@@ -1,0 +1,477 @@
+"""What a RAPID module says, as frozen values: nodes of the syntax tree, and RAPID's data records.
+
+Every node knows its offset in the text or its line. Records have their order and types, predefined
+data, and the step from numbers to the values of :mod:`planner.verify.programs.steps` in SI units.
+Order of the components, units (mm, degrees, s, kg) and the figures of the predefined speeds and
+zones: ABB, Technical reference manual RAPID Instructions, Functions and Data types, 3HAC16581-1
+(robtarget, speeddata, zonedata...).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.geometry.arrays import FloatArray
+from planner.verify.programs.steps import (
+    LARGEST,
+    JointTarget,
+    Load,
+    RobTarget,
+    Speed,
+    Tool,
+    WorkObject,
+    Zone,
+    poses,
+    single,
+    singles,
+)
+
+UNUSED_AXIS = 9e9
+QUATERNION_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class SyncIdent:
+    """A synchronisation point; tasks meet where the names agree."""
+
+    name: str
+
+
+Value = Any  # bool, float, str, the classes above, arrays (pos, orient, pose), tuples of values for arrays
+
+RECORDS: dict[str, tuple[str, ...]] = {
+    "pos": ("num",) * 3,
+    "orient": ("num",) * 4,
+    "pose": ("pos", "orient"),
+    "confdata": ("num",) * 4,
+    "robjoint": ("num",) * 6,
+    "extjoint": ("num",) * 6,
+    "robtarget": ("pos", "orient", "confdata", "extjoint"),
+    "jointtarget": ("robjoint", "extjoint"),
+    "loaddata": ("num", "pos", "orient", "num", "num", "num"),
+    "tooldata": ("bool", "pose", "loaddata"),
+    "wobjdata": ("bool", "bool", "string", "pose", "pose"),
+    "speeddata": ("num",) * 4,
+    "zonedata": ("bool", *("num",) * 6),
+    "tasks": ("string",),
+}
+NUMBERS = frozenset({"num", "btnres", "buttondata", "icondata", "errnum", "dionum"})
+OPAQUE = frozenset({"syncident", "clock", "signaldo", "signaldi"})
+TYPES = frozenset(RECORDS) | NUMBERS | OPAQUE | {"bool", "string"}
+
+
+class RapidValueError(Exception):
+    """A value does not fit its type. `code` and `message` for a `Fault`."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+
+
+def base_type(name: str) -> str:
+    """The type that counts for agreement: aliases of num are num."""
+    return "num" if name in NUMBERS else name
+
+
+def build(kind: str, items: Any) -> Value:
+    """The value of type `kind` from nested lists of numbers, truths and strings in file units. Numbers in
+    records are those that the controller holds, in single precision.
+
+    Raises `RapidValueError` where count, type, norm or range is wrong.
+    """
+    if kind == "robtarget":  # the common case, without the general walk
+        try:
+            (x, y, z), (a, b, c, d), conf, external = items
+            c1, c4, c6, cx = four = tuple(map(int, conf))
+            numbers = [x, y, z, a, b, c, d, *external]
+            if (
+                len(numbers) == 13
+                and four == tuple(conf)
+                and set(map(type, [*numbers, *conf])) <= {int, float}
+            ):
+                flat = np.array(numbers, dtype=float)
+                _unit("robtarget.2", (a, b, c, d))
+                if math.isfinite(float(flat.sum())):
+                    flat[:7] = singles(flat[:7])
+                    flat[:3] *= 1e-3
+                    return RobTarget(flat[:3], flat[3:7], (c1, c4, c6, cx), flat[7:])
+        except (TypeError, ValueError, OverflowError):
+            pass  # the walk below finds what is wrong and says so
+    conform(kind, items, kind)
+    convert = _CONVERT.get(kind)
+    return convert(items) if convert else items
+
+
+def conform(kind: str, items: Any, path: str) -> None:
+    """Raise `RapidValueError` unless `items` has the components of `kind`."""
+    if kind in RECORDS:
+        parts = RECORDS[kind]
+        if not isinstance(items, list | tuple):
+            raise RapidValueError(
+                "rapid.type", f"{path}: got {_kind(items)}; a {kind} has {len(parts)} components"
+            )
+        if len(items) != len(parts):
+            raise RapidValueError(
+                "rapid.arity", f"{path}: got {len(items)} components; a {kind} has {len(parts)}"
+            )
+        for number, (part, item) in enumerate(zip(parts, items, strict=True), 1):
+            conform(part, item, f"{path}.{number}")
+        if kind == "orient":
+            _unit(path, items)
+        if kind == "confdata" and any(value != int(value) for value in items):
+            raise RapidValueError("rapid.type", f"{path}: configuration numbers are whole; got {list(items)}")
+        return
+    wanted = base_type(kind)
+    if _kind(items) != wanted:
+        raise RapidValueError("rapid.type", f"{path}: got {_kind(items)}; expected {wanted}")
+    if wanted == "num" and not abs(items) < LARGEST:
+        raise RapidValueError("rapid.number", f"{path}: {items} is no number that a controller holds")
+
+
+def _unit(path: str, q: Any) -> None:
+    norm = math.sqrt(sum(float(value) ** 2 for value in q))
+    if not abs(norm - 1.0) <= QUATERNION_TOLERANCE:
+        allowed = f"1 within {QUATERNION_TOLERANCE:g}"
+        raise RapidValueError(
+            "rapid.quaternion", f"{path}: the quaternion's norm is {norm:.6g}; allowed: {allowed}"
+        )
+
+
+def _kind(item: Any) -> str:
+    if isinstance(item, bool):
+        return "bool"
+    if isinstance(item, int | float):
+        return "num"
+    if isinstance(item, str):
+        return "string"
+    return "a list" if isinstance(item, list | tuple) else type(item).__name__.lower()
+
+
+def _pos(items: Any) -> FloatArray:
+    return singles(items) * 1e-3
+
+
+def _pose(items: Any) -> FloatArray:
+    return poses(_pos(items[0]), singles(items[1]))
+
+
+def _load(items: Any) -> Load:
+    return Load(float(items[0]), _pos(items[1]), singles(items[2]), np.array(items[3:], dtype=float))
+
+
+def _rob(items: Any) -> RobTarget:
+    c1, c4, c6, cx = (int(value) for value in items[2])
+    return RobTarget(_pos(items[0]), singles(items[1]), (c1, c4, c6, cx), np.array(items[3], dtype=float))
+
+
+def _speed(items: Any) -> Speed:
+    tcp, turn, linear, rotary = map(single, items)
+    return Speed(tcp * 1e-3, math.radians(turn), linear * 1e-3, math.radians(rotary))
+
+
+def _zone(items: Any) -> Zone:
+    fine, (tcp, turn, external, angle, linear, rotary) = items[0], map(single, items[1:])
+    lengths = (tcp * 1e-3, turn * 1e-3, external * 1e-3)
+    return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
+
+
+_CONVERT: dict[str, Callable[[Any], Value]] = {
+    "num": float,
+    "pos": _pos,
+    "orient": singles,
+    "pose": _pose,
+    "robtarget": _rob,
+    "jointtarget": lambda items: JointTarget(np.radians(singles(items[0])), np.array(items[1], dtype=float)),
+    "loaddata": _load,
+    "tooldata": lambda items: Tool(items[0], _pose(items[1]), _load(items[2])),
+    "wobjdata": lambda items: WorkObject(items[0], items[1], items[2], _pose(items[3]), _pose(items[4])),
+    "speeddata": _speed,
+    "zonedata": _zone,
+    "tasks": lambda items: items[0],
+}
+
+_UNIT = [[0, 0, 0], [1, 0, 0, 0]]
+_SPEEDS = (
+    5,
+    10,
+    20,
+    30,
+    40,
+    50,
+    60,
+    80,
+    100,
+    150,
+    200,
+    300,
+    400,
+    500,
+    600,
+    800,
+    1000,
+    1500,
+    2000,
+    2500,
+    3000,
+)
+_ZONES = {
+    0: (0.3, 0.3, 0.03),
+    1: (1, 1, 0.1),
+    5: (5, 8, 0.8),
+    10: (10, 15, 1.5),
+    15: (15, 23, 2.3),
+    20: (20, 30, 3),
+}
+_ZONES |= {30: (30, 45, 4.5), 40: (40, 60, 6), 50: (50, 75, 7.5), 60: (60, 90, 9), 80: (80, 120, 12)}
+_ZONES |= {100: (100, 150, 15), 150: (150, 225, 23), 200: (200, 300, 30)}
+
+
+def _predefined() -> dict[str, tuple[str, Value]]:
+    table: dict[str, tuple[str, Value]] = {
+        f"v{v}": ("speeddata", build("speeddata", [v, 500, 5000, 1000]))
+        for v in (*_SPEEDS, 4000, 5000, 6000, 7000)
+    }
+    # vmax is the robot's own highest TCP speed: the instruction sets no limit
+    table["vmax"] = ("speeddata", Speed(math.inf, math.radians(500), 5.0, math.radians(1000)))
+    for name, (tcp, turn, angle) in _ZONES.items():
+        table[f"z{name}"] = ("zonedata", build("zonedata", [False, tcp, turn, turn, angle, turn, angle]))
+    table["fine"] = ("zonedata", build("zonedata", [True, 0, 0, 0, 0, 0, 0]))
+    load = [0.001, [0, 0, 0.001], [1, 0, 0, 0], 0, 0, 0]
+    table["load0"] = ("loaddata", build("loaddata", load))
+    table["tool0"] = ("tooldata", build("tooldata", [True, _UNIT, load]))
+    table["wobj0"] = ("wobjdata", build("wobjdata", [False, True, "", _UNIT, _UNIT]))
+    answers = ("resunkwn", "resok", "resabort", "resretry", "resignore", "rescancel", "resyes", "resno")
+    buttons = (
+        "btnnone",
+        "btnok",
+        "btnabrtrtryign",
+        "btnokcancel",
+        "btnretrycancel",
+        "btnyesno",
+        "btnyesnocancel",
+    )
+    table |= {name: ("num", float(number)) for number, name in enumerate(answers)}
+    table |= {name: ("num", float(number)) for number, name in enumerate(buttons, -1)}
+    table |= {
+        name: ("num", float(n)) for n, name in enumerate(("iconnone", "iconinfo", "iconwarning", "iconerror"))
+    }
+    table |= {"pi": ("num", 3.141592654), "high": ("num", 1.0), "low": ("num", 0.0), "edge": ("num", 2.0)}
+    table |= {"stempty": ("string", ""), "diskhome": ("string", "HOME:"), "errno": ("num", None)}
+    errors = (
+        "err_wait_maxtime",
+        "err_path_stop",
+        "err_robmove",
+        "err_refunkprc",
+        "err_filnotfnd",
+        "err_ioenable",
+    )
+    table |= dict.fromkeys(errors, ("num", None))
+    return table
+
+
+PREDEFINED = _predefined()
+
+
+# ---- expressions; `start` is the offset in the module's text -----------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Literal:
+    """A value that stands in the text; `kind` is its RAPID type."""
+
+    start: int
+    kind: str
+    value: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Aggregate:
+    """`[a, b, ...]` whose type its place decides."""
+
+    start: int
+    items: tuple[Expr, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A name of data; `text` as written."""
+
+    start: int
+    text: str
+
+    @property
+    def key(self) -> str:
+        """The name as RAPID compares it."""
+        return self.text.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A function call."""
+
+    start: int
+    text: str
+    arguments: tuple[Expr, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Unary:
+    """`-x`, `+x` or `NOT x`; `operator` in lower case."""
+
+    start: int
+    operator: str
+    operand: Expr
+
+
+@dataclass(frozen=True, slots=True)
+class Binary:
+    """`left operator right`; `operator` in lower case."""
+
+    start: int
+    operator: str
+    left: Expr
+    right: Expr
+
+
+Expr = Literal | Aggregate | Name | Function | Unary | Binary
+
+
+# ---- statements --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """`line` from 1; `start` the offset of its first word."""
+
+    line: int
+    start: int
+
+
+@dataclass(frozen=True, slots=True)
+class Move(Statement):
+    """`kind` MoveAbsJ, MoveJ or MoveL; `switches` holds conc, noeoffs, inpos... as given, in lower case."""
+
+    kind: str
+    target: Expr
+    speed: Expr
+    zone: Expr
+    tool: Expr
+    id: Expr | None = None
+    time: Expr | None = None
+    velocity: Expr | None = None
+    wobj: Expr | None = None
+    switches: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction(Statement):
+    """Any other built-in instruction: `name` in its official spelling, required arguments, options by
+    lower-case name.
+    """
+
+    name: str
+    arguments: tuple[Expr, ...] = ()
+    options: tuple[tuple[str, Expr | None], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Assign(Statement):
+    """`target := value;`"""
+
+    target: Name
+    value: Expr
+
+
+@dataclass(frozen=True, slots=True)
+class ProcCall(Statement):
+    """`name;`"""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class LateCall(Statement):
+    """`%"module:procedure"%;`"""
+
+    name: Expr
+
+
+@dataclass(frozen=True, slots=True)
+class If(Statement):
+    """`branches`: condition and body of IF and each ELSEIF; `otherwise`: body of ELSE. `source`: text of
+    the conditions.
+    """
+
+    branches: tuple[tuple[Expr, tuple[Statement, ...]], ...]
+    otherwise: tuple[Statement, ...]
+    source: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class While(Statement):
+    """`WHILE condition DO body ENDWHILE`"""
+
+    condition: Expr
+    body: tuple[Statement, ...]
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class For(Statement):
+    """`FOR name FROM first TO last [STEP step] DO body ENDFOR`"""
+
+    name: str
+    first: Expr
+    last: Expr
+    step: Expr | None
+    body: tuple[Statement, ...]
+
+
+# ---- declarations ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """One data declaration: `storage` CONST, VAR, PERS or TASK PERS; `size` of an array or None."""
+
+    line: int
+    start: int
+    name: str
+    kind: str
+    storage: str
+    local: bool
+    size: int | None
+    initial: Expr | None
+
+
+@dataclass(frozen=True, slots=True)
+class Procedure:
+    """A procedure without parameters; `error` and `undo` are its handlers, None where it has none."""
+
+    line: int
+    start: int
+    name: str
+    local: bool
+    body: tuple[Statement, ...]
+    error: tuple[Statement, ...] | None = None
+    undo: tuple[Statement, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """A module; `file` is where it came from, `bytes` its size, `lines` its number of lines."""
+
+    name: str
+    attributes: tuple[str, ...]
+    data: tuple[Data, ...]
+    procedures: tuple[Procedure, ...]
+    file: str
+    bytes: int
+    lines: int
+    starts: tuple[int, ...]  # offsets of the lines, to place later faults

@@ -1,0 +1,411 @@
+"""A robot as the proof sees it: its chain of joints and its shape by the text of its URDF.
+
+Limits and speeds are the catalogue's. The proof's own kinematics: the chain of six turning joints
+is read from the URDF's text and followed in batches. What the closed form needs of an arm, its
+lengths, offsets and signs, follows from the axes of that chain. The form is that of Brandstoetter,
+Angerer, Hofbaur (2014), ortho-parallel basis and spherical wrist; the way from axes to its
+parameters is worked out here. No figure comes from the catalogue.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Final
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from planner.catalogue.robots import RobotData, robot, urdf_path
+from planner.geometry.arrays import FloatArray
+from planner.issues import Issue, TandemError
+
+BASE_LINK: Final = "base_link"
+TIP_LINK: Final = "tool0"
+"""The links that the chain goes from and to: the robot's foot and its flange."""
+
+POSTURES_TOGETHER: Final = 4096
+"""Postures that are worked out at once: their arrays stay in the processor's cache."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Chain:
+    """Six turning joints in a row.
+
+    ``links``: names of the links that joints 1 to 6 turn, and of the tip, which is fixed to the last one.
+    ``zero`` (7, 4, 4): their frames in the base with all joints at zero. ``axis`` (6, 3): unit vectors of the
+    joints' axes in the base, at zero; axis i goes through the origin of frame i. ``lower``, ``upper`` [rad]
+    and ``velocity`` [rad/s] (6,): limits, NaN where the file states none. ``step`` (7, 4, 4): from each
+    joint's frame, its axis laid along z, to the next one's, the first from the base, the last to the tip;
+    ``lay`` (6, 3, 3): the rotations that lay z along the axes in the links' frames.
+    """
+
+    links: tuple[str, ...]
+    zero: FloatArray
+    axis: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    velocity: FloatArray
+    step: FloatArray
+    lay: FloatArray
+
+    def tip(self, q: FloatArray) -> FloatArray:
+        """Poses (..., 4, 4) of the tip in the base at joint angles ``q`` (..., 6) [rad]."""
+        return self._followed(q, tip_only=True)[..., 0, :, :]
+
+    def frames(self, q: FloatArray) -> FloatArray:
+        """Poses (..., 7, 4, 4) of all links and the tip in the base at joint angles ``q`` (..., 6) [rad]."""
+        return self._followed(q, tip_only=False)
+
+    def _followed(self, q: FloatArray, tip_only: bool) -> FloatArray:
+        rows = np.asarray(q, dtype=np.float64).reshape(-1, 6)
+        out = np.zeros((len(rows), 1 if tip_only else 7, 4, 4))
+        out[..., 3, 3] = 1.0
+        for first in range(0, len(rows), POSTURES_TOGETHER):
+            some = slice(first, first + POSTURES_TOGETHER)
+            self._follow(rows[some], out[some], tip_only)
+        return out.reshape(*np.shape(q)[:-1], *out.shape[1:])
+
+    def _follow(self, q: FloatArray, out: FloatArray, tip_only: bool) -> None:
+        """Fills ``out`` (B, 7 or 1, 4, 4). Axes and place are kept as rows, (3, 3 B) and (3 B,): a turn about
+        z mixes two of them, a step is one product with a constant."""
+        count = len(q)
+        cos, sin = (np.tile(f(q.T), 3) for f in (np.cos, np.sin))
+        axes = np.repeat(self.step[0, :3, :3].T, count, axis=1)
+        place = np.repeat(self.step[0, :3, 3], count)
+        for i in range(6):
+            x, y = axes[0], axes[1]
+            axes = np.stack([cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x, axes[2]])
+            if not tip_only:
+                _put(out[:, i], self.lay[i] @ axes, place)
+            place = place + self.step[i + 1, :3, 3] @ axes
+            axes = self.step[i + 1, :3, :3].T @ axes
+        _put(out[:, -1], axes, place)
+
+
+def _put(out: FloatArray, axes: FloatArray, place: FloatArray) -> None:
+    """Axes (3, 3 B) and places (3 B,) as poses (B, 4, 4)."""
+    out[:, :3, :3] = axes.reshape(3, 3, -1).transpose(2, 1, 0)
+    out[:, :3, 3] = place.reshape(3, -1).T
+
+
+def read_chain(text: str) -> Chain:
+    """The chain from ``base_link`` to ``tool0`` in the text of a URDF file; joints that are fixed are part of
+    the way. Raises ``ValueError`` that says what is wrong: no XML, no such chain, not six turning joints,
+    other joints that move, numbers that are none.
+    """
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise ValueError(f"is not XML ({error})") from None
+    if root.tag != "robot":
+        raise ValueError(f"begins with <{root.tag}>; a URDF begins with <robot>")
+    above: dict[str, ET.Element] = {}
+    for joint in root.iter("joint"):
+        if joint.find("child") is None:
+            continue  # what transmissions and the like name
+        child = _link(joint, "child")
+        if child in above:
+            raise ValueError(f"hangs link {child} on two joints; one is allowed")
+        above[child] = joint
+    way = _way(above)
+    turning = [joint for joint in way if joint.get("type") in ("revolute", "continuous")]
+    moving = [joint for joint in above.values() if joint.get("type") != "fixed"]
+    if len(turning) != 6 or len(moving) != 6:
+        what = f"has {len(moving)} joints that move, {len(turning)} of them turning on the way"
+        raise ValueError(f"{what} from {BASE_LINK} to {TIP_LINK}; six are needed, and no others")
+    return _chain(way)
+
+
+def _way(above: dict[str, ET.Element]) -> list[ET.Element]:
+    """The joints from the base to the tip."""
+    way: list[ET.Element] = []
+    link = TIP_LINK
+    while link != BASE_LINK:
+        if link not in above or len(way) > len(above):
+            raise ValueError(f"has no chain of joints from {BASE_LINK} to {TIP_LINK}: nothing holds {link}")
+        way.append(above[link])
+        link = _link(above[link], "parent")
+    return way[::-1]
+
+
+def _chain(way: list[ET.Element]) -> Chain:
+    links, zero, axes, limits, steps, lays = [], [], [], [], [], []
+    pose, step = np.eye(4), np.eye(4)
+    for joint in way:
+        origin = joint.find("origin")
+        moved = np.eye(4)
+        if origin is not None:
+            moved[:3, :3] = _rotation(_numbers(joint, origin, "rpy", "0 0 0"))
+            moved[:3, 3] = _numbers(joint, origin, "xyz", "0 0 0")
+        pose, step = pose @ moved, step @ moved
+        if joint.get("type") == "fixed":
+            continue
+        if joint.find("mimic") is not None:
+            raise ValueError(f"has a joint {joint.get('name')} that follows another one; none may")
+        element = joint.find("axis")
+        axis = np.array([1.0, 0.0, 0.0]) if element is None else _numbers(joint, element, "xyz", "1 0 0")
+        if not np.linalg.norm(axis) > 1e-3:
+            raise ValueError(f"has a joint {joint.get('name')} with the axis {axis.tolist()}, which is none")
+        axis = axis / np.linalg.norm(axis)
+        lay = np.eye(4)
+        lay[:3, :3] = _laid(axis)
+        links.append(_link(joint, "child"))
+        zero.append(pose)
+        axes.append(pose[:3, :3] @ axis)
+        limits.append(_limits(joint))
+        steps.append(step @ lay)
+        lays.append(lay[:3, :3])
+        step = lay.T
+    lower, upper, velocity = np.array(limits).T
+    return Chain(
+        links=(*links, TIP_LINK),
+        zero=np.array([*zero, pose]),
+        axis=np.array(axes),
+        lower=lower,
+        upper=upper,
+        velocity=velocity,
+        step=np.array([*steps, step]),
+        lay=np.array(lays),
+    )
+
+
+def _laid(axis: FloatArray) -> FloatArray:
+    """A rotation (3, 3) whose z is ``axis`` (3,); exact for axes along x, y or z."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(other, axis)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(axis, x), axis], axis=1)
+
+
+def _rotation(rpy: FloatArray) -> FloatArray:
+    """Rotation (3, 3) by roll, pitch, yaw [rad] about the fixed axes x, y, z in this order, as in URDF."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    yaw = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(yaw @ pitch @ roll)
+
+
+def _limits(joint: ET.Element) -> list[float]:
+    limit = joint.find("limit")
+    if limit is None:
+        return [np.nan] * 3
+    return [float(_numbers(joint, limit, key, "nan")[0]) for key in ("lower", "upper", "velocity")]
+
+
+def _link(joint: ET.Element, role: str) -> str:
+    element = joint.find(role)
+    name = None if element is None else element.get("link")
+    if not name:
+        raise ValueError(f"has a joint {joint.get('name')} that names no {role} link")
+    return name
+
+
+def _numbers(joint: ET.Element, element: ET.Element, key: str, default: str) -> FloatArray:
+    """The numbers of an attribute: as many as its default has; NaN only by default."""
+    text, count = element.get(key), len(default.split())
+    try:
+        values = np.array([float(word) for word in (text or default).split()])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != count or (text is not None and not np.isfinite(values).all()):
+        what = f"<{element.tag} {key}={text!r}> in joint {joint.get('name')}"
+        raise ValueError(f"has {what}; {count} finite numbers are needed")
+    return values
+
+
+EXACT: Final = 1e-9
+"""How far [m] axes may be off from meeting, and [rad] from being parallel or square: files round so far."""
+
+_DIGITS: Final = 11
+"""Lengths count to so many decimals of a metre: sums of a file's decimals get no noise."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ArmShape:
+    """Lengths [m], ``offsets`` (6,) [rad] and ``signs`` (6,) of the arm: theta = signs * q - offsets.
+
+    Tip in the base: Rz(t1) T(a1, b, c1) Ry(t2) T(0, 0, c2) Ry(t3) T(a2, 0, c3) Rz(t4) Ry(t5) Rz(t6)
+    T(0, 0, c4).
+    """
+
+    a1: float
+    a2: float
+    b: float
+    c1: float
+    c2: float
+    c3: float
+    c4: float
+    offsets: FloatArray
+    signs: FloatArray
+
+
+def shape_of(chain: Chain) -> ArmShape:
+    """The shape of a chain. Raises ``ValueError`` that says which axes are not as the form has them."""
+    w, point = chain.axis, chain.zero[:6, :3, 3]
+    flange = chain.zero[6]
+    up = np.array([0.0, 0.0, 1.0])
+    _parallel(w[0], up, "axis 1", "the base's z")
+    _met(point[0][:2], "axis 1", "the base's origin")
+    _square(w[1], w[0], "axis 2", "axis 1")
+    _parallel(w[2], w[1], "axis 3", "axis 2")
+    _square(w[3], w[2], "axis 4", "axis 3")
+    _square(w[4], w[3], "axis 5", "axis 4")
+    _square(w[5], w[4], "axis 6", "axis 5")
+    _parallel(flange[:3, 2], w[5], "the flange's z", "axis 6")
+    wrist = _meeting(point[3], w[3], point[4], w[4])
+    for axis in (3, 4, 5):
+        _met(np.cross(wrist - point[axis], w[axis]), f"axis {axis + 1}", "the wrist's centre")
+    out = flange[:3, 3] - wrist
+    _met(np.cross(out, w[5]), "the flange's origin", "axis 6")
+
+    side, sign2 = _along(w[1], np.array([0.0, 1.0, 0.0]))
+    front = np.cross(side, up)
+    plane = np.stack([front, side, up])  # rows: seen in the plane that turns with axis 1
+    shoulder, elbow, centre = (plane @ place for place in (point[1], point[2], wrist))
+    upper, rest = elbow - shoulder, centre - elbow
+    lengthwise = plane @ w[3]
+    sign4 = 1.0 if rest @ lengthwise > 0.0 else -1.0
+    lengthwise = sign4 * lengthwise
+    across = np.array(
+        [lengthwise[2], 0.0, -lengthwise[0]]
+    )  # of Ry(t2 + t3): its x, where its z is lengthwise
+    turned = np.stack([across, [0.0, 1.0, 0.0], lengthwise], axis=1)  # Ry(t2 + t3)
+    tilt, sign5 = _along(turned.T @ plane @ w[4], np.array([0.0, 1.0, 0.0]))
+    t2 = np.arctan2(upper[0], upper[2])
+    t3 = np.arctan2(lengthwise[0], lengthwise[2]) - t2
+    t4 = np.arctan2(-tilt[0], tilt[1])
+    swivel = np.array([[np.cos(t4), -np.sin(t4), 0.0], [np.sin(t4), np.cos(t4), 0.0], [0.0, 0.0, 1.0]])
+    hand = swivel.T @ turned.T @ plane @ flange[:3, :3]  # Ry(t5) Rz(t6)
+    t5, t6 = np.arctan2(hand[0, 2], hand[2, 2]), np.arctan2(hand[1, 0], hand[1, 1])
+    theta = np.array([np.arctan2(-side[0], side[1]), t2, t3, t4, t5, t6])
+    shape = ArmShape(
+        a1=_metres(shoulder[0]),
+        a2=_metres(rest @ across),
+        b=_metres(centre[1]),
+        c1=_metres(shoulder[2]),
+        c2=_metres(np.hypot(upper[0], upper[2])),
+        c3=_metres(rest @ lengthwise),
+        c4=_metres(out @ flange[:3, 2]),
+        offsets=-theta,
+        signs=np.array(
+            [np.sign(w[0] @ up), sign2, np.sign(w[2] @ side), sign4, sign5, np.sign(w[5] @ flange[:3, 2])]
+        ),
+    )
+    if not (shape.c2 > EXACT and np.hypot(shape.a2, shape.c3) > EXACT):
+        raise ValueError(
+            f"has an upper arm of {shape.c2:g} m and a forearm of {shape.c3:g} m; both need length"
+        )
+    return shape
+
+
+def _metres(value: float) -> float:
+    return round(float(value), _DIGITS) + 0.0
+
+
+def _along(axis: FloatArray, wanted: FloatArray) -> tuple[FloatArray, float]:
+    """The axis or its opposite, whichever is nearer to ``wanted``, and the sign that makes it so."""
+    sign = -1.0 if axis @ wanted < 0.0 else 1.0
+    return sign * axis, sign
+
+
+def _meeting(a: FloatArray, u: FloatArray, b: FloatArray, v: FloatArray) -> FloatArray:
+    """The point of the line through ``a`` along ``u`` that is nearest to the line through ``b`` along ``v``,
+    which is square to it."""
+    return np.asarray(a + ((b - a) @ u) * u)
+
+
+def _parallel(a: FloatArray, b: FloatArray, one: str, other: str) -> None:
+    off = float(np.linalg.norm(np.cross(a, b)))
+    if not off <= EXACT:
+        raise ValueError(_not_so(one, other, "parallel to", off))
+
+
+def _square(a: FloatArray, b: FloatArray, one: str, other: str) -> None:
+    off = abs(float(a @ b))
+    if not off <= EXACT:
+        raise ValueError(_not_so(one, other, "square to", off))
+
+
+def _not_so(one: str, other: str, word: str, off: float) -> str:
+    degrees = np.rad2deg(np.arcsin(min(off, 1.0)))
+    return (
+        f"has {one} {degrees:.6f} deg off from being {word} {other}; {np.rad2deg(EXACT):.0e} deg is allowed"
+    )
+
+
+def _met(gap: FloatArray, one: str, other: str) -> None:
+    off = float(np.linalg.norm(gap))
+    if not off <= EXACT:
+        raise ValueError(f"has {one} {1e3 * off:.6f} mm beside {other}; {1e3 * EXACT:g} mm is allowed")
+
+
+ROBOT_MODEL: Final = "verify.robot_model"
+MODEL_AGREEMENT: Final = 1e-8
+"""How far catalogue and URDF may differ, in m, rad and rad/s: files round to 1e-9."""
+REINSTALL_HINT: Final = "install tandem-planner again, or restore the file"
+_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Machine:
+    """One robot: ``data`` for its limits, speeds, coupling and home alone; ``chain`` and ``shape`` from its
+    URDF."""
+
+    data: RobotData
+    chain: Chain
+    shape: ArmShape
+
+    def flange(self, q: FloatArray) -> FloatArray:
+        """Flange poses (..., 4, 4) in the base at serial joint angles ``q`` (..., 6) [rad]."""
+        return self.chain.tip(q)
+
+
+def machine_of(name: str) -> Machine:
+    """The robot of that name in the catalogue. Raises ``TandemError`` (``verify.robot_model``) for a file
+    that cannot be read or is of no arm with a spherical wrist, and as
+    :func:`planner.catalogue.robots.urdf_path`."""
+    path = urdf_path(name)
+    try:
+        chain, shape = _read(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        message = f"the robot {name}: its URDF {error}"
+        raise TandemError(Issue(ROBOT_MODEL, message, file=str(path), hint=REINSTALL_HINT)) from None
+    return Machine(robot(name), chain, shape)
+
+
+@functools.lru_cache(maxsize=32)
+def _read(text: str) -> tuple[Chain, ArmShape]:
+    chain = read_chain(text)
+    return chain, shape_of(chain)
+
+
+def differences(machine: Machine) -> list[str]:
+    """Where the catalogue's dimensions and limits, which programs are planned with, are not the URDF's."""
+    shape, chain, data = machine.shape, machine.chain, machine.data
+    planned = data.opw
+    out = []
+    for key in _LENGTHS:
+        here, there = getattr(shape, key), getattr(planned, key)
+        if not abs(here - there) <= MODEL_AGREEMENT:
+            out.append(
+                f"{key} is {1e3 * here:.6f} mm by the axes of the URDF, {1e3 * there:.6f} in the catalogue"
+            )
+    turn = np.abs((shape.offsets - planned.offsets + np.pi) % (2.0 * np.pi) - np.pi)
+    for i in np.flatnonzero(~(turn <= MODEL_AGREEMENT)):
+        here, there = np.rad2deg([shape.offsets[i], planned.offsets[i]])
+        out.append(f"the offset of axis {i + 1} is {here:.6f} deg in the URDF, {there:.6f} in the catalogue")
+    turned = np.flatnonzero(shape.signs != planned.signs)
+    out += [f"axis {i + 1} turns the other way in the URDF than in the catalogue" for i in turned]
+    for word, here, there in (
+        ("lower limit", chain.lower, data.lower),
+        ("upper limit", chain.upper, data.upper),
+        ("speed", chain.velocity, data.velocity),
+    ):
+        for i in np.flatnonzero(np.abs(here - there) > MODEL_AGREEMENT):
+            one, other = np.rad2deg([here[i], there[i]])
+            out.append(
+                f"the {word} of axis {i + 1} is {one:.6f} deg in the URDF, {other:.6f} in the catalogue"
+            )
+    return out

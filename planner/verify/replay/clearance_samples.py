@@ -1,0 +1,178 @@
+"""Where clearance is measured along a motion, and how: by cheap bounds, which settle most places, and
+by Drake where they do not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from planner.cell import clearance
+from planner.cell.clearance import Pairs
+from planner.cell.plant import CellModel
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.rigid import Shape
+from planner.issues import Issue, TandemError
+from planner.problem import Setup
+from planner.tooling import working_solid
+from planner.verify.context import Context
+from planner.verify.replay import arm_model
+
+STRIDE = 0.012
+"""Way of any point of an arm between looks [m], the wanted clearance at most: bodies that keep it at two
+looks do not touch between them, as long as it is more than ``LEAST``."""
+LEAST = 0.003
+SHOWN = 20_000
+"""Up to so many looks all distances are measured; of more, a quarter of it and all that are in doubt."""
+BATCH = 2000
+MOST_NEAREST = 50_000
+"""Looks that are measured at most to find the least distance where none is in doubt."""
+PRECISE = 1e-5
+"""How precisely the least distance is found [m], where none is in doubt."""
+MOST_DOUBTED = 250_000
+"""Looks that bounds leave in doubt at most; a motion that has more is refused."""
+MOST_BROKEN = 1000
+"""Looks with too little clearance after which no more of those in doubt are measured."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """``look`` (K,): indices of the looks whose distances were measured, ascending, and their ``least``.
+
+    ``rest``: what all other looks keep at least [m], infinite where there are none. None of them is below the
+    limit that was asked about, unless so many others are that the search ended.
+    """
+
+    look: IntArray
+    least: clearance.LeastClearance
+    rest: float
+
+
+def clearance_rows(context: Context, index: int) -> IntArray:
+    """Samples of setup ``index`` at which clearance is looked at: no point of an arm, its tool or what it
+    holds moves farther than ``STRIDE`` between them."""
+    rows = np.flatnonzero(context.sample_setup == index)
+    if not len(rows):
+        return rows
+    way = np.zeros(len(rows))
+    for task in context.job.tasks:
+        way[1:] += travel(context, index, task.arm.name, rows)
+    along = np.cumsum(way)
+    count = max(int(np.ceil(along[-1] / min(STRIDE, max(context.problem.settings.clearance, LEAST)))), 1)
+    marks = np.searchsorted(along, np.linspace(0.0, along[-1], count + 1))
+    return rows[np.unique(np.clip(marks, 0, len(along) - 1))]
+
+
+def least_distances(
+    model: CellModel, q: Mapping[str, FloatArray], limit: float, reach: float, ignore: Pairs
+) -> Measured:
+    """Least distances of bodies, of those within ``reach`` [m], at looks ``q`` {arm: (B, 6)}, wherever they
+    may be below ``limit`` [m], where they are smallest, and at looks evenly spread.
+
+    Raises :class:`TandemError` (``verify.duration``) where too many looks are in doubt.
+    """
+    count = max((len(rows) for rows in q.values()), default=0)
+    if count <= SHOWN:
+        return Measured(np.arange(count), clearance.least(model, q, reach, ignore), np.inf)
+    asked = _Asked(model, q, reach, ignore, count)
+    asked.ask(np.unique(np.linspace(0, count - 1, SHOWN // 4).astype(np.int64)))
+    # neither the limit nor the least distance is beyond this, and bounds that need not reach farther are fast
+    near = max(limit, float(np.nanmin(asked.distance, initial=reach)))
+    lower = clearance.at_least(model, q, min(reach, near + 2.0 * clearance.BOUND_ERROR), ignore)
+    lower[~np.isfinite(model.stack(q)).all(axis=1)] = -np.inf
+    doubted = np.flatnonzero(lower < limit)
+    for first in range(0, len(doubted), BATCH):
+        if np.count_nonzero(asked.distance < limit) > MOST_BROKEN:
+            break
+        if first >= MOST_DOUBTED:
+            what = f"clearance is in doubt at {len(doubted)} of {count} looks"
+            what = f"{what}, at most {MOST_DOUBTED} are measured; split the job"
+            raise TandemError(Issue("verify.duration", what, value=len(doubted), limit=MOST_DOUBTED))
+        asked.ask(doubted[first : first + BATCH])
+    order = np.argsort(lower, kind="stable")
+    for first in range(0, MOST_NEAREST, BATCH):
+        nearest = order[first : first + BATCH]
+        # a bound is a touch below the distance that it bounds
+        if (
+            not len(nearest)
+            or lower[nearest[0]] + clearance.BOUND_ERROR >= np.nanmin(asked.distance) - PRECISE
+        ):
+            break
+        asked.ask(nearest)
+    left = lower[~asked.done] + clearance.BOUND_ERROR
+    return Measured(*asked.result(), float(left.min(initial=np.inf)))
+
+
+class _Asked:
+    """Distances of the looks that were measured so far."""
+
+    def __init__(
+        self, model: CellModel, q: Mapping[str, FloatArray], reach: float, ignore: Pairs, count: int
+    ) -> None:
+        self.model, self.q, self.reach, self.ignore = model, q, reach, ignore
+        self.distance = np.full(count, np.nan)
+        self.done = np.zeros(count, dtype=bool)
+        self.pair: dict[int, tuple[str, str]] = {}
+
+    def ask(self, some: IntArray) -> None:
+        """Measure at some looks, unless that is done."""
+        some = some[~self.done[some]]
+        if not len(some):
+            return
+        found = clearance.least(
+            self.model, {arm: rows[some] for arm, rows in self.q.items()}, self.reach, self.ignore
+        )
+        self.distance[some], self.done[some] = found.distance, True
+        self.pair.update(zip(some.tolist(), found.pair, strict=True))
+
+    def result(self) -> tuple[IntArray, clearance.LeastClearance]:
+        """Indices (K,) of what was measured, and the distances."""
+        look = np.flatnonzero(self.done)
+        return look, clearance.LeastClearance(self.distance[look], tuple(self.pair[int(i)] for i in look))
+
+
+def travel(context: Context, index: int, arm: str, rows: IntArray | slice = slice(None)) -> FloatArray:
+    """How far (M - 1,) [m] any point of an arm goes at most between samples ``rows`` (M,) of a setup."""
+    reach, q = lever(context, index, arm), context.motion.q[arm]
+    # one axis at a time: copies of all take a long motion's memory
+    return np.asarray(sum(reach[axis] * np.abs(np.diff(q[rows, axis])) for axis in range(q.shape[1])))
+
+
+def lever(context: Context, index: int, arm: str) -> FloatArray:
+    """How far any point of an arm is from each of its axes at most (6,) [m]."""
+    setup = context.setups[index]
+    p = arm_model.machine_of(setup.cell.arm(arm).robot).shape
+    tool = _hand(setup, arm)
+    hand = abs(p.c4) + tool
+    forearm = float(np.hypot(p.a2, p.c3))
+    return np.array(
+        [abs(p.a1) + p.c2 + forearm + hand, p.c2 + forearm + hand, forearm + hand, hand, hand, tool]
+    )
+
+
+def _hand(setup: Setup, arm: str) -> float:
+    """How far any point of the tool, or of the block that it holds, is from the flange at most [m]."""
+    tool, stock = setup.cell.arm(arm).tool, setup.stock
+    far = [float(np.linalg.norm(tool.tcp[:3, 3])) + 0.05]
+    solid = working_solid(tool)
+    shapes = tool.shapes if solid is None else (*tool.shapes, solid)
+    far += [float(np.linalg.norm(shape.pose[:3, 3])) + _radius(shape) for shape in shapes]
+    if stock.held_by == arm:
+        corners = np.array(list(itertools.product(*zip(stock.lower, stock.upper, strict=True))))
+        pose = tool.tcp @ stock.grip
+        far.append(float(np.linalg.norm(corners @ pose[:3, :3].T + pose[:3, 3], axis=1).max()))
+    return max(far)
+
+
+def _radius(shape: Shape) -> float:
+    """Radius [m] of a ball about a shape's origin that holds it."""
+    if shape.vertices is not None:
+        return float(np.linalg.norm(shape.vertices, axis=1).max())
+    if shape.kind == "box":
+        return 0.5 * float(np.linalg.norm(shape.size))
+    if shape.kind == "cylinder":
+        return float(np.hypot(shape.size[0], 0.5 * shape.size[1]))
+    return shape.size[0] + (0.5 * shape.size[1] if shape.kind == "capsule" else 0.0)

@@ -1,0 +1,199 @@
+"""A replayed motion as arrays, with its many poses in little memory.
+
+Speeds of a wire across itself come from its shapes at stations and the replay's clock.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.verify.programs.steps import Step
+
+Rows = int | np.integer | slice | IntArray | BoolArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Poses:
+    """S poses as their positions ``place`` and the directions ``x`` and ``z`` of two of their axes (S, 3): y
+    follows. What is indexed comes as (..., 4, 4)."""
+
+    place: FloatArray
+    x: FloatArray
+    z: FloatArray
+
+    @staticmethod
+    def of(poses: FloatArray) -> Poses:
+        """Of poses (S, 4, 4)."""
+        return Poses(poses[:, :3, 3].copy(), poses[:, :3, 0].copy(), poses[:, :3, 2].copy())
+
+    @staticmethod
+    def empty(count: int) -> Poses:
+        """Room for ``count`` poses."""
+        return Poses(np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)))
+
+    @staticmethod
+    def joined(parts: Iterable[Poses]) -> Poses:
+        """Poses behind each other."""
+        some = tuple(parts)
+        if len(some) == 1:
+            return some[0]
+        place, x, z = (
+            np.concatenate([getattr(part, field.name) for part in some])
+            for field in dataclasses.fields(Poses)
+        )
+        return Poses(place, x, z)
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def __getitem__(self, rows: Rows) -> FloatArray:
+        place, x, z = self.place[rows], self.x[rows], self.z[rows]
+        out = np.zeros((*place.shape[:-1], 4, 4))
+        out[..., :3, 0], out[..., :3, 1], out[..., :3, 2] = x, np.cross(z, x), z
+        out[..., :3, 3] = place
+        out[..., 3, 3] = 1.0
+        return out
+
+    def __setitem__(self, rows: Rows, poses: FloatArray) -> None:
+        self.place[rows] = poses[..., :3, 3]
+        self.x[rows] = poses[..., :3, 0]
+        self.z[rows] = poses[..., :3, 2]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """Something that keeps the motion from being what the text says. ``kind`` names the rule that reports
+    it."""
+
+    kind: str
+    message: str
+    task: str
+    line: int
+    index: int
+    value: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """S samples and K nodes (targets) of the whole job.
+
+    Samples: ``time`` (S,) [s], ``stage``, ``node`` (S,) the move under way as an index into the nodes, ``q``
+    {arm: (S, 6)} serial angles [rad], ``tcp`` {arm: S poses} in the world. Nodes: ``node_sample`` (K,) the
+    sample at which the move ends, ``node_segment``, ``node_stop``, ``node_stage``, ``node_ids``,
+    ``node_line`` {arm: (K,)}, ``node_conf_q`` {arm: (K, 6)} what confdata alone select (NaN where the arm
+    has no such target).
+    """
+
+    time: FloatArray
+    stage: IntArray
+    node: IntArray
+    q: Mapping[str, FloatArray]
+    tcp: Mapping[str, Poses]
+    node_sample: IntArray
+    node_segment: tuple[Segment, ...]
+    node_stop: BoolArray
+    node_stage: IntArray
+    node_ids: IntArray
+    node_duration: FloatArray
+    node_line: Mapping[str, IntArray]
+    node_tcp: Mapping[str, FloatArray]
+    node_conf_q: Mapping[str, FloatArray]
+    node_conf_ok: Mapping[str, BoolArray]
+    step_time: tuple[tuple[float, int, str, Step], ...]
+    faults: tuple[Fault, ...]
+
+    def speed(self, arm: str) -> FloatArray:
+        """Joint speeds (S, 6) [rad/s] of an arm by finite differences; not kept, for long motions have many
+        samples."""
+        return differences(self.time, self.q[arm], 1)
+
+    def acceleration(self, arm: str) -> FloatArray:
+        """Joint accelerations (S, 6) [rad/s^2] of an arm, as :meth:`speed`."""
+        return differences(self.time, self.q[arm], 2)
+
+    @functools.cached_property
+    def node_label(self) -> NDArray[np.str_]:
+        """The label (K,) of each move's segment, as the programs say it: the ``key`` of a claimed one."""
+        return np.array([str(segment) for segment in self.node_segment], dtype=np.str_)
+
+    @functools.cached_property
+    def node_kind(self) -> NDArray[np.str_]:
+        """The kind (K,) of each move's segment."""
+        return np.array([segment.kind for segment in self.node_segment], dtype=np.str_)
+
+    def labels(self, rows: IntArray | slice = slice(None)) -> NDArray[np.str_]:
+        """Labels (M,) of the moves under way at samples ``rows`` (M,), else at all."""
+        return self.node_label[self.node[rows]]
+
+
+def differences(time: FloatArray, q: FloatArray, order: int) -> FloatArray:
+    """Speeds (``order`` 1) or accelerations (2) (S, 6) of samples q (S, 6) by central differences on a grid
+    that is nearly even; 0 at the ends."""
+    out = np.zeros_like(q)
+    if len(time) < 3:
+        return out
+    step = np.maximum(np.diff(time), 1e-6)
+    between = 0.5 * (step[1:] + step[:-1])
+    for axis in range(q.shape[1]):  # one at a time: what is worked out on the way needs memory
+        slope = np.diff(q[:, axis]) / step
+        after, before = slope[1:], slope[:-1]
+        out[1:-1, axis] = (
+            np.where(np.abs(after) > np.abs(before), after, before)
+            if order == 1
+            else (after - before) / between
+        )
+    return out
+
+
+MELTED = 1e-3
+"""[m] heat reaches ahead of the wire, to its sides and behind it by about half a slot: what the wire does on
+less of its way either way is melted together, so that a slot cannot grow wide and narrow again within it."""
+_STILL = 1e-12
+"""[m] least way between stations: a wire that stands takes time and goes nowhere."""
+
+
+def steps_across(points: FloatArray) -> FloatArray:
+    """Ways (T - 1, P) [m] of the points (T, P, 3) of a wire across it, from one station to the next."""
+    way = np.diff(points, axis=0)
+    along = np.gradient(points[:-1] + points[1:], axis=1)
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    return np.asarray(np.linalg.norm(way - (way * along).sum(axis=2, keepdims=True) * along, axis=2))
+
+
+def local(points: FloatArray, time: FloatArray, inside: BoolArray) -> FloatArray:
+    """Speed (T, P) [m/s] across the wire of its points (T, P, 3) at each of the times (T,): the way over the
+    time, from the station before to the one behind, or from farther off, until the fastest point ``inside``
+    (T, P) the foam, or in the air of all, has moved ``MELTED`` either way; at the ends what there is.
+    """
+    if len(points) < 2:
+        return np.zeros(points.shape[:2])
+    step = steps_across(points)
+    both = inside[1:] & inside[:-1]
+    lead = np.where(both | ~both.any(axis=1, keepdims=True), step, 0.0).max(axis=1)
+    gone = np.concatenate([[0.0], np.cumsum(np.maximum(lead, _STILL))])
+    way = np.concatenate([np.zeros((1, points.shape[1])), np.cumsum(step, axis=0)])
+    low = np.minimum(np.concatenate([gone[:1], gone[:-1]]), gone - MELTED).clip(gone[0])
+    high = np.maximum(np.concatenate([gone[1:], gone[-1:]]), gone + MELTED).clip(None, gone[-1])
+    span = np.interp(high, gone, time) - np.interp(low, gone, time)
+    return np.asarray((_at(high, gone, way) - _at(low, gone, way)) / np.maximum(span, 1e-9)[:, None])
+
+
+def _at(wanted: FloatArray, places: FloatArray, rows: FloatArray) -> FloatArray:
+    """Rows (K, P) at ``wanted`` (K,) of the ascending ``places`` (T,) of ``rows`` (T, P)."""
+    k = np.clip(np.searchsorted(places, wanted) - 1, 0, len(places) - 2)
+    share = (wanted - places[k]) / (places[k + 1] - places[k])
+    return np.asarray(rows[k] + share[:, None] * (rows[k + 1] - rows[k]))
+
+
+def during(chosen: BoolArray) -> BoolArray:
+    """Chosen stations and the one before each run of them, where the segment begins."""
+    out = chosen.copy()
+    out[:-1] |= chosen[1:]
+    return out

@@ -1,0 +1,382 @@
+"""The motion that the programs' numbers make: joints and poses of all arms, about every 4 ms.
+
+All arms run on one clock. Works on the posted, rounded values only. Straight moves are straight in
+their work object, turning at a constant rate. Where another arm carries the work object, that arm's
+motion comes first; the moves are then straight in the carried frame. Joints lead to poses by the
+chain that the robot's URDF states (:mod:`planner.verify.replay.arm_model`), poses to joints by the
+proof's own inverse kinematics on the branch that cfx names; where the language names none, on the
+one that the arm has at the start. See :mod:`planner.verify.replay.moves` for the time within and
+between moves.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from planner.claims.segments import Segment
+from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.rigid import inverse
+from planner.issues import Issue, TandemError
+from planner.problem import Arm
+from planner.verify.job import JobText, Stage, TaskText
+from planner.verify.programs.program_text import segment_of_name
+from planner.verify.programs.steps import Step
+from planner.verify.replay import arm_model, inverse_kinematics, moves
+from planner.verify.replay.motion import Fault, Motion, Poses
+from planner.verify.replay.moves import Row, between, holds, make_law, make_row, waits
+
+STEP = 0.004
+LONGEST = 4 * 3600.0
+"""Time between samples [s]."""
+
+
+def replay(
+    job: JobText,
+    bases: Mapping[str, FloatArray],
+    tools: Sequence[Mapping[str, FloatArray]] | None = None,
+) -> Motion:
+    """Run the programs. ``bases`` {arm: (4, 4)} in the world; ``tools``: for each stage {arm: TCP (4, 4) in
+    the flange} of what is mounted, where that changes. Needs stages that match
+    (:func:`planner.verify.job.read`)."""
+    return _Player(job, bases, tools).run()
+
+
+class _Player:
+    def __init__(
+        self,
+        job: JobText,
+        bases: Mapping[str, FloatArray],
+        mounted: Sequence[Mapping[str, FloatArray]] | None,
+    ) -> None:
+        self.job = job
+        self.mounted = mounted
+        self.units = {task.unit.lower(): task.arm.name for task in job.tasks}
+        self.bases = bases
+        self.arms = [task.arm for task in job.tasks]
+        self.robots = {arm.name: arm_model.machine_of(arm.robot) for arm in self.arms}
+        self.q = {arm.name: np.array(arm.home, dtype=np.float64) for arm in self.arms}
+        self.clock = 0.0
+        self.nodes = 0
+        self.parts: dict[str, list[np.ndarray]] = {}
+        self.segments: list[Segment] = []
+        self.events: list[tuple[float, int, str, Step]] = []
+        self.faults: list[Fault] = []
+        self.tools = {arm.name: arm.tool.tcp for arm in self.arms}
+        self.tcp: dict[str, list[Poses]] = {arm.name: [] for arm in self.arms}
+
+    def run(self) -> Motion:
+        for number, stage in enumerate(self.job.stages):
+            if self.mounted is not None and (
+                not number or self.mounted[number] is not self.mounted[number - 1]
+            ):
+                self.tools = dict(self.mounted[number])
+            self._stage(number, stage)
+        if not self.segments:
+            self.faults.append(Fault("motion", "the programs move no arm", "", 0, 0))
+            self._still()
+        p = {key: self._joined(key) for key in list(self.parts)}
+        names = [arm.name for arm in self.arms]
+        return Motion(
+            time=p["time"],
+            stage=p["stage"],
+            node=p["node"],
+            q={name: p[f"q/{name}"] for name in names},
+            tcp={name: Poses.joined(self.tcp.pop(name)) for name in names},
+            node_sample=p["node_sample"],
+            node_segment=tuple(self.segments),
+            node_stop=p["node_stop"],
+            node_stage=p["node_stage"],
+            node_ids=p["node_ids"],
+            node_duration=p["node_duration"],
+            node_line={name: p[f"line/{name}"] for name in names},
+            node_tcp={name: p[f"node_tcp/{name}"] for name in names},
+            node_conf_q={name: p[f"conf_q/{name}"] for name in names},
+            node_conf_ok={name: p[f"conf_ok/{name}"] for name in names},
+            step_time=tuple(self.events),
+            faults=tuple(self.faults),
+        )
+
+    def _add(self, key: str, value: np.ndarray) -> None:
+        self.parts.setdefault(key, []).append(value)
+
+    def _joined(self, key: str) -> np.ndarray:
+        """All values of a key; the parts are given up, for long motions take a lot of memory."""
+        parts = self.parts.pop(key)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _still(self) -> None:
+        """One sample at home, so that arrays have a row where nothing moves."""
+        self._add("time", np.zeros(1))
+        for key in ("stage", "node", "node_sample", "node_stage", "node_ids"):
+            self._add(key, np.zeros(1, dtype=np.int64))
+        self._add("node_stop", np.ones(1, dtype=bool))
+        self._add("node_duration", np.zeros(1))
+        self.segments.append(Segment(""))
+        for arm in self.arms:
+            self._hold(arm, 1, 1)
+
+    def _hold(self, arm: Arm, samples: int, nodes: int) -> None:
+        """Rows of an arm that stands still."""
+        q = self.q[arm.name]
+        self._add(f"q/{arm.name}", np.tile(q, (samples, 1)))
+        self.tcp[arm.name].append(Poses.of(np.tile(self._tcp(arm, q), (samples, 1, 1))))
+        self._add(f"line/{arm.name}", np.zeros(nodes, dtype=np.int64))
+        self._add(f"conf_q/{arm.name}", np.full((nodes, 6), np.nan))
+        self._add(f"conf_ok/{arm.name}", np.ones(nodes, dtype=bool))
+        self._add(f"node_tcp/{arm.name}", np.full((nodes, 4, 4), np.nan))
+
+    def _tcp(self, arm: Arm, q: FloatArray) -> FloatArray:
+        return np.asarray(self.bases[arm.name] @ self.robots[arm.name].flange(q) @ self.tools[arm.name])
+
+    # ---- one stage ----
+
+    def _stage(self, number: int, stage: Stage) -> None:
+        movers = [task for task in self.job.tasks if stage.moves(task.name)]
+        count = min((len(stage.moves(task.name)) for task in movers), default=0)
+        if not stage.synchronised:
+            # two arms that move at once here are a fault of their own; they are replayed one after the other
+            for task in movers:
+                self._moves(number, stage, [task], len(stage.moves(task.name)))
+            if not movers:
+                self._dwell(
+                    number, stage, {task.name: list(stage.steps[task.name]) for task in self.job.tasks}
+                )
+            return
+        if count == 0:
+            self._dwell(number, stage, {task.name: list(stage.steps[task.name]) for task in self.job.tasks})
+            return
+        self._moves(number, stage, movers, count)
+
+    def _dwell(self, number: int, stage: Stage, steps: Mapping[str, list[Step]]) -> float:
+        """Time that steps without motion take; notes when each happens."""
+        spent = 0.0
+        for task in self.job.tasks:
+            own = 0.0
+            for step in steps.get(task.name, []):
+                self.events.append((self.clock + own, number, task.name, step))
+                own += waits([step])
+            spent = max(spent, own)
+        self.clock += spent
+        return spent
+
+    def _moves(self, number: int, stage: Stage, movers: list[TaskText], count: int) -> None:
+        rows = [
+            make_row(
+                task,
+                stage.moves(task.name)[:count],
+                self.robots[task.arm.name],
+                self.bases[task.arm.name],
+                {unit: arm for unit, arm in self.units.items() if arm != task.arm.name},
+            )
+            for task in movers
+        ]
+        for task in self.job.tasks:  # the others only wait meanwhile: verify.arms_alone
+            if not stage.moves(task.name):
+                self.events += [(self.clock, number, task.name, step) for step in stage.steps[task.name]]
+        logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
+        pauses = np.array(
+            [max(waits(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+        )
+        logic = np.array([any(holds(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)])
+        fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
+        stop = np.concatenate([[True], fine | logic[1:]])
+        stop[-1] = True
+        for row in rows:  # a corner between a joint move and a straight one has no model: the arm stops there
+            change = np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1
+            for i in change[~stop[change]]:
+                self._fault(
+                    "corner",
+                    "a corner between a joint move and a straight one inside a zone",
+                    row,
+                    int(i) - 1,
+                )
+            stop[change] = True
+        joints = [self.q[row.task.arm.name] for row in rows]
+        law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)
+        duration = np.diff(law.times)
+        total = float(law.times[-1])
+        if not self.clock + total <= LONGEST:
+            hours, most = (self.clock + total) / 3600.0, LONGEST / 3600.0
+            what = f"the programs take {hours:.3g} h or more, at most {most:.3g} h are proven; go faster, or "
+            what += "split the job"
+            if np.isfinite(hours):
+                what += f" into {np.ceil(hours / most):.0f} problems or more"
+            raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
+        samples = max(int(np.ceil(total / STEP)), 2)
+        at = np.linspace(0.0, total, samples + 1)
+        node_at = _up_to(at, law.times[1:])
+        move = np.clip(np.searchsorted(law.times, at, side="left") - 1, 0, count - 1)
+        # the clock: waits at nodes shift everything behind them
+        start = self.clock
+        shift = np.cumsum(pauses)
+        self._events(number, movers, logic_steps, start + law.times + np.concatenate([[0.0], shift[:-1]]))
+        clock = start + at + shift[move]
+        first = sum(len(part) for part in self.parts.get("time", []))
+        self._add("time", clock)
+        self._add("stage", np.full(len(at), number, dtype=np.int64))
+        self._add("node", self.nodes + move)
+        self._add("node_sample", first + node_at)
+        self._add("node_stop", stop[1:])
+        self._add("node_stage", np.full(count, number, dtype=np.int64))
+        self._add("node_ids", np.array([move.id or 0 for move in rows[0].moves], dtype=np.int64))
+        self._add("node_duration", duration)
+        self.segments += [segment_of_name(move.procedure) for move in rows[0].moves]
+        by_arm = {row.task.arm.name: row for row in rows}
+        before = dict(self.q)
+        for arm in sorted(self.arms, key=lambda arm: self._rank(by_arm.get(arm.name))):
+            played = by_arm.get(arm.name)
+            if played is None:
+                self._hold(arm, len(at), count)
+            elif played.carrier is None:
+                self._play(played, law, at)
+            else:
+                self._play(played, law, at, self._carried(played, by_arm.get(played.carrier), before))
+        self.nodes += count
+        self.clock = start + total + float(shift[-1]) + STEP
+
+    @staticmethod
+    def _rank(row: Row | None) -> bool:
+        """Arms in the world come before those whose work is carried."""
+        return row is not None and row.carrier is not None
+
+    def _start(self, row: Row, q: FloatArray) -> FloatArray:
+        """TCP (4, 4) in the frame of a row's poses, before the row."""
+        here = row.tcp(q)
+        if row.carrier is None:
+            return here
+        flange = self.bases[row.carrier] @ self.robots[row.carrier].flange(self.q[row.carrier])
+        return np.asarray(inverse(flange @ row.ride) @ here)
+
+    def _carried(self, row: Row, carrier: Row | None, before: Mapping[str, FloatArray]) -> _Carried:
+        """The frame that carries a row's work: at the last samples of its arm, at the start and at nodes."""
+        name = str(row.carrier)
+        machine, base = self.robots[name], self.bases[name]
+        samples = base @ machine.flange(self.parts[f"q/{name}"][-1]) @ row.ride
+        start = base @ machine.flange(before[name]) @ row.ride
+        if carrier is None or carrier.carrier is not None:
+            nodes = np.tile(start, (len(row.moves), 1, 1))
+        else:
+            nodes = carrier.flanges() @ row.ride
+        return _Carried(samples, start, nodes)
+
+    def _events(
+        self, number: int, movers: list[TaskText], logic_steps: Mapping[str, list[list[Step]]], at: FloatArray
+    ) -> None:
+        for task in movers:
+            for i, steps in enumerate(logic_steps[task.name]):
+                own = 0.0
+                for step in steps:
+                    self.events.append((float(at[i]) + own, number, task.name, step))
+                    own += waits([step])
+
+    def _play(self, row: Row, law: moves.TimeLaw, at: FloatArray, carried: _Carried | None = None) -> None:
+        name = row.task.arm.name
+        world = row.pose if carried is None else carried.nodes @ row.pose
+        begin = (
+            self._start(row, self.q[name])
+            if carried is None
+            else inverse(carried.start) @ row.tcp(self.q[name])
+        )
+        count = len(row.moves)
+        q = np.empty((len(at), 6))
+        edges = [0, *(np.flatnonzero(row.joint[1:] != row.joint[:-1]) + 1), count]
+        here = self.q[name]
+        tcp = Poses.empty(len(at))
+        conf_q, conf_ok = np.full((count, 6), np.nan), np.ones(count, dtype=bool)
+        for a, b in itertools.pairwise(edges):
+            inside = (
+                (at >= law.times[a]) & (at <= law.times[b])
+                if a == 0
+                else (at > law.times[a]) & (at <= law.times[b])
+            )
+            if b == count:
+                inside |= at > law.times[b]
+            part = moves.TimeLaw(
+                law.times[a : b + 1], law.rate_in[a:b], law.rate_out[a:b], _ends_closed(law.window[a : b + 1])
+            )
+            when = np.minimum(at[inside], law.times[b])
+            if row.joint[a]:
+                nodes = np.concatenate([here[None], row.q[a:b]])
+                at_node, xi = moves.offsets(part, np.diff(nodes, axis=0), when)
+                q[inside] = nodes[at_node] + xi
+                tcp[inside] = row.base @ row.robot.flange(q[inside]) @ row.tool[a]
+                end = row.q[b - 1]
+            else:
+                first = (
+                    begin if a == 0 else self._own(row, carried, here, row.tool[a], int(np.argmax(inside)))
+                )
+                branch = moves.branches_on_way(row, a, b, here)
+                nodes, delta = moves.samples_on_way(row, a, b, first)
+                end = here
+                for some, moments in moves.chunks(np.flatnonzero(inside), when):
+                    path = moves.poses_on_way(part, nodes, delta, moments)
+                    path = path if carried is None else carried.samples[some] @ path
+                    tcp[some] = path
+                    q[some] = moves.joints_on_way(row, part, a, branch, end, moments, path)
+                    end = q[some[-1]]
+            if not row.joint[a] and row.named[a:b].all():
+                flange = inverse(row.base) @ world[a:b] @ inverse(row.tool[a:b])
+                conf_q[a:b] = inverse_kinematics.select_by_confdata(row.robot, flange, row.conf[a:b])
+                sample = _up_to(at, law.times[a + 1 : b + 1])
+                conf_ok[a:b] = inverse_kinematics.fits_confdata(
+                    row.robot,
+                    inverse_kinematics.nearest_turns(
+                        inverse_kinematics.solve(row.robot, flange, row.conf[a:b, 3]), q[sample]
+                    ),
+                    row.conf[a:b],
+                )
+            here = end
+        lost = ~np.isfinite(q).all(axis=1)
+        if lost.any():
+            i = int(np.clip(np.searchsorted(law.times, at[np.argmax(lost)]) - 1, 0, count - 1))
+            self._fault(
+                "reach",
+                "the arm cannot reach the path on the branch that its target names",
+                row,
+                i,
+            )
+            q = np.where(np.isfinite(q), q, here if np.isfinite(here).all() else self.q[name])
+            here = q[-1]
+        self._add(f"q/{name}", q)
+        self.tcp[name].append(tcp)
+        self._add(f"line/{name}", np.array([move.line for move in row.moves], dtype=np.int64))
+        self._add(f"conf_q/{name}", conf_q)
+        self._add(f"conf_ok/{name}", conf_ok)
+        self._add(f"node_tcp/{name}", world)
+        self.tools[name] = row.tool[-1]
+        self.q[name] = here if np.isfinite(here).all() else self.q[name]
+
+    def _own(
+        self, row: Row, carried: _Carried | None, q: FloatArray, tool: FloatArray, sample: int
+    ) -> FloatArray:
+        """TCP (4, 4) of joints in the frame of the row's poses, at a sample."""
+        here = row.base @ row.robot.flange(q) @ tool
+        return np.asarray(here if carried is None else inverse(carried.samples[sample]) @ here)
+
+    def _fault(self, kind: str, message: str, row: Row, i: int, value: float | None = None) -> None:
+        self.faults.append(Fault(kind, message, row.task.name, row.moves[i].line, self.nodes + i, value))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Carried:
+    """A carried frame in the world: at the samples (S, 4, 4), at the start (4, 4), at the targets
+    (N, 4, 4)."""
+
+    samples: FloatArray
+    start: FloatArray
+    nodes: FloatArray
+
+
+def _up_to(at: FloatArray, times: FloatArray) -> IntArray:
+    """The last samples that are not later than ``times``."""
+    return np.asarray(np.maximum(np.searchsorted(at, times + 1e-9, side="right") - 1, 0), dtype=np.int64)
+
+
+def _ends_closed(window: FloatArray) -> FloatArray:
+    out = window.copy()
+    out[0] = out[-1] = 0.0
+    return out

@@ -1,0 +1,1 @@
+"""The rules of the proof, by subject; each module names its codes."""

@@ -1,0 +1,473 @@
+"""Rules on what controllers need besides the motion: their files, and the check of the cell.
+
+verify.controller_files: what power hangs on besides the program, who gives it back, and how two
+controllers know of each other. verify.cell_check: the module that compares the cell with the plan
+at run time, and what readers see of it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import PurePosixPath
+
+from planner.claims import dialogue
+from planner.claims.forming import SinksHolder
+from planner.issues import Issue
+from planner.problem import Controller
+from planner.verify.context import Context, Outcome, rule
+from planner.verify.job import CONTROLLER, TaskText
+from planner.verify.programs.program_text import (
+    Partner,
+    Row,
+    UnreadError,
+    configuration,
+    crossed,
+    krl_lines,
+    rapid_words,
+    strange,
+)
+from planner.verify.programs.steps import BASE_FRAME, SignalStep
+from planner.verify.rapid.reader import CHECK, masked
+from planner.verify.rapid.syntax_tree import Instruction, Literal, ProcCall
+
+CONTROLLER_FILES = "verify.controller_files"
+_HINT = "plan again, and copy all files as they are"
+_MODULE = "TandemPower"
+_SHELVES = {"stop": "off", "qstop": "off", "reset": "off", "start": "on", "restart": "on", "step": "on"}
+
+
+@rule("verify.controller_files")
+def controller_files(context: Context) -> Outcome:
+    """Power hangs on more than the program: files for each controller let its output fall at every stop, take
+    the request back, and ask before an arm moves on in a cut; of two controllers each says that it runs, and
+    the other one's stop stops it and takes its power. They fit the program, and none is left over."""
+    controller = context.problem.cell.controller
+    there: dict[str, dict[str, str]] = {}
+    for path, text in context.programs.items():
+        parts = PurePosixPath(path).parts
+        if parts[0].lower() == CONTROLLER:
+            folder = "/".join(parts[1:-1])
+            there.setdefault(folder, {})[parts[-1]] = text
+    issues: list[Issue] = []
+    count = 0
+    joined = controller.sync == "handshake" and len(context.job.tasks) > 1
+    for folder, tasks, signals in _powered(context, joined):
+        files = there.pop(folder, {})
+        count += len(signals)
+        partner = Partner(controller, tasks[0].arm.name) if joined else None
+        if tasks[0].krl is None:
+            names = [controller.tasks[_place(context, task)] for task in tasks]
+            faults = _abb(controller, names, signals, files, partner)
+        else:
+            faults = _kuka(controller, tasks[0].arm.name, signals, files, partner)
+        faults += [f"{name}: {fault.message}" for name in files for fault in strange(name, files[name])]
+        issues += [
+            Issue(
+                CONTROLLER_FILES, f"{CONTROLLER}/{folder}: {fault}", file=f"{CONTROLLER}/{folder}", hint=_HINT
+            )
+            for fault in faults
+        ]
+    for folder in there:
+        what = f"{CONTROLLER}/{folder} holds files of another job: no program here needs them"
+        issues.append(Issue(CONTROLLER_FILES, what, file=f"{CONTROLLER}/{folder}", hint="take them away"))
+    return Outcome(tuple(issues), where="" if count else "nothing is powered" if not joined else "wires only")
+
+
+def _place(context: Context, task: TaskText) -> int:
+    return [arm.name for arm in context.problem.cell.arms].index(task.arm.name)
+
+
+def _powered(context: Context, joined: bool) -> list[tuple[str, list[TaskText], list[str]]]:
+    """Folder, tasks and signals of each controller whose tasks switch something on, without the clamps of
+    sheets, which are moved by pulses; of all controllers where two are ``joined``."""
+    pulsed = {claim.signal.lower() for claim in context.claims if isinstance(claim, SinksHolder)}
+    alone = context.problem.cell.controller.sync == "handshake"
+    groups: list[list[TaskText]] = []
+    for task in context.job.tasks:
+        if alone or task.krl is not None or not groups or groups[-1][0].krl is not None:
+            groups.append([task])
+        else:
+            groups[-1].append(task)
+    out = []
+    for tasks in groups:
+        steps = [step for task in tasks for step in task.steps if isinstance(step, SignalStep)]
+        own = context.problem.cell.controller.handshake.of(tasks[0].arm.name).output.lower()
+        aside = pulsed | ({own} if alone else set())
+        on = {step.signal.lower(): step.signal for step in steps if step.value}
+        signals = [name for key, name in sorted(on.items()) if key not in aside]
+        if signals or joined:
+            out.append((tasks[0].name, tasks, signals))
+    return out
+
+
+def _names(files: Mapping[str, str], wanted: Sequence[str]) -> list[str]:
+    lost = [f"{name} is missing" for name in wanted if name not in files]
+    return lost + [f"{name} belongs to nothing" for name in files if name not in (*wanted, "README.txt")]
+
+
+# ---- ABB ----
+
+
+def _abb(
+    controller: Controller,
+    tasks: Sequence[str],
+    signals: Sequence[str],
+    files: Mapping[str, str],
+    partner: Partner | None,
+) -> list[str]:
+    module = f"{_MODULE}{'.sys' if controller.robotware == 6 else '.sysx'}"
+    wanted = {"EIO": _signals(controller, signals, partner)} | (
+        {"SYS": _hooks(tasks, module)} if signals else {}
+    )
+    faults = _names(files, [f"{name}.cfg" for name in wanted] + ([module] if signals else []))
+    if faults:
+        return faults
+    for name, rows in wanted.items():
+        try:
+            head, got = configuration(files[f"{name}.cfg"])
+        except UnreadError as wrong:
+            faults.append(f"{name}.cfg cannot be read: {wrong}")
+            continue
+        if not head.startswith(f"{name}:CFG_1.0:{controller.robotware}:"):
+            faults.append(f"{name}.cfg is not for RobotWare {controller.robotware}: {head[:40]!r}")
+        if name == "EIO":
+            faults += _crosses(controller, signals, partner, got.pop("EIO_CROSS", []))
+        faults += [fault for kind in {**rows, **got} for fault in _rows(name, kind, rows, got)]
+    if signals and rapid_words(files[module]) != rapid_words(_routines(controller, signals, len(tasks) > 1)):
+        faults.append(f"{module} does not do what it is to: request back at a stop, question at a start")
+    return faults
+
+
+def _rows(
+    name: str, kind: str, wanted: Mapping[str, Sequence[Row]], got: Mapping[str, Sequence[Row]]
+) -> list[str]:
+    want, have = wanted.get(kind, ()), got.get(kind, ())
+    faults = [f"{name}.cfg, {kind}: there is no {_shown_row(row)}" for row in want if row not in have]
+    faults += [
+        f"{name}.cfg, {kind}: {_shown_row(row)} is not as it should be" for row in have if row not in want
+    ]
+    if not faults and len(have) != len(want):
+        faults.append(f"{name}.cfg, {kind}: a row stands there twice")
+    return faults
+
+
+def _shown_row(row: Row) -> str:
+    return " ".join(f"-{key} {value}".strip() for key, value in sorted(row))
+
+
+def _row(**values: str) -> Row:
+    return frozenset(values.items())
+
+
+def _signals(controller: Controller, signals: Sequence[str], partner: Partner | None) -> dict[str, list[Row]]:
+    """Requests that nothing but program and operator set, on no device; outputs that nobody sets by hand."""
+    lock = controller.interlock
+    rows = []
+    for request in signals:
+        real = lock.of(request)
+        wired = {"device": real.device, "devicemap": str(real.bit)} if real.device else {}
+        rows.append(_row(name=request, signaltype="DO", access="TandemRequest"))
+        rows.append(_row(name=real.signal, signaltype="DO", access="ReadOnly", **wired))
+    rows += [_row(name=name, signaltype="DO", access="ReadOnly") for name in (lock.cycle, lock.motors)]
+    wanted = {
+        "EIO_SIGNAL": [*rows, *(_row(**values) for values in (partner.signals if partner else ()))],
+        "SYSSIG_OUT": [
+            _row(status="CycleOn", signal=lock.cycle),
+            _row(status="MotOnState", signal=lock.motors),
+        ],
+    }
+    if signals:
+        wanted["EIO_ACCESS"] = [_row(name="TandemRequest", rapid="", localmanual="", localauto="")]
+    if partner:
+        wanted["SYSSIG_IN"] = [_row(signal=partner.lost, action="Stop")]
+    return wanted
+
+
+def _crosses(
+    controller: Controller, signals: Sequence[str], partner: Partner | None, rows: Sequence[Row]
+) -> list[str]:
+    """Each power output is the request AND a running program AND motors that are on AND a partner that runs;
+    of two controllers each says so of itself, and hears it of the other one; nothing else is there."""
+    lock = controller.interlock
+    runs = (lock.cycle, lock.motors)
+    needed = (*runs, partner.given) if partner else runs
+    terms: dict[str, tuple[str, ...]] = {lock.of(request).signal: (request, *needed) for request in signals}
+    if partner:
+        terms |= {partner.running: runs, partner.lost: (f"not {partner.given}",)}
+    wanted = {(result.lower(), frozenset(map(str.lower, needs))) for result, needs in terms.items()}
+    called = {result.lower(): " AND ".join(needs) for result, needs in terms.items()}
+    got = [crossed(row) for row in rows]
+    faults = []
+    for row, read in zip(rows, got, strict=True):
+        if read not in wanted:
+            to_be = called.get(dict(row).get("res", "").lower())
+            wrong = f"is not {to_be}" if to_be else "drives what no cross connection is to drive"
+            faults.append(f"EIO.cfg, EIO_CROSS: {_shown_row(row)} {wrong}")
+    names = [value for row in rows for key, value in row if key == "name"]
+    if len(set(names)) != len(rows):
+        faults.append("EIO.cfg, EIO_CROSS: cross connections need names that differ")
+    faults += [
+        f"EIO.cfg, EIO_CROSS: nothing drives {result}" for result, _ in wanted - set(filter(None, got))
+    ]
+    return faults
+
+
+def _hooks(tasks: Sequence[str], module: str) -> dict[str, list[Row]]:
+    hooks = []
+    for number, task in enumerate(tasks):
+        routine = {"off": "tandem_off", "on": "tandem_wait" if number else "tandem_again"}
+        hooks += [
+            _row(routine=routine[kind], shelf=shelf.upper(), task=task) for shelf, kind in _SHELVES.items()
+        ]
+    loaded = _row(file=f"HOME:/{module}", modname=_MODULE, alltask="")
+    return {"CAB_TASK_MODULES": [loaded], "CAB_EXEC_HOOKS": hooks}
+
+
+def _routines(controller: Controller, signals: Sequence[str], together: bool) -> str:
+    """The system module as it has to be."""
+    kept = {f"tandem_cut_{number}": request for number, request in enumerate(signals, 1)}
+    off = "".join(
+        f"IF DOutput({request})=1 THEN {flag}:=TRUE; ENDIF SetDO {request},0;"
+        for flag, request in kept.items()
+    )
+    ask, stop = "", "Stop\\AllMoveTasks" if together else "Stop"
+    for flag, request in kept.items():
+        lines = ",".join(f'"{line}"' for line in dialogue.again(request))
+        words = ",".join(f'"{word}"' for word in dialogue.BUTTONS)
+        told = "".join(f'TPWrite "{line}";' for line in dialogue.REFUSED)
+        ask += (
+            f'WHILE {flag} DO answer:=UIMessageBox(\\Header:="{dialogue.HEADER}"\\MsgArray:=[{lines}]'
+            f"\\BtnArray:=[{words}]\\Icon:=iconWarning); IF answer=1 THEN {flag}:=FALSE; "
+            f"ELSEIF answer=2 AND DOutput({controller.interlock.of(request).signal})=1 THEN {flag}:=FALSE; "
+            f"ELSE {told} {stop}; ENDIF ENDWHILE "
+        )
+    waits = "".join(f"WaitUntil NOT {flag};" for flag in kept)
+    wait = f"PROC tandem_wait() tandem_off; {waits} ENDPROC" if together else ""
+    data = "".join(f"PERS bool {flag}:=FALSE;" for flag in kept)
+    return (
+        f"MODULE {_MODULE}(SYSMODULE) {data} PROC tandem_off() {off} ENDPROC "
+        f"PROC tandem_again() VAR num answer; tandem_off; {ask} ENDPROC {wait} ENDMODULE"
+    )
+
+
+# ---- KUKA ----
+
+
+def _kuka(
+    controller: Controller,
+    arm: str,
+    signals: Sequence[str],
+    files: Mapping[str, str],
+    partner: Partner | None,
+) -> list[str]:
+    flag, runs = "TANDEM_CUT", "$PRO_ACT AND $PERI_RDY"
+    watched, known = (partner.watched(runs), [partner.seen]) if partner else ([], [])
+    runs += f" AND {partner.input}" if partner else ""
+    numbers = {signal: controller.number(arm, signal) for signal in signals}
+    back = [
+        line
+        for number in numbers.values()
+        for line in (f"IF $OUT[{number}] THEN", f"{flag}=TRUE", "ENDIF", f"$OUT[{number}]=FALSE")
+    ]
+    real = {
+        number: controller.number(arm, controller.interlock.of(s).signal) for s, number in numbers.items()
+    }
+    follow = [f"$OUT[{out}]=$OUT[{n}] AND {runs}" for n, out in real.items() if out is not None]
+    held = [f"IF {flag} THEN", "$OV_PRO=0", "ENDIF"]
+    power = [f"IF NOT({runs}) THEN", *back, "ENDIF", *follow, *held]
+    declared = [f"DECL BOOL {name}=FALSE" for name in ([flag] if signals else []) + known]
+    wanted = {"config_user.dat": declared, "sps_user.sub": [*watched, *(power if signals else [])]}
+    if signals:
+        wanted["ir_stopm_user.src"] = back
+    faults = _names(files, tuple(wanted))
+    if faults:
+        return faults
+    for name, lines in wanted.items():
+        got, want = krl_lines(files[name]), krl_lines("\n".join(lines))
+        if got != want:
+            at = next((i for i, (g, w) in enumerate(zip(got, want, strict=False)) if g != w), None)
+            place = min(len(got), len(want)) if at is None else at
+            here, there = (rows[place] if place < len(rows) else "the end" for rows in (got, want))
+            faults.append(f"{name} does not do what it is to: {here!r} stands where {there!r} is to be")
+    return faults
+
+
+CELL_CHECK = "verify.cell_check"
+_BEFORE = frozenset({"ConfJ", "ConfL", "SingArea", "SetDO", "Reset"})
+"""What may stand in main before the call."""
+_START = ["proc", "check_cell", "(", ")"]
+_DISTANCE, _TURN = 0.1, 0.02
+"""How far the controller's frames may be off the plan's [mm], [degrees]."""
+
+
+@rule("verify.cell_check")
+def cell_check(context: Context) -> Outcome:
+    """Before anything else each RAPID program compares base frame, tools and work objects with what was
+    planned, and stops for good over 0.1 mm or 0.02 degrees."""
+    issues: list[Issue] = []
+    for task in context.job.tasks:
+        if task.krl is None:
+            issues += [
+                Issue(CELL_CHECK, fault, arm=task.arm.name, file=file, hint="plan again; copy all modules")
+                for file, fault in _faults(context, task)
+            ]
+    return Outcome(tuple(issues))
+
+
+def _faults(context: Context, task: TaskText) -> list[tuple[str, str]]:
+    own = [path for path in task.files if CHECK.match(PurePosixPath(path).name)]
+    if len(own) != 1:
+        return [(task.name, f"{len(own)} modules compare the cell with the plan; wanted: one, TandemCheck_n")]
+    out = [] if _called(task) else [(task.name, "main does not call check_cell before anything else")]
+    file = own[0]
+    words = rapid_words(task.files[file])
+    together = len(context.job.tasks) > 1 and context.job.readings is None
+    parts = _parts(words)
+    if parts is None:
+        return [*out, (file, "it is not of the form that check_cell has")]
+    module, body, handler, rest = parts
+    if rapid_words(masked(task.files[file])) != [*module, *_START, *handler, "endmodule"]:
+        out.append((file, "its handler cannot be told from what compares"))
+    head, calls = _wanted(context, task)
+    if module[:1] != ["module"] or len(module) != 2 or rest != rapid_words(_helpers(together)):
+        out.append((file, "the procedures that compare are not as they should be"))
+    if body[: len(head)] != head:
+        out.append((file, "it does not read the base frame as it should, or not of this robot"))
+    compared = sorted(body[len(head) :])
+    out += [(file, f"it does not compare {_shown_call(lost)}") for lost in sorted(set(calls) - set(compared))]
+    if not out and compared != sorted(calls):
+        out.append((file, "it does more than compare what was planned"))
+    return out
+
+
+def _shown_call(call: str) -> str:
+    found = re.search(r'"([^"]*)"', call)
+    return (found.group(1) if found else call) + " with what was planned"
+
+
+def _called(task: TaskText) -> bool:
+    """Whether ``main`` begins with the call."""
+    mains = [p for module in task.modules for p in module.procedures if p.name.lower() == "main"]
+    for statement in mains[0].body if len(mains) == 1 else ():
+        if isinstance(statement, ProcCall):
+            return statement.name.lower() == "check_cell"
+        if not (isinstance(statement, Instruction) and statement.name in _BEFORE):
+            return False
+        if statement.name == "SetDO" and not (
+            isinstance(statement.arguments[1], Literal) and statement.arguments[1].value == 0
+        ):
+            return False
+    return False
+
+
+def _parts(words: Sequence[str]) -> tuple[list[str], list[str], list[str], list[str]] | None:
+    """Words before the procedure, its statements, words of its handler, which is judged as those of all
+    procedures are, and words behind it."""
+    text = list(words)
+    at = next((i for i in range(len(text)) if text[i : i + 4] == _START), None)
+    if at is None or "error" not in text[at:] or "endproc" not in text[at:]:
+        return None
+    handler, end = text.index("error", at), text.index("endproc", at)
+    if handler > end or text[-1:] != ["endmodule"]:
+        return None
+    body: list[str] = [" ".join(part) for part in _split(text[at + 4 : handler])]
+    return text[:at], body, text[handler : end + 1], text[end + 1 : -1]
+
+
+def _split(words: Sequence[str]) -> list[list[str]]:
+    out: list[list[str]] = [[]]
+    for word in words:
+        if word == ";":
+            out.append([])
+        else:
+            out[-1].append(word)
+    return out if out[-1] else out[:-1]
+
+
+def _statements(text: str) -> list[str]:
+    return [" ".join(part) for part in _split(rapid_words(text))]
+
+
+def _wanted(context: Context, task: TaskText) -> tuple[list[str], list[str]]:
+    """How the base frame is read, in this order, and the comparisons, in any order."""
+    controller = context.problem.cell.controller
+    arms = [arm.name for arm in context.problem.cell.arms]
+    place = f'"/MOC/ROBOT/{controller.robot(arms.index(task.arm.name))}"'
+    read = "VAR pose cfg_base; VAR num cfg_value;"
+    for axis in "xyz":
+        read += (
+            f'ReadCfgData {place},"base_frame_pos_{axis}",cfg_value; cfg_base.trans.{axis}:=1000*cfg_value;'
+        )
+    for part in range(4):
+        read += f'ReadCfgData {place},"base_frame_orient_u{part}",cfg_value;'
+        read += f"cfg_base.rot.q{part + 1}:=cfg_value;"
+    calls = f'check_pose "{dialogue.base_of(task.arm.name)}",cfg_base,{BASE_FRAME};'
+    for data in context.data(task, r"\w+"):
+        if not isinstance(data.initial, Literal) or data.kind not in ("tooldata", "wobjdata"):
+            continue
+        calls += _compared(data.name, data.kind, _raw(task, data.name))
+    return _statements(read), _statements(calls)
+
+
+def _compared(name: str, kind: str, value: Sequence[str]) -> str:
+    """Comparisons of a declared tool or work object, whose parts are ``value`` as text."""
+    if kind == "tooldata":
+        text = f'check_pose "{dialogue.frame_of(name)}",{name}.tframe,{value[1]};'
+        return text + f'check_true "{dialogue.kind_of(name)}",{name}.robhold;'
+    text = f'check_pose "{dialogue.object_frame_of(name)}",{name}.oframe,{value[4]};'
+    who = f'check_true "{dialogue.kind_of(name)}",NOT {name}.robhold AND '
+    if value[1].upper() == "TRUE":
+        text += f'check_pose "{dialogue.user_frame_of(name)}",{name}.uframe,{value[3]};'
+        return text + f"{who}{name}.ufprog;"
+    return text + f"{who}NOT {name}.ufprog AND {name}.ufmec={value[2]};"
+
+
+def _raw(task: TaskText, name: str) -> list[str]:
+    """The components of a declaration, as its text has them."""
+    for path, text in task.files.items():
+        if CHECK.match(PurePosixPath(path).name):
+            continue
+        plain = re.sub(r"(?m)^\s*!.*|;\s*!.*", ";", text)
+        found = re.search(rf"(?i)\b{name}\s*:=\s*\[(.*?)\]\s*;", plain, re.DOTALL)
+        if found is not None:
+            return _components(found.group(1))
+    return [""] * 5
+
+
+def _components(text: str) -> list[str]:
+    out, depth, quoted = [""], 0, False
+    for sign in text:
+        quoted ^= sign == '"'
+        depth += 0 if quoted else (sign == "[") - (sign == "]")
+        if sign == "," and depth == 0 and not quoted:
+            out.append("")
+        else:
+            out[-1] += sign
+    return [part.strip() for part in out] + [""] * 5
+
+
+def _helpers(together: bool) -> str:
+    """The procedures that compare, as they have to be."""
+    parts = ("1", "2", "3", "4")
+    dot = "+".join(f"got.rot.q{i}*wanted.rot.q{i}" for i in parts)
+    squares = "+".join(f"Pow(got.rot.q{i}-off_sign*wanted.rot.q{i},2)" for i in parts)
+    stop = "Stop\\AllMoveTasks" if together else "Stop"
+    said_last = "".join(f'TPWrite "{line}";' for line in dialogue.NOTHING_MOVES)
+    return f"""
+    PROC check_pose(string what, pose got, pose wanted)
+      VAR num off_sign:=1; VAR num off_turn;
+      IF {dot}<0 THEN off_sign:=-1; ENDIF
+      off_turn:=114.591559*Sqrt({squares});
+      IF Distance(got.trans,wanted.trans)>{_DISTANCE} OR off_turn>{_TURN} THEN
+        TPWrite what; TPWrite "{dialogue.OFF_BY_MM}"\\Num:=Distance(got.trans,wanted.trans);
+        TPWrite "{dialogue.OFF_BY_DEGREES}"\\Num:=off_turn; check_stop;
+      ENDIF
+    ENDPROC
+    PROC check_true(string what, bool same)
+      IF NOT same THEN TPWrite what; TPWrite "{dialogue.NOT_AS_PLANNED}"; check_stop; ENDIF
+    ENDPROC
+    PROC check_stop()
+      {said_last} WHILE TRUE DO {stop}; ENDWHILE
+    ENDPROC
+    """

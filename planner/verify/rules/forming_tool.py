@@ -1,0 +1,488 @@
+"""Rules on the forming tool, what it meets in the sheet, and the clamp.
+
+verify.gouge, formed, feature_order, forming_feed, lean. verify.sheet: what tools meet besides the
+face they form: what is formed already, walls, the flat sheet. verify.holder: a clamp that sinks
+with the sheet's rim. It is told by its signal alone: it is as many steps below its start as there
+were pulses. The level of the tool is that of the replayed motion.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from planner.claims.forming import FormingFeed, FormsInOrder, FormsSheet, SheetState, SinksHolder, ToolsLean
+from planner.claims.segments import Segment
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.issues import Issue
+from planner.verify.context import FEED_SLACK, Context, Outcome, at_node, at_sample, mm, rule
+from planner.verify.forming.face import Face
+from planner.verify.forming.state import Formed, Forming, Track, track
+from planner.verify.forming.swept import Head, HeadWay, envelope, least, levels
+from planner.verify.programs.steps import SignalStep
+from planner.verify.result import CutFace
+from planner.verify.wire.cut_surface import divided
+
+NONE = "nothing is formed"
+SHOWN = 50
+"""Issues of one rule and segment at most."""
+LIFTED = 0.1
+"""Share of the way within a forming segment on which the ball may be off the face: steps between loops."""
+UNREACHED, UNREACHED_SLACK = 1.03, 2e-5
+"""How far off balls stay is known within this share, and [m], of places that are looked at."""
+
+
+@rule("verify.gouge", FormsSheet)
+def gouge(context: Context, forming: Forming) -> Outcome:
+    """At every instant, also on its ways to and from the sheet, the forming ball is on its side of the face
+    it forms and of the flat beyond, and cuts into neither by more than the tolerance."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    for one in forming.formed:
+        claim = one.claim
+        if not len(one.pieces.first):
+            continue
+        need = claim.radius - claim.tolerance
+        at_knots = claim.side * one.near.signed
+        first, last = (np.searchsorted(one.knots, rows) for rows in (one.pieces.first, one.pieces.last))
+        start, end = (one.track.centre[one.knots[rows], 0] for rows in (first, last))
+        off = one.pieces.off
+        between = one.face.least(start, end, np.minimum(need + off, claim.radius))
+        room = np.minimum(np.minimum(at_knots[first], at_knots[last]), between - off)
+        deep = claim.radius - room
+        k = int(np.argmax(deep))
+        if deep[k] - claim.tolerance > worst:
+            worst, limit, where = float(deep[k]) - claim.tolerance, mm(claim.tolerance), str(claim.segment)
+        for i in spread(deep > claim.tolerance):
+            what = (
+                f"in {claim.segment} the ball cuts {mm(deep[i]):.3f} mm into the face or the flat sheet; "
+                f"allowed: {mm(claim.tolerance):g} mm"
+            )
+            measure = (mm(float(deep[i])), mm(claim.tolerance), "mm")
+            row = int(one.track.rows[one.pieces.last[i]])
+            issues.append(at_sample("verify.gouge", what, context.motion, claim.arm, row, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+@rule("verify.formed", FormsSheet)
+def formed(context: Context, forming: Forming) -> tuple[Outcome, tuple[CutFace, ...]]:
+    """The forming ball reaches all of a face but a stated share, within the scallop, is off it for no more
+    than a tenth of its way, and nothing is formed that is not claimed."""
+    issues = _unclaimed(context, forming)
+    faces: list[CutFace] = []
+    for one in forming.formed:
+        claim = one.claim
+        face = envelope(one)
+        faces.append(face)
+        limit = forming.unreached(one)
+        if limit is not None and face.unreached > UNREACHED * limit + UNREACHED_SLACK:
+            what = (
+                f"a ball of that size stays {mm(face.unreached):.3f} mm off the part in {claim.segment}; the "
+                f"problem allows {mm(limit):g} mm"
+            )
+            off, most = mm(face.unreached), mm(limit)
+            field = str(claim.segment)
+            issues.append(Issue("verify.formed", what, field=field, value=off, limit=most, unit="mm"))
+        if face.share < claim.share:
+            leave = f"{mm(face.allowed.min()):.3g} to {mm(face.tolerance):.3g} mm"
+            what = (
+                f"the ball passes {100 * face.share:.2f} % of the walls of {claim.segment} within what the "
+                f"steps of its path leave there, {leave}; wanted: {100 * claim.share:g} %"
+            )
+            issues.append(_of_face("verify.formed", what, claim.segment, face.share, claim.share))
+        lifted = _lifted(one)
+        if lifted > LIFTED:
+            what = (
+                f"the ball is off the face for {100 * lifted:.1f} % of its way in {claim.segment}; "
+                f"allowed: {100 * LIFTED:g} %"
+            )
+            issues.append(_of_face("verify.formed", what, claim.segment, lifted, LIFTED))
+    if not faces:
+        return Outcome(tuple(issues), where=NONE), ()
+    worst = min(faces, key=lambda face: face.share - face.wanted_share)
+    share, wanted = 100 * worst.share, 100 * worst.wanted_share
+    return Outcome(tuple(issues), share, wanted, "% within the scallop", worst.title), tuple(faces)
+
+
+def _lifted(one: Formed) -> float:
+    """Share of the way within a segment at whose ends the ball is off the face by more than the scallop."""
+    use = one.track.own[one.pieces.first]
+    first, last = one.pieces.first[use], one.pieces.last[use]
+    way = np.linalg.norm(one.track.centre[last, 0] - one.track.centre[first, 0], axis=1)
+    up = ~(one.touches[np.searchsorted(one.knots, first)] | one.touches[np.searchsorted(one.knots, last)])
+    return float(way[up].sum() / max(float(way.sum()), 1e-12)) if len(way) else 1.0
+
+
+def _unclaimed(context: Context, forming: Forming) -> list[Issue]:
+    """Moves of segments that form, of which nothing is claimed."""
+    motion = context.motion
+    arm = context.job.tasks[0].arm.name
+    issues = []
+    seen: set[str] = set()
+    for node, (segment, name) in enumerate(zip(motion.node_segment, motion.node_label, strict=True)):
+        if segment.kind == "form" and name not in forming.labels and name not in seen:
+            seen.add(name)
+            what = f"the programs form in {segment}, of which the problem claims nothing"
+            issues.append(at_node("verify.formed", what, motion, arm, node))
+    return issues
+
+
+@rule("verify.feature_order", FormsInOrder)
+def feature_order(context: Context, forming: Forming) -> Outcome:
+    """The segments that form the sheet come in the order that is claimed, each once, with its own ways in
+    and out, and all of them."""
+    motion = context.motion
+    arm = context.job.tasks[0].arm.name
+    issues: list[Issue] = []
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormsInOrder)]
+    said = motion.node_segment
+    setups = context.spans.of_stage[motion.node_stage]
+    for index in range(len(context.setups)):
+        wanted = [one.folded for where, claim in claims if where == index for one in claim.segments]
+        found: list[tuple[Segment | None, int]] = []
+        for node in np.flatnonzero(setups == index).tolist():
+            if said[node].kind == "form" and (not found or found[-1][0] != said[node]):
+                found.append((said[node], node))
+            elif said[node].kind != "form" and found and found[-1][0]:
+                found.append((None, node))
+        there = [(name, node) for name, node in found if name is not None]
+        full = [way for name in wanted for way in name.ways]
+        full = [name for name in full if name in {name for name, _ in there} or name in wanted]
+        for k, (name, node) in enumerate(there):
+            if k >= len(full) or name != full[k]:
+                known = "" if k >= len(full) else f"; {full[k]} comes first"
+                what = f"{name} comes in the place {k + 1} of what is formed{known}"
+                issues.append(at_node("verify.feature_order", what, motion, arm, node))
+                break
+        else:
+            issues += [
+                Issue("verify.feature_order", f"{name} is never formed", field=str(name))
+                for name in full[len(there) :]
+                if name in wanted
+            ]
+    return Outcome(tuple(issues), where="" if claims else NONE)
+
+
+@rule("verify.forming_feed", FormingFeed)
+def feed(context: Context, forming: Forming) -> Outcome:
+    """While they form, the TCPs of all tools move no faster than they may."""
+    motion = context.motion
+    issues: list[Issue] = []
+    worst, where = 0.0, ""
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, FormingFeed)]
+    for index, claim in claims:
+        chosen = motion.node_label == claim.segment.key
+        rows = np.flatnonzero(chosen[motion.node] & (context.sample_setup == index))
+        rows = rows[rows > 0]
+        rows = rows[motion.stage[rows] == motion.stage[rows - 1]]
+        for arm in claim.arms:
+            if arm not in motion.tcp or not len(rows):
+                continue
+            way = np.linalg.norm(motion.tcp[arm].place[rows] - motion.tcp[arm].place[rows - 1], axis=1)
+            speed = way / np.maximum(motion.time[rows] - motion.time[rows - 1], 1e-6)
+            if speed.max() / claim.upper > worst:
+                worst, where = float(speed.max() / claim.upper), f"{arm} in {claim.segment}"
+            for k in spread(speed > FEED_SLACK * claim.upper):
+                what = (
+                    f"{arm} moves at {mm(speed[k]):.2f} mm/s in {claim.segment}; allowed: {mm(claim.upper):g}"
+                )
+                measure = (mm(float(speed[k])), mm(claim.upper), "mm/s")
+                issues.append(at_sample("verify.forming_feed", what, motion, arm, int(rows[k]), measure))
+    fed = {claim.segment.key for _, claim in claims}
+    issues += [
+        Issue("verify.forming_feed", f"{one.claim.segment} has no feed", field=str(one.claim.segment))
+        for one in forming.formed
+        if one.claim.segment.key not in fed
+    ]
+    if not claims:
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), worst, FEED_SLACK, "of the feed", where)
+
+
+@rule("verify.lean", ToolsLean)
+def lean(context: Context, forming: Forming) -> Outcome:
+    """While they form, tools lean from the sheet's normal no farther than the problem lets them."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, 0.0, ""
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, ToolsLean)]
+    for index, claim in claims:
+        way = forming.track(claim.segment, index, claim.arms)
+        rows = np.flatnonzero(way.own)
+        for column, (arm, above) in enumerate(zip(claim.arms, claim.above, strict=True)):
+            if not len(rows):
+                continue
+            toward = -1.0 if above else 1.0
+            angle = np.arccos(np.clip(toward * way.axis(column)[rows, 2], -1.0, 1.0))
+            k = int(np.argmax(angle))
+            if angle[k] - claim.upper > worst:
+                worst, limit = float(angle[k] - claim.upper), claim.upper
+                where = f"{arm} in {claim.segment}"
+            for i in spread(angle > claim.upper):
+                got, most = float(np.rad2deg(angle[i])), float(np.rad2deg(claim.upper))
+                what = f"{arm} leans {got:.2f} deg in {claim.segment}; allowed: {most:.2f} deg"
+                row = int(way.rows[rows[i]])
+                issues.append(at_sample("verify.lean", what, context.motion, arm, row, (got, most, "deg")))
+    if not np.isfinite(worst):
+        return Outcome(tuple(issues), where=NONE)
+    return Outcome(tuple(issues), float(np.rad2deg(worst + limit)), float(np.rad2deg(limit)), "deg", where)
+
+
+def spread(bad: BoolArray) -> IntArray:
+    """The first of each run of rows that are bad, and no more than are worth telling."""
+    rows = np.flatnonzero(bad)
+    first = rows[np.diff(rows, prepend=-2) > 1]
+    return first[:SHOWN]
+
+
+def _of_face(code: str, what: str, segment: Segment, value: float, limit: float) -> Issue:
+    return Issue(code, what, field=str(segment), value=100 * value, limit=100 * limit, unit="%")
+
+
+GRAIN = 0.002
+"""Faces are asked at places so near to each other [m]."""
+BESIDE_BORDER = 1e-12
+_PLACES = 60_000
+
+
+@rule("verify.sheet", SheetState)
+def sheet(context: Context, forming: Forming) -> Outcome:
+    """Neither tool has anything inside it of what is formed already, of the walls being formed or of the flat
+    sheet around, but for what its own ball forms; the other tool stays on its own side of the face."""
+    issues: list[Issue] = []
+    worst, limit, where = -np.inf, None, ""
+    known = {state.segment.key for _, state in forming.states}
+    for one in forming.formed:
+        if one.claim.segment.key not in known:
+            what = f"nothing says what the tools meet in {one.claim.segment}"
+            issues.append(Issue("verify.sheet", what, field=str(one.claim.segment)))
+    for index, state in forming.states:
+        formed = forming.of(state.segment)
+        way = track(context, state.segment, index, state.arms) if formed is None else formed.track
+        if len(way.rows) < 2:
+            continue
+        for number, arm in enumerate(state.arms):
+            if arm not in way.arms:
+                what = f"{arm} has no program for {state.segment}"
+                issues.append(Issue("verify.sheet", what, field=str(state.segment)))
+                continue
+            held = state.segment.key in forming.gapped
+            allowed = state.tolerance if number == 0 else state.other
+            state = dataclasses.replace(state, tolerance=allowed)
+            for deep, row in _all(formed, way, state, number, held):
+                k = int(np.argmax(deep)) if len(deep) else -1
+                if k >= 0 and deep[k] - state.tolerance > worst:
+                    worst, limit, where = (
+                        float(deep[k]) - state.tolerance,
+                        mm(state.tolerance),
+                        str(state.segment),
+                    )
+                for i in spread(deep > state.tolerance):
+                    what = (
+                        f"the tool of {arm} has {mm(deep[i]):.3f} mm of the sheet inside in {state.segment}; "
+                        f"allowed: {mm(state.tolerance):g} mm"
+                    )
+                    measure = (mm(float(deep[i])), mm(state.tolerance), "mm")
+                    sample = int(way.rows[row[i]])
+                    issues.append(at_sample("verify.sheet", what, context.motion, arm, sample, measure))
+    if limit is None:
+        return Outcome(tuple(issues), where=NONE if not forming.formed else "nothing near")
+    return Outcome(tuple(issues), mm(worst) + limit, limit, "mm", where)
+
+
+def _all(
+    one: Formed | None, way: Track, state: SheetState, number: int, held: bool
+) -> list[tuple[FloatArray, IntArray]]:
+    """How deep [m] things are inside a tool, and at which rows of the track; ``held``: two tools hold the
+    sheet between them."""
+    profile = state.heads[number]
+    column = way.arms.index(state.arms[number])
+    centre, axis = way.centre[:, column], way.axis(column)
+    former = number == 0
+    whole = Head.of(profile, float(profile[0, 0]))
+    still = HeadWay.of(centre, axis, np.zeros(len(centre)), float(profile[-1, 0]))
+    out = [whole.into(state.fixed, still, state.tolerance)]
+    if len(state.carried):
+        sinking = HeadWay.of(centre, axis, _sunk(way, state), float(profile[-1, 0]))
+        out.append(whole.into(state.carried, sinking, state.tolerance))
+    if one is None:
+        return out
+    # balls are held against the face exactly: that of the forming tool elsewhere, the other one below
+    face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
+    level = None if former or not held else levels(one)
+    there = None if level is None else (state.side, _at_rows(one, level)[still.rows])
+    out.append(face.into(_places(one.face if former else one.left), still, state.tolerance, there))
+    if not former:
+        out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
+    return out
+
+
+def _at_rows(one: Formed, level: FloatArray) -> FloatArray:
+    """What is known at the knots of a pass, at all rows of its track: that of the knot at it or behind it."""
+    rows = np.searchsorted(one.knots, np.arange(len(one.track.rows)))
+    return level[np.minimum(rows, len(level) - 1)]
+
+
+def _own_side(
+    one: Formed, centre: FloatArray, ball: float, state: SheetState, level: FloatArray | None
+) -> list[tuple[FloatArray, IntArray]]:
+    """How deep [m] the other tool's ball is in the face, and in the flat sheet around it, or on their wrong
+    side, with rows of the track. Where ``level`` (K + 1,) [m] at the knots says what of the face is there,
+    that alone counts, and all the sheet is flat before any is."""
+    first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
+    begin, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
+    step = np.linalg.norm(centre[last] - centre[first], axis=1)
+    face = one.left  # corners that the forming ball does not reach are not there
+    near = face.nearest(centre[one.knots])
+    room = -state.side * near.signed
+    doubt = np.flatnonzero(0.5 * (room[begin] + room[end] - step) - off < ball - state.tolerance)
+    one_end, other_end = centre[first[doubt]], centre[last[doubt]]
+    need = ball - state.tolerance + off[doubt]
+    if level is None:
+        between = face.least(one_end, other_end, need)
+        return [(ball - room, one.knots), (ball - between + off[doubt], last[doubt])]
+    flat = state.side * one.claim.start
+    # beyond the border of the face its height over the flat is what is signed
+    around = np.abs(np.abs(near.signed) - near.apart) > BESIDE_BORDER
+    before = ~one.track.own[one.knots] & (level >= flat)
+    height = state.side * centre[one.knots, 2] - flat
+    deep = np.where(before, ball + height, np.where(around, ball - room, -np.inf))
+    between = least(face, one_end, other_end, need, state.side, level[end[doubt]])
+    return [(deep, one.knots), (ball - between + off[doubt], last[doubt])]
+
+
+def _sunk(way: Track, state: SheetState) -> FloatArray:
+    """How far (T,) [m] what is carried has moved along z: by the farthest level that the forming ball's
+    surface has reached, from the start."""
+    former = way.arms.index(state.arms[0])
+    level = way.centre[:, former, 2] + state.side * float(state.heads[0][0, 0])
+    if state.side > 0:
+        return np.minimum(np.minimum.accumulate(level) - state.start, 0.0)
+    return np.maximum(np.maximum.accumulate(level) - state.start, 0.0)
+
+
+def _places(face: Face) -> FloatArray:
+    """Places (P, 3) all over a face."""
+    corners = face.corners
+    area = float(face.area.sum())
+    parts, _ = divided(corners, max(GRAIN, 2.0 * float(np.sqrt(area / _PLACES))))
+    return np.concatenate([face.vertices[np.unique(face.faces)], parts.mean(axis=1)])
+
+
+SLACK = 2e-5
+"""What the written targets and the replay may add [m]."""
+SOON = 1e-6
+SHOWN_PULSES = 20
+
+
+@rule("verify.holder", SinksHolder)
+def holder(context: Context, forming: Forming) -> Outcome:
+    """The signal of a clamp that sinks is pulsed once for each step, within one step of the level that the
+    forming tool has reached, and switched at no other time."""
+    issues: list[Issue] = []
+    claims = [(index, claim) for index, claim in forming.by_setup if isinstance(claim, SinksHolder)]
+    worst, limit, where = 0.0, None, ""
+    for index, claim in claims:
+        way = track(context, claim.segment, index, (claim.arm,))
+        if not way.own.any():
+            issues.append(Issue("verify.holder", f"{claim.arm} never forms {claim.segment}"))
+            continue
+        edges = _edges(context, claim.signal)
+        issues += _pulses(claim, edges)
+        issues += _outside(context, claim, way, edges)
+        off, far = _off(context, claim, way, [edge.time for edge in edges if edge.value > 0.0])
+        issues += far
+        if limit is None or off - claim.step > worst - limit:
+            worst, limit, where = off, claim.step, str(claim.segment)
+    if limit is None:
+        return Outcome(tuple(issues), where="no clamp sinks")
+    return Outcome(tuple(issues), mm(worst), mm(limit), "mm", where)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Edge:
+    """The signal goes to ``value`` at ``time`` [s]."""
+
+    time: float
+    value: float
+
+
+def _edges(context: Context, signal: str) -> list[_Edge]:
+    """When a signal that is off at first goes on and off, in order; holders see its edges alone."""
+    found = [
+        _Edge(time, float(step.value))
+        for time, _, _, step in context.motion.step_time
+        if isinstance(step, SignalStep) and step.signal.lower() == signal.lower()
+    ]
+    found.sort(key=lambda edge: edge.time)
+    before = [0.0, *(edge.value for edge in found)]
+    return [edge for edge, value in zip(found, before, strict=False) if edge.value != value]
+
+
+def _pulses(claim: SinksHolder, edges: list[_Edge]) -> list[Issue]:
+    """On and off for long enough, as many times as there are whole steps, off at last."""
+    issues = []
+    before: _Edge | None = None
+    for edge in edges:
+        if before is not None and edge.time - before.time < claim.pulse - SOON:
+            state = "on" if before.value else "off"
+            what = (
+                f"{claim.signal} is {state} for {edge.time - before.time:.3f} s at {before.time:.2f} s; "
+                f"wanted: {claim.pulse:g} s"
+            )
+            issues.append(Issue("verify.holder", what, time=edge.time))
+        before = edge
+    if before is not None and before.value:
+        issues.append(Issue("verify.holder", f"{claim.signal} is still on when the programs end"))
+    count = sum(edge.value > 0.0 for edge in edges)
+    wanted = int(np.floor(abs(claim.start - claim.end) / claim.step + 1e-3))
+    if count != wanted:
+        what = (
+            f"{claim.signal} is pulsed {count} times; {mm(abs(claim.start - claim.end)):g} mm in steps of "
+            f"{mm(claim.step):g} mm are {wanted}"
+        )
+        issues.append(Issue("verify.holder", what, value=count, limit=wanted))
+    return issues[:SHOWN_PULSES]
+
+
+def _outside(context: Context, claim: SinksHolder, way: Track, edges: list[_Edge]) -> list[Issue]:
+    """What is switched outside of the pass, which lasts from the end of the way in to the way out."""
+    own = np.flatnonzero(way.own)
+    span = way.rows[[max(int(own[0]) - 1, 0), min(int(own[-1]) + 1, len(way.rows) - 1)]]
+    first, last = context.motion.time[span]
+    return [
+        Issue(
+            "verify.holder",
+            f"{claim.signal} is switched at {edge.time:.2f} s, while {claim.segment} is not formed",
+            time=edge.time,
+        )
+        for edge in edges
+        if not first - SOON <= edge.time <= last + SOON
+    ][:SHOWN_PULSES]
+
+
+def _off(context: Context, claim: SinksHolder, way: Track, pulses: list[float]) -> tuple[float, list[Issue]]:
+    """How far [m] the clamp is off the tip's lowest level at most, and where by more than a step."""
+    motion = context.motion
+    rows = np.flatnonzero(way.own)
+    tip = claim.side * (claim.start - way.centre[: rows[-1] + 1, 0, 2]) + claim.radius
+    sunk = np.maximum(np.maximum.accumulate(tip), 0.0)[rows]
+    now = motion.time[way.rows[rows]]
+    at = np.array(pulses)
+    # at the very instant of a pulse the clamp is on its way: both levels count
+    before = claim.step * np.searchsorted(at, now - SOON, side="left")
+    after = claim.step * np.searchsorted(at, now + SOON, side="right")
+    off = np.maximum(np.abs(sunk - before), np.abs(sunk - after))
+    bad = np.flatnonzero(off > claim.step + SLACK)
+    bad = bad[np.diff(bad, prepend=-2) > 1][:SHOWN_PULSES]
+    issues = []
+    for k in bad:
+        what = (
+            f"the clamp is {mm(off[k]):.3f} mm off the level that the tool has reached in {claim.segment}; "
+            f"allowed is one step, {mm(claim.step):g} mm"
+        )
+        measure = (mm(float(off[k])), mm(claim.step), "mm")
+        issues.append(at_sample("verify.holder", what, motion, claim.arm, int(way.rows[rows[k]]), measure))
+    return float(off.max()), issues
