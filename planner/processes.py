@@ -45,8 +45,6 @@ PROCESSES: Final[Mapping[str, Process]] = {
     "milling": Process(Milling, "planner.milling.job", "MillingJob"),
     "targets": Process(Posed, "planner.reading.poses", "PosedJob"),
 }
-
-
 GROUP: Final = "tandem.processes"
 """Entry points by which installed packages add processes."""
 

@@ -11,14 +11,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from planner.issues import Issue, Severity, TandemError
+from planner.reading.problem import SettingsFile
+from planner.reading.sheet import ClampFile
 from planner.reading.strict_yaml import Document
 
 SMALL: Final = "part.stock_too_small"
 CLAMP: Final = "forming.clamp"
-CLEARANCE: Final = 10.0
-"""What arms keep from bodies [mm] where the problem does not say."""
-WIDTH: Final = 40.0
-"""Width of a clamp's bars [mm] where the problem does not say."""
 ROOM: Final = (30.0, 60.0)
 """Blocks that are higher by these [mm] are tried where arms have no room for the work on a tight one."""
 MOST: Final = 3.0
@@ -88,9 +86,10 @@ def _earlier(left: Sequence[Issue]) -> bool:
 
 def _sheet(data: Data, issue: Issue, look: Look, wider: Wider) -> Issue:
     """With an opening that has room for the part and for the tools that form it (forming.clamp)."""
-    sheet, clear = data["sheet"], (data.get("settings") or {}).get("clearance_mm", CLEARANCE)
+    sheet, settings = data["sheet"], data.get("settings") or {}
+    clear = settings.get("clearance_mm", SettingsFile().clearance_mm)
     more = 2.0 * (issue.value or 0.0)
-    old, rim = sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", WIDTH)
+    old, rim = sheet["opening_mm"], 2.0 * (sheet.get("clamp") or {}).get("width_mm", ClampFile().width_mm)
     if more > (MOST - 1.0) * (min(old) if isinstance(old, list) else old):
         return issue
 

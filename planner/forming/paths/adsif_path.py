@@ -27,6 +27,7 @@ from planner.forming.paths.adsif_response import (
     compensated,
     deflection,
     invert,
+    left_to_command,
     read_table,
     require,
 )
@@ -96,7 +97,7 @@ def pressed_by_support(operation: Forming, radii: float, thickness: float) -> fl
     low, high = response.range
     wall = np.append(np.arange(low, high, WALLS), high)
     position, gap = invert(response, wall, held.prefer)
-    gap = gap * thickness - _yielded(held) * np.sin(position)
+    gap = left_to_command(gap * thickness, position, _yielded(held))
     able = gap > 0.0  # of other walls the path says that nothing of their gap is left
     if not able.any():
         return 0.0
@@ -116,10 +117,8 @@ def _commanded(
 ) -> tuple[FloatArray, FloatArray]:
     """Position angles [rad] and gaps [m] as commanded (N,) for wall angles (N,) [rad]."""
     position, gap = invert(response, wall, held.prefer)
-    gap = gap * thickness
-    if _yielded(held) > 0.0:
-        gap = compensated(gap, position, _yielded(held))
-    return position, gap
+    gap, yielded = gap * thickness, _yielded(held)
+    return position, compensated(gap, position, yielded) if yielded > 0.0 else gap
 
 
 def _response(operation: Forming) -> Response:

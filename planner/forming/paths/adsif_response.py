@@ -175,15 +175,21 @@ def deflection(force: ArrayLike, *stiffness: float) -> FloatArray:
     return yielded
 
 
-def compensated(gap: ArrayLike, position: ArrayLike, yielded: ArrayLike) -> FloatArray:
+def left_to_command(gap: ArrayLike, position: ArrayLike, yielded: ArrayLike) -> FloatArray:
     """Gap to command [m], so that tools which yield by ``yielded`` [m] in the plane keep the ``gap`` [m]:
-    Tg - D sin th, to first order in D over the distance of the centres.
+    Tg - D sin th, to first order in D over the distance of the centres. None is left where it is not above 0.
+    """
+    return np.asarray(gap, dtype=np.float64) - np.asarray(yielded, dtype=np.float64) * np.sin(position)
+
+
+def compensated(gap: ArrayLike, position: ArrayLike, yielded: ArrayLike) -> FloatArray:
+    """As :func:`left_to_command`.
 
     Raises `TandemError` (forming.adsif_compliance) where nothing of the gap is left: the unloaded tools would
     touch.
     """
     wanted = np.asarray(gap, dtype=np.float64)
-    out: FloatArray = wanted - np.asarray(yielded, dtype=np.float64) * np.sin(position)
+    out = left_to_command(wanted, position, yielded)
     if not np.all(out > 0.0):
         k = int(np.argmin(np.where(np.isnan(out), -np.inf, out)))
         text = (

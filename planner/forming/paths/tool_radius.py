@@ -194,9 +194,11 @@ def _lifted(
     """Loops of one level, ``clear`` [m] higher where the floor at the foot of their wall pushes the ball off
     it."""
     near = [loop for loop in group if creases.near(_sample(loop)[0]).any()]
-    level = float(group[0].point[0, 2]) if group else 0.0
+    if not near:
+        return group
+    level = float(group[0].point[0, 2])
     beside = _corners(sliced(np.array([level + ABOVE]))[0], face)
-    if not near or max(_stopped(loop, face, beside) for loop in near) == 0.0:
+    if max(_stopped(loop, face, beside) for loop in near) == 0.0:
         return group
 
     def free(height: float) -> bool:
