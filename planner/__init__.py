@@ -11,21 +11,41 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Client", "Issue", "Outcome", "TandemError", "__version__", "check", "load", "plan"]
+__all__ = [
+    "Client",
+    "Issue",
+    "Outcome",
+    "TandemError",
+    "__version__",
+    "build",
+    "check",
+    "load",
+    "plan",
+    "prove",
+    "read_partly",
+    "read_programs",
+    "save",
+]
 
 if TYPE_CHECKING:
     from planner.issues import Issue, TandemError
-    from planner.pipeline import Outcome, check, load, plan
+    from planner.pipeline import Outcome, build, check, load, plan, read_partly, read_programs, save
+    from planner.pipeline import verify as prove
     from planner.service.client import Client
 
 _HOME = {
-    "Client": "planner.service.client",
-    "Issue": "planner.issues",
-    "TandemError": "planner.issues",
-    "Outcome": "planner.pipeline",
-    "check": "planner.pipeline",
-    "load": "planner.pipeline",
-    "plan": "planner.pipeline",
+    "Client": ("planner.service.client", "Client"),
+    "Issue": ("planner.issues", "Issue"),
+    "TandemError": ("planner.issues", "TandemError"),
+    "Outcome": ("planner.pipeline", "Outcome"),
+    "build": ("planner.pipeline", "build"),
+    "check": ("planner.pipeline", "check"),
+    "load": ("planner.pipeline", "load"),
+    "plan": ("planner.pipeline", "plan"),
+    "prove": ("planner.pipeline", "verify"),  # planner.verify is the package of the proof
+    "read_partly": ("planner.pipeline", "read_partly"),
+    "read_programs": ("planner.pipeline", "read_programs"),
+    "save": ("planner.pipeline", "save"),
 }
 
 
@@ -35,4 +55,10 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'planner' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME[name]), name)
+    module, own = _HOME[name]
+    return getattr(import_module(module), own)
+
+
+def __dir__() -> list[str]:
+    """What :func:`__getattr__` imports is there for ``dir`` and completion, too."""
+    return sorted({*globals(), *__all__})

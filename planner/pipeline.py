@@ -6,14 +6,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner import plans, processes
+from planner import plans, processes, spec
 from planner.catalogue.robots import bundled
 from planner.cell import support
-from planner.files import RESULT, claim_folder, is_file, write_folder
+from planner.files import RESULT, claim_folder, is_file, write_folder, write_whole
 from planner.forming.support.clearance import wider_mm
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate, has_errors, judged
 from planner.motion import solve
@@ -24,6 +25,7 @@ from planner.reading import problem as problem_file
 from planner.reading import size_advice, strict_yaml
 from planner.reading.strict_yaml import Document
 from planner.report import output
+from planner.report.replay import Viewer
 from planner.targets import Job, Targets
 from planner.verify import partial, prove, result
 from planner.verify.partial import Partial
@@ -70,17 +72,56 @@ class Outcome:
         write_folder(Path(folder), files, RESULT)
         tell("report", 1.0)
 
+    def show(self, browser: bool = True) -> Viewer:
+        """The replay in Meshcat on this machine: a notebook shows what this returns; ``browser`` opens a tab,
+        too. Raises ``TandemError`` (``report.replay_failed``) where Meshcat cannot start."""
+        viewer = output.show(self.problem, self.plan)
+        if browser:
+            webbrowser.open(viewer.url)
+        return viewer
+
 
 def load(path: str | Path) -> Problem:
     """Read a problem file, or a bundled problem by its name, such as ``column_capital``.
 
     Raises ``TandemError`` with every fault found.
     """
-    document = strict_yaml.read(_find(Path(path)))
+    return _read(strict_yaml.read(_find(Path(path))))
+
+
+def build(problem: spec.Problem) -> Problem:
+    """The problem that is said in Python. Raises ``TandemError`` with every fault found, as :func:`load` of
+    a file that says the same would."""
+    return _read(problem.document())
+
+
+def _read(document: Document) -> Problem:
     try:
         return problem_file.build(document, processes.readers())
     except TandemError as error:
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
+
+
+def save(problem: Problem, path: str | Path, overwrite: bool = False) -> Path:
+    """Write a problem as a file that says the same, with its cell inside and what it names beside it in
+    ``files/``; the file's path. Where ``path`` does not end in ``.yaml`` or ``.yml`` it is a folder.
+
+    Raises ``TandemError`` (``output.folder``) where another file is in the way and is not to be
+    overwritten.
+    """
+    given = Path(path)
+    target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
+    files = problem_file.bundle(problem)
+    try:
+        if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
+            what = f"{target}: there is another file; give another name, or overwrite=True"
+            raise TandemError(Issue("output.folder", what, file=str(target)))
+        for name, content in reversed(files.items()):  # what the problem names before the problem
+            write_whole(target if name == "problem.yaml" else target.parent / name, content)
+    except OSError as error:
+        what = f"{target} cannot be written ({error.strerror or error}); choose a folder of your own"
+        raise TandemError(Issue("output.folder", what, file=str(target))) from error
+    return target
 
 
 def _changed(document: Document, far: bool) -> list[Issue]:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from planner.claims.claim import KerfCurve
 from planner.claims.segments import Segment
 from planner.files import write_whole
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, IntArray
 from planner.issues import Issue, TandemError
 from planner.targets import Targets
 from planner.tooling import Cutter
@@ -58,6 +58,33 @@ class OperationPlan:
 
 
 @dataclasses.dataclass(frozen=True)
+class Frame:
+    """Where the arms are at ``time`` [s] of a plan: on the way to target ``target`` of the operation of that
+    name; ``q`` {arm: (6,)} [rad] of the arms that take part in it."""
+
+    time: float
+    operation: str
+    target: int
+    segment: Segment
+    q: Mapping[str, FloatArray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """A plan at K equal steps of ``time`` (K,) [s]: index of the ``operation`` (K,), index of the ``target``
+    (K,) that the arms move to, and ``q`` {arm: (K, 6)} [rad], NaN while an arm takes no part."""
+
+    time: FloatArray
+    operation: IntArray
+    target: IntArray
+    q: Mapping[str, FloatArray]
+
+
+MOST_SAMPLES: Final = 10_000_000
+"""Samples of one plan at most: more are a slip of the unit of the step."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Plan:
     """Plans of all operations of a problem. ``places``: the stock's pose (4, 4) in the world in each setup,
     for a held block the pose about which its holder moves it; ``bases`` {arm: (4, 4)} are in the world.
@@ -76,6 +103,51 @@ class Plan:
     def stock_pose(self) -> FloatArray:
         """The stock's pose (4, 4) in the first setup."""
         return self.places[0]
+
+    @property
+    def duration(self) -> float:
+        """Time [s] of all operations, one after the other, each from its first target to its last; the ways
+        from and to home, setups and waits have no clock in a plan."""
+        return float(sum(operation.time[-1] - operation.time[0] for operation in self.operations))
+
+    def frame(self, t: float) -> Frame:
+        """Where the arms are at time ``t`` [s], from 0 to :attr:`duration`.
+
+        Joint angles are taken linearly between two targets, as the replay shows them; what the programs' text
+        makes of them is in the proof. Raises ``ValueError`` for times outside.
+        """
+        if not 0.0 <= t <= self.duration or not self.operations:
+            raise ValueError(f"t is {t:g} s, the plan goes from 0 to {self.duration:g} s")
+        at = self._at(np.array([t]))
+        own = self.operations[at.operation[0]]
+        q = {arm: at.q[arm][0] for arm in own.q}
+        target = int(at.target[0])
+        return Frame(float(t), own.name, target, own.targets.segment[target], q)
+
+    def sample(self, dt: float) -> Samples:
+        """The whole plan every ``dt`` [s], its end included; else as :meth:`frame`. Raises ``ValueError`` for
+        a step that is not above 0, or of which there would be over :data:`MOST_SAMPLES`."""
+        if not (dt > 0.0 and self.duration / dt < MOST_SAMPLES):
+            least = self.duration / MOST_SAMPLES
+            raise ValueError(f"dt is {dt:g} s, a step is above {max(least, 0.0):.3g} s")
+        steps = np.arange(0.0, self.duration, dt)
+        return self._at(np.append(steps, self.duration) if self.operations else steps)
+
+    def _at(self, time: FloatArray) -> Samples:
+        """The plan at times (K,) [s], ascending, within its duration."""
+        lengths = [operation.time[-1] - operation.time[0] for operation in self.operations]
+        ends = np.cumsum(lengths)
+        operation = np.minimum(np.searchsorted(ends, time, side="left"), max(len(lengths) - 1, 0))
+        target = np.zeros(len(time), dtype=np.int64)
+        names = dict.fromkeys(arm for own in self.operations for arm in own.q)
+        q = {arm: np.full((len(time), 6), np.nan) for arm in names}
+        for number, own in enumerate(self.operations):
+            here = operation == number
+            clock = time[here] - (ends[number] - lengths[number]) + own.time[0]
+            target[here] = np.clip(np.searchsorted(own.time, clock, side="left"), 0, len(own.time) - 1)
+            for arm, path in own.q.items():
+                q[arm][here] = np.stack([np.interp(clock, own.time, joint) for joint in path.T], axis=1)
+        return Samples(time, operation, target, q)
 
 
 FORMAT: Final = "tandem-plan"

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-import yaml
 from pydantic import AfterValidator, BaseModel, Field, Tag, ValidationError, model_validator
 
 from planner.catalogue.issue_codes import CODES
@@ -50,7 +49,7 @@ def bundle(problem: Problem) -> dict[str, bytes]:
         files[name] = content
         return name
 
-    text = yaml.safe_dump(_each_file(problem.source, carry), sort_keys=False, allow_unicode=True)
+    text = strict_yaml.dump(_each_file(problem.source, carry))
     return {"problem.yaml": text.encode(), **files}
 
 
@@ -163,7 +162,7 @@ def read(path: Path, models: OperationModels) -> Problem:
 def build(document: Document, models: OperationModels) -> Problem:
     """The problem of a file that is parsed; else as :func:`read`."""
     path = document.path
-    spec, issues = _validate(ProblemFile, document.data, document, ())
+    spec, issues = validate(ProblemFile, document.data, document, ())
     raw_operations = document.data.get("operations")
     operations: list[Operation] = []
     setups: dict[int, SetupFile] = {}
@@ -173,7 +172,7 @@ def build(document: Document, models: OperationModels) -> Problem:
             issues += faults
             if setup is not None:
                 setups[index] = setup
-            operation, faults = _operation(raw, index, document, models)
+            operation, faults = read_operation(raw, index, document, models)
             issues += faults
             if operation is not None:
                 operations.append(operation)
@@ -246,9 +245,9 @@ def _part_faults(document: Document) -> list[Issue]:
     data, folder = document.data, document.path.parent
     given, sheet, own = (data.get(key) for key in ("stock", "sheet", "part"))
     block = {"size_mm": given.get("size_mm")} if isinstance(given, dict) else None
-    part, wrong = _validate(PartFile, own, document, ("part",))
+    part, wrong = validate(PartFile, own, document, ("part",))
     size, faults = (
-        _validate(StockFile, block, document, ()) if block else _validate(SheetFile, sheet, document, ())
+        validate(StockFile, block, document, ()) if block else validate(SheetFile, sheet, document, ())
     )
     if wrong or faults:
         return []
@@ -282,7 +281,7 @@ def _setup(raw: Any, index: int, document: Document) -> tuple[SetupFile | None, 
     """The setup that an operation asks for, common to all processes."""
     if not isinstance(raw, dict) or "setup" not in raw:
         return None, []
-    setup, faults = _validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
+    setup, faults = validate(SetupFile, raw["setup"], document, ("operations", index, "setup"))
     return setup, faults
 
 
@@ -299,9 +298,10 @@ def _changes(
     return changes, issues
 
 
-def _validate(
+def validate(
     model: type[Any], data: Any, document: Document, prefix: tuple[str | int, ...]
 ) -> tuple[Any, list[Issue]]:
+    """Data as a value of a schema, None with faults; ``prefix`` is where the document has them."""
     try:
         # as JSON, because its strict rules take a list for a tuple but no text or truth value for a number
         text = json.dumps(data)
@@ -352,7 +352,7 @@ def _field_issue(
     return Issue(
         code,
         f"{field}: {what}{shown}; {remedy}",
-        file=str(document.path),
+        file=document.name,
         line=document.line(location),
         field=field,
     )
@@ -373,9 +373,10 @@ def _as_written(location: tuple[str | int, ...], data: Any) -> Iterator[str | in
         yield step
 
 
-def _operation(
+def read_operation(
     raw: Any, index: int, document: Document, models: OperationModels
 ) -> tuple[Operation | None, list[Issue]]:
+    """The operation number ``index`` of a problem by its process's schema, None with faults."""
     place: tuple[str | int, ...] = ("operations", index)
     if not isinstance(raw, dict):
         return None, []
@@ -387,16 +388,16 @@ def _operation(
             Issue(
                 "problem.unknown_process",
                 f"operations.{index}.process: got {process!r}, known are {known}; choose one of them",
-                file=str(document.path),
+                file=document.name,
                 line=document.line((*place, "process")),
                 field=f"operations.{index}.process",
             )
         ]
     if isinstance(model, Issue):
         line, field = document.line((*place, "process")), f"operations.{index}.process"
-        return None, [dataclasses.replace(model, file=str(document.path), line=line, field=field)]
+        return None, [dataclasses.replace(model, file=document.name, line=line, field=field)]
     own = {key: value for key, value in raw.items() if key != "setup"}
-    operation, faults = _validate(model, own, document, place)
+    operation, faults = validate(model, own, document, place)
     return operation, faults
 
 
@@ -409,7 +410,7 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
             Issue(
                 "problem.missing_file",
                 f"cell: no file {path}; check the path, which starts at the folder of the problem file",
-                file=str(document.path),
+                file=document.name,
                 line=document.line(("cell",)),
                 field="cell",
             )
@@ -419,7 +420,7 @@ def _cell(spec: str | CellFile, document: Document) -> Cell:
 
 def read_cell(document: Document) -> Cell:
     """The cell of a file of its own; raises `TandemError` with every fault and its line."""
-    spec, issues = _validate(CellFile, document.data, document, ())
+    spec, issues = validate(CellFile, document.data, document, ())
     if spec is None:
         raise TandemError(issues)
     return _built(spec, document, ())
@@ -445,11 +446,11 @@ def _placed(issue: Issue, document: Document) -> Issue:
     if issue.file is not None or issue.field is None:
         return issue
     steps = tuple(int(step) if step.isdigit() else step for step in issue.field.split("."))
-    return dataclasses.replace(issue, file=str(document.path), line=document.line(steps))
+    return dataclasses.replace(issue, file=document.name, line=document.line(steps))
 
 
 def _names(cell: Cell, operations: list[Operation], document: Document) -> Iterator[Issue]:
-    file = str(document.path)
+    file = document.name
     groups = {
         "cell.arms": [arm.name for arm in cell.arms],
         "cell.obstacles": [body.name for body in cell.obstacles],

@@ -1,4 +1,5 @@
-"""Strict YAML files: the line of every field, and a base for schemas that refuses unknown keys.
+"""Strict YAML files: the line of every field, fields by their paths, and a base for schemas that refuses
+unknown keys.
 
 A refused value can be found in the file by its line. Schemas share numbers, vectors and names with
 their ranges.
@@ -6,6 +7,7 @@ their ranges.
 
 from __future__ import annotations
 
+import copy
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,8 +19,10 @@ from planner.files import is_file
 from planner.issues import Issue, TandemError
 
 try:  # libyaml, where PyYAML was built with it: twenty times faster, and the same marks
+    from yaml import CSafeDumper as _SafeDumper
     from yaml import CSafeLoader as _SafeLoader
 except ImportError:
+    from yaml import SafeDumper as _SafeDumper  # type: ignore[assignment]
     from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
 
 MAX_BYTES = 5_000_000
@@ -39,29 +43,53 @@ class _Loader(_SafeLoader):
     """SafeLoader that reads 1e-3 as a number (YAML 1.2), as people expect, and a date as text."""
 
 
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in known if not tag.endswith(":timestamp")]
-    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+0123456789."),
-)
+class _Dumper(_SafeDumper):
+    """SafeDumper that quotes text which :class:`_Loader` would read as a number, and has no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Whether a value is written out wherever it stands."""
+        del data
+        return True
+
+
+for _one in (_Loader, _Dumper):
+    _one.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in known if not tag.endswith(":timestamp")]
+        for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    _one.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+        list("-+0123456789."),
+    )
+
+
+def dump(data: Any) -> str:
+    """Plain data as YAML that :func:`parse` reads as the same data; lists of single values on one line."""
+    style: dict[str, Any] = {
+        "sort_keys": False,
+        "allow_unicode": True,
+        "default_flow_style": None,
+        "width": 110,
+    }
+    return str(yaml.dump(data, Dumper=_Dumper, **style))
 
 
 class Document:
-    """A parsed file: ``data`` as plain values, :meth:`line` for the place of a field."""
+    """A parsed file: ``data`` as plain values, :meth:`line` for the place of a field. ``name`` is what
+    messages call it, None for data that come from no file; file names in it start at the folder of
+    ``path``."""
 
-    def __init__(self, path: Path, data: Any, root: yaml.Node | None, text: bytes) -> None:
+    def __init__(self, path: Path, data: Any, root: yaml.Node | None, text: bytes, file: bool = True) -> None:
         self.path = path
         self.data = data
         self.text = text
+        self.name = str(path) if file else None
         self._root = root
 
     def with_data(self, data: Any) -> Document:
         """The same file with other values in the same places."""
-        return Document(self.path, data, self._root, self.text)
+        return Document(self.path, data, self._root, self.text, self.name is not None)
 
     def line(self, location: tuple[str | int, ...]) -> int | None:
         """Line, from 1, of the deepest part of ``location`` that the file has."""
@@ -98,6 +126,16 @@ def read(path: Path) -> Document:
         )
     try:
         raw = path.read_bytes()
+    except OSError as error:
+        raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
+    data, root = parse(raw, name)
+    return Document(path, data, root, raw)
+
+
+def parse(raw: bytes, name: str) -> tuple[dict[str, Any], yaml.Node | None]:
+    """The mapping in a YAML text, and its nodes with their lines; ``name`` is what messages call it. Raises
+    as :func:`read`."""
+    try:
         text = raw.decode("utf-8-sig")
         _refuse_too_large(text, name)
         root = yaml.compose(text, Loader=_Loader)
@@ -105,8 +143,6 @@ def read(path: Path) -> Document:
             _refuse_what_is_not_plain(root, name)
             _refuse_repeated(root, name)
         data = yaml.load(text, Loader=_Loader)  # a SafeLoader
-    except OSError as error:
-        raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
     except RecursionError as error:
         raise _not_yaml(name, _TOO_DEEP) from error
     except (
@@ -126,7 +162,54 @@ def read(path: Path) -> Document:
         got = type(data).__name__ if data is not None else "nothing"
         what = f"has {got} at its top level; write a mapping that begins with 'tandem: 1'"
         raise _not_yaml(name, what, 1)
-    return Document(path, data, root, raw)
+    return data, root
+
+
+def changed_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> None:
+    """Set a field of ``data``; mappings that are missing on the way are made, so that the problem's schema
+    says what it does not know. Names of files in the value start at ``folder``.
+
+    Raises ``ValueError``, which names the step, where a list has no such entry, or a value is in the way.
+    """
+    steps = path.split(".")
+    if not all(steps):
+        raise ValueError(f"{path!r} is no path; write names and numbers with single dots between them")
+    node: Any = data
+    for i, step in enumerate(steps[:-1]):
+        key = _key(node, step, ".".join(steps[: i + 1]))
+        if isinstance(node, dict) and node.get(key) is None:
+            node[key] = {}
+        node = node[key]
+    last = _key(node, steps[-1], path)
+    node[last] = _rooted(copy.deepcopy(value), folder, steps[-1])
+
+
+def _key(node: Any, step: str, path: str) -> str | int:
+    """The key of a step in a mapping or list."""
+    if isinstance(node, dict):
+        return step
+    if not isinstance(node, list):
+        raise ValueError(f"{path} is below a single value; end the path there")
+    if step.isdigit():
+        if int(step) >= len(node):
+            raise ValueError(f"{path}: the list has {len(node)} entries, counted from 0; choose one of them")
+        return int(step)
+    named = [i for i, entry in enumerate(node) if isinstance(entry, dict) and entry.get("name") == step]
+    if len(named) != 1:
+        known = ", ".join(str(e["name"]) for e in node if isinstance(e, dict) and "name" in e) or "none"
+        raise ValueError(f"{path}: {len(named)} entries have that name, known are {known}; choose one")
+    return named[0]
+
+
+def _rooted(value: Any, folder: Path, key: str) -> Any:
+    """The value with names of files made absolute."""
+    if key == "file" and isinstance(value, str):
+        return str((folder / value).resolve())
+    if isinstance(value, dict):
+        return {k: _rooted(v, folder, k) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_rooted(v, folder, "") for v in value]
+    return value
 
 
 def _child(node: yaml.Node | None, step: str | int) -> tuple[yaml.Node, int] | None:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.cell import plant
+from planner.cell.plant import CellModel
 from planner.claims.claim import FollowsRulings
 from planner.issues import Issue, TandemError, accepted, aggregate, has_errors
 from planner.plans import Plan
@@ -22,6 +23,7 @@ from planner.report import cell_picture, exhibits, markup, motion_charts, page_s
 from planner.report.cell_picture import Picture
 from planner.report.markup import CSS, SCRIPT, Raw
 from planner.report.motion_charts import Motion
+from planner.report.replay import Viewer
 from planner.verify.result import Proof
 
 
@@ -179,8 +181,7 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
 
     Where Meshcat cannot start there is no replay, and the report says so.
     """
-    first = problem.setups[0]
-    model = plant.build(first.cell, first.stock, plan.places[0], plan.bases)
+    model = _cell_model(problem, plan)
     out: dict[str, str] = {}
     issues: tuple[Issue, ...] = ()
     try:
@@ -194,6 +195,16 @@ def files(problem: Problem, plan: Plan, proof: Proof | None) -> dict[str, str]:
         if proof.part_obj:
             out["simulated_part.obj"] = proof.part_obj
     return out
+
+
+def _cell_model(problem: Problem, plan: Plan) -> CellModel:
+    first = problem.setups[0]
+    return plant.build(first.cell, first.stock, plan.places[0], plan.bases)
+
+
+def show(problem: Problem, plan: Plan) -> Viewer:
+    """The replay in a browser, live. Raises ``TandemError`` (``report.replay_failed``)."""
+    return replay.show(_cell_model(problem, plan), problem, plan)
 
 
 def failure(problem: Problem | None, issues: Sequence[Issue]) -> str:

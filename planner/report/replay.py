@@ -220,6 +220,15 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
 
     Raises :class:`TandemError` (``report.replay_failed``) if Meshcat cannot start.
     """
+    meshcat, run = _filmed(model, problem, plan)
+    page = str(meshcat.StaticHtml())
+    title = f"{problem.name} – Tandem replay"
+    page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
+    return page.replace("</body>", time_bar(problem.name, run, _clock(run, proof)) + "</body>", 1)
+
+
+def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]:
+    """A Meshcat that shows the plan, and what it shows; raises as :func:`document`."""
     try:
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     except RuntimeError as error:
@@ -237,10 +246,31 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     animation.set_autoplay(False)
     animation.set_repetitions(1)
     meshcat.SetAnimation(animation)
-    page = str(meshcat.StaticHtml())
-    title = f"{problem.name} – Tandem replay"
-    page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", time_bar(problem.name, run, _clock(run, proof)) + "</body>", 1)
+    return meshcat, run
+
+
+@dataclasses.dataclass(frozen=True)
+class Viewer:
+    """A plan in a browser at ``url`` for as long as Python runs, or until :meth:`close`; a notebook shows it
+    in its cell."""
+
+    url: str
+    meshcat: Any
+
+    def _repr_html_(self) -> str:
+        return f'<iframe src="{html.escape(self.url)}" width="100%" height="520" style="border:0"></iframe>'
+
+    def close(self) -> None:
+        """Clears what is shown; the browser's page stays empty."""
+        self.meshcat.Delete()
+        self.meshcat.DeleteRecording()
+
+
+def show(model: CellModel, problem: Problem, plan: Plan) -> Viewer:
+    """The replay in a server of Meshcat on this machine, with its animation under "Animations". Raises as
+    :func:`document`."""
+    meshcat, _ = _filmed(model, problem, plan)
+    return Viewer(str(meshcat.web_url()), meshcat)
 
 
 def _clock(run: Track, proof: Proof | None) -> Clock:
