@@ -46,6 +46,12 @@ class Outcome:
     proof: Proof
     programs: Mapping[str, str]
 
+    def __repr__(self) -> str:
+        passed = sum(rule.passed for rule in self.proof.rules)
+        verdict = "verified" if self.verified else "not verified"
+        rules = f"{passed} of {len(self.proof.rules)} rules"
+        return f"<Outcome of {self.problem.name}: {verdict}, {rules}, {self.plan.duration:.1f} s>"
+
     @property
     def verified(self) -> bool:
         """Whether the programs are proven."""
@@ -102,7 +108,14 @@ def _read(document: Document) -> Problem:
         raise TandemError(size_advice.advised(document, error.issues, _changed, wider_mm)) from None
 
 
-def save(problem: Problem, path: str | Path, overwrite: bool = False) -> Path:
+def _built(problem: Problem | spec.Problem) -> Problem:
+    if not isinstance(problem, Problem | spec.Problem):
+        what = f"got a {type(problem).__name__}, wanted is what planner.load or planner.spec.Problem gives"
+        raise TypeError(what)
+    return build(problem) if isinstance(problem, spec.Problem) else problem
+
+
+def save(problem: Problem | spec.Problem, path: str | Path, overwrite: bool = False) -> Path:
     """Write a problem as a file that says the same, with its cell inside and what it names beside it in
     ``files/``; the file's path. Where ``path`` does not end in ``.yaml`` or ``.yml`` it is a folder.
 
@@ -111,7 +124,7 @@ def save(problem: Problem, path: str | Path, overwrite: bool = False) -> Path:
     """
     given = Path(path)
     target = given if given.suffix.lower() in (".yaml", ".yml") else given / "problem.yaml"
-    files = problem_file.bundle(problem)
+    files = problem_file.bundle(_built(problem))
     try:
         if is_file(target) and not overwrite and target.read_bytes() != files["problem.yaml"]:
             what = f"{target}: there is another file; give another name, or overwrite=True"
@@ -142,9 +155,9 @@ def _contained() -> Iterator[None]:
 
 
 @_contained()
-def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
+def plan(problem: Problem | spec.Problem, progress: Progress | None = None) -> Outcome:
     """Plan, write the programs' text and prove it. Raises ``TandemError`` where no plan is feasible."""
-    tell = progress or _silent
+    problem, tell = _built(problem), progress or _silent
     tell("targets", 0.0)
     jobs = processes.jobs(problem)
     targets = _targets(problem, jobs)
@@ -169,8 +182,12 @@ def plan(problem: Problem, progress: Progress | None = None) -> Outcome:
 
 
 @_contained()
-def check(problem: Problem) -> tuple[Issue, ...]:
+def check(problem: Problem | spec.Problem) -> tuple[Issue, ...]:
     """Validate and test reach without planning: the issues found, errors included."""
+    try:
+        problem = _built(problem)
+    except TandemError as error:
+        return error.issues
     notes = _notes(problem)
     try:
         targets = _targets(problem, processes.jobs(problem))

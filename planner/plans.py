@@ -46,14 +46,14 @@ class OperationPlan:
     """
 
     name: str
-    targets: Targets
-    q: Mapping[str, FloatArray]
-    values: FloatArray
-    time: FloatArray
-    entry: Mapping[str, FloatArray]
-    exit: Mapping[str, FloatArray]
+    targets: Targets = dataclasses.field(repr=False)
+    q: Mapping[str, FloatArray] = dataclasses.field(repr=False)
+    values: FloatArray = dataclasses.field(repr=False)
+    time: FloatArray = dataclasses.field(repr=False)
+    entry: Mapping[str, FloatArray] = dataclasses.field(repr=False)
+    exit: Mapping[str, FloatArray] = dataclasses.field(repr=False)
     order: tuple[str, ...]
-    metrics: Mapping[str, Any]
+    metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
 
 
@@ -92,11 +92,11 @@ class Plan:
 
     problem_name: str
     digest: str
-    versions: Mapping[str, str]
+    versions: Mapping[str, str] = dataclasses.field(repr=False)
     places: tuple[FloatArray, ...]
     bases: Mapping[str, FloatArray]
     operations: tuple[OperationPlan, ...]
-    metrics: Mapping[str, Any]
+    metrics: Mapping[str, Any] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...] = ()
 
     @property

@@ -360,12 +360,18 @@ class Targets(Operation, model=pose_table.Posed, process="targets"):
 
 
 class Problem(Section, model=problem_file.ProblemFile, tandem=1):
-    """A whole problem; :func:`planner.build` makes the one that is planned of it."""
+    """A whole problem, to be planned, checked or saved; :func:`planner.build` reads it."""
 
     def __init__(self, **words: Any) -> None:
         if isinstance(words.get("cell"), str | Path):
             words["cell"] = Cell.read(words["cell"])
         super().__init__(**words)
+
+    def _check(self) -> None:
+        super()._check()
+        for index, one in enumerate(self._words["operations"]):
+            faults = problem_file.read_operation(one, index, _document({}), processes.readers())[1]
+            _refuse(faults, type(self).__name__)
 
     @classmethod
     def read(cls, path: str | Path) -> Self:

@@ -8,10 +8,12 @@ one left it.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
+import logging
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -360,15 +362,28 @@ def _new(
         parameters = MeshcatVisualizerParams()
         MeshcatVisualizer.AddToBuilder(builder.builder(), builder.scene_graph(), meshcat, parameters)
     names = _names(plant, cell, instances)
-    checker = SceneGraphCollisionChecker(
-        model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
-    )
+    with quiet():
+        checker = SceneGraphCollisionChecker(
+            model=builder.Build(), robot_model_instances=instances, edge_step_size=0.05
+        )
     filtered = filter_pairs(checker, names, _limits(cell, robots), stock.held_by)
     inspector = checker.model().scene_graph().model_inspector()
     solids = collect(plant, inspector, names, own)
     bounds = prepare(solids, filtered, stock.held_by)
     shared = _Shared(plant, checker.model(), checker, mounts, names, filtered, solids, bounds)
     return CellModel(cell, stock, np.asarray(stock_pose, dtype=np.float64), placed, robots, shared)
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Without what Drake says of itself: contexts of every checker, ports."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(max(level, logging.WARNING))
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def rigid(pose: FloatArray) -> RigidTransform:

@@ -343,6 +343,8 @@ def _field_issue(
         least, has = error["ctx"]["min_length"], error["ctx"]["actual_length"]
         what = f"has {has} {'entry' if has == 1 else 'entries'}, at least {least} must be there"
         remedy = "add what is missing, or take the key out where it may be left out"
+    if error["type"] == "missing" and isinstance(error["loc"][-1], int):  # of a list of a fixed length
+        what, remedy = f"entry {error['loc'][-1]}, counted from 0, is missing", "give as many as it takes"
     name = _NAME.fullmatch(error.get("ctx", {}).get("pattern", ""))
     if name:
         most = int(name[1]) + 1

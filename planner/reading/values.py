@@ -36,7 +36,8 @@ def _fault(where: str, what: str, code: str = "problem.field") -> TandemError:
 def plain(value: Any, where: str, depth: int = 0) -> Any:
     """A value as YAML would have it; ``where`` is its place for messages."""
     if depth > MAX_DEPTH:
-        raise _fault(where, f"nested more than {MAX_DEPTH} deep, or it holds itself; write it flatter")
+        top = ".".join(where.split(".")[:2])
+        raise _fault(top, f"nested more than {MAX_DEPTH} deep, or it holds itself; write it flatter")
     if isinstance(value, np.ndarray):
         return _plain_array(value, where)
     if isinstance(value, np.generic):
@@ -48,7 +49,7 @@ def plain(value: Any, where: str, depth: int = 0) -> Any:
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, int | str):
-        return int(value) if isinstance(value, int) else str.__str__(value)
+        return int(value) if isinstance(value, int) else _plain_text(value, where)
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
@@ -64,6 +65,12 @@ def plain(value: Any, where: str, depth: int = 0) -> Any:
         return [plain(one, f"{where}.{i}", depth + 1) for i, one in enumerate(value)]
     what = f"got a {type(value).__name__}, which no problem file can say"
     raise _fault(where, f"{what}; give numbers, text, lists, mappings, arrays or sections")
+
+
+def _plain_text(value: str, where: str) -> str:
+    if any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise _fault(where, "has half a character (a lone surrogate); remove it")
+    return str.__str__(value)
 
 
 def _plain_array(value: FloatArray, where: str) -> Any:

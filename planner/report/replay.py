@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, Rgba
 
-from planner.cell.plant import CellModel, rigid
+from planner.cell.plant import CellModel, quiet, rigid
 from planner.claims.segments import Segment
 from planner.files import write_whole
 from planner.geometry.arrays import BoolArray, FloatArray
@@ -230,7 +230,8 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
 def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]:
     """A Meshcat that shows the plan, and what it shows; raises as :func:`document`."""
     try:
-        meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+        with quiet():
+            meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     except RuntimeError as error:
         issue = Issue("report.replay_failed", f"Meshcat, which writes replay.html, cannot start: {error}")
         raise TandemError(issue) from error

@@ -83,11 +83,11 @@ class Proof:
     the simulated part."""
 
     problem_digest: str
-    rules: tuple[RuleResult, ...]
+    rules: tuple[RuleResult, ...] = dataclasses.field(repr=False)
     issues: tuple[Issue, ...]
-    series: Mapping[str, Any]
-    surfaces: tuple[CutFace, ...]
-    part_obj: str
+    series: Mapping[str, Any] = dataclasses.field(repr=False)
+    surfaces: tuple[CutFace, ...] = dataclasses.field(repr=False)
+    part_obj: str = dataclasses.field(repr=False)
 
     @property
     def ok(self) -> bool:
