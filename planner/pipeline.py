@@ -98,6 +98,8 @@ def load(path: str | Path) -> Problem:
 def build(problem: spec.Problem) -> Problem:
     """The problem that is said in Python. Raises ``TandemError`` with every fault found, as :func:`load` of
     a file that says the same would."""
+    if not isinstance(problem, spec.Problem):
+        raise TypeError(f"got a {type(problem).__name__}, wanted is a planner.spec.Problem")
     return _read(problem.document())
 
 
