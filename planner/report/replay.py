@@ -252,19 +252,13 @@ def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]
 
 @dataclasses.dataclass(frozen=True)
 class Viewer:
-    """A plan in a browser at ``url`` for as long as Python runs, or until :meth:`close`; a notebook shows it
-    in its cell."""
+    """A plan in a browser at ``url`` for as long as this value lives; a notebook shows it in its cell."""
 
     url: str
     meshcat: Any
 
     def _repr_html_(self) -> str:
         return f'<iframe src="{html.escape(self.url)}" width="100%" height="520" style="border:0"></iframe>'
-
-    def close(self) -> None:
-        """Clears what is shown; the browser's page stays empty."""
-        self.meshcat.Delete()
-        self.meshcat.DeleteRecording()
 
 
 def show(model: CellModel, problem: Problem, plan: Plan) -> Viewer:
