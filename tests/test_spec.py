@@ -213,16 +213,7 @@ FAULTS = {
         "operations.nobody.feed_mm_s", 1
     ),
     "no such file; check the path": lambda: spec.Problem.read("nothing"),
-    "MB as a file, 5 MB are read": lambda: planner.build(
-        small(part={"ruled": [ruled(number) for number in range(50)]})
-    ),
 }
-
-
-def ruled(number: int) -> spec.Ruled:
-    points = np.random.default_rng(number).random((20_000, 3)) + np.arange(20_000)[:, None]
-    guide = {"polyline_mm": points}
-    return spec.Ruled(name=f"face{chr(97 + number % 26)}{'x' * (number // 26)}", start=guide, end=guide)
 
 
 @pytest.mark.parametrize("message", FAULTS)
@@ -231,6 +222,13 @@ def test_what_is_wrong_is_refused_where_it_is_said(message: str) -> None:
     assert message in issue.message
     assert issue.file is None or issue.code == "problem.missing_file"
     assert issue.line is None
+
+
+def test_a_problem_larger_than_files_may_be_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(strict_yaml, "MAX_BYTES", 300)
+    issue = refusal(lambda: planner.build(small()))
+    assert issue.code == "problem.too_large"
+    assert "give points as a mesh or a file of their own" in issue.message
 
 
 def test_other_things_than_problems_are_named() -> None:
