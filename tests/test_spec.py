@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from planner import spec
 from planner.geometry.mesh import read_mesh
 from planner.reading import strict_yaml
 from tests import small_problem
+from tests.test_docs import reference
 
 PROBLEMS = Path(__file__).parents[1] / "problems"
 QUICK = ["wing", "gcode", "plate_with_holes", "kerf_test", "engrave", "shell_piece_held", "ruled_wall"]
@@ -283,6 +285,35 @@ def test_what_is_written_as_yaml_is_read_as_the_same(data: dict[str, Any]) -> No
 def test_text_that_looks_like_something_else_stays_text(text: str) -> None:
     read, _ = strict_yaml.parse(strict_yaml.dump({"a": text, "b": [text]}).encode(), "here")
     assert read == {"a": text, "b": [text]}
+
+
+def test_the_page_lists_every_section() -> None:
+    page = (PROBLEMS.parent / "docs" / "python.md").read_text(encoding="utf-8")
+    listed = re.findall(r"`(\w+)`", page.split("| sections | of |")[1].split("\n\n")[0])
+    kinds = [
+        name for name, kind in vars(spec).items() if isinstance(kind, type) and issubclass(kind, spec.Section)
+    ]
+    assert sorted(listed) == sorted(set(kinds) - {"Section"})
+
+
+def test_every_section_of_the_reference_can_be_said() -> None:
+    """Each schema that the page on problem files has a chapter for, but those of which there are sections
+    that say the same."""
+    known = {
+        kind.model
+        for kind in vars(spec).values()
+        if isinstance(kind, type) and issubclass(kind, spec.Section)
+    }
+    rest = {model.__name__ for _, _, model in reference().CHAPTERS} - {one.__name__ for one in known if one}
+    inner = {
+        "PlaceFile",
+        "PowerOutputFile",
+        "DevicePlaceFile",
+        "SignalsFile",
+        "SignalWireFile",
+        "WireEndFile",
+    }
+    assert rest == inner, "plain mappings, and a pose"
 
 
 @pytest.fixture(scope="module")
