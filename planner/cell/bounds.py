@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.cell.bodies import Solid, extent
 from planner.cell.bodies import fixed as is_fixed
-from planner.cell.distance import Cores, cores, distances
+from planner.cell.distance import AGREED_M, Cores, cores, distances
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths
 from planner.geometry.rigid import from_parts
 
@@ -130,6 +130,19 @@ class Bounds:
             deep[at[closest]] = ~way[closest].any(axis=1)
         return best, pair, deep
 
+    def apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
+        """Whether all solids are farther apart than ``padding`` [m], as (B,), for finite poses."""
+        turns, places, row, first, second, _ = self._near_pairs(poses, padding + AGREED_M)
+        out = np.ones(len(turns), dtype=np.bool_)
+        leading = np.diff(row, prepend=-1) != 0
+        for some in (np.flatnonzero(leading), None):
+            look = np.flatnonzero(~leading & out[row]) if some is None else some
+            if len(look):
+                at, one, other = row[look], first[look], second[look]
+                gap = self._measured(turns, places, poses, at, one, other, padding)[0]
+                out[at[gap <= padding]] = False
+        return out
+
     def every(
         self, poses: Mapping[str, FloatArray], limit: float
     ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, FloatArray]:
@@ -169,10 +182,12 @@ class Bounds:
         row: IndexArray,
         one: IndexArray,
         other: IndexArray,
+        settled: float | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Distances (M,) of solids in rows (M,), and their lines, as :func:`distances` has them."""
         first = self._poses(turns, places, poses, row, one)
-        return distances(self.cores, one, other, first, self._poses(turns, places, poses, row, other))
+        second = self._poses(turns, places, poses, row, other)
+        return distances(self.cores, one, other, first, second, settled)
 
     def _placed(
         self, poses: Mapping[str, FloatArray]

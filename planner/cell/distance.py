@@ -83,13 +83,19 @@ def cores(solids: Sequence[Solid]) -> Cores:
 
 
 def distances(
-    cores: Cores, first: IndexArray, second: IndexArray, one: FloatArray, other: FloatArray
+    cores: Cores,
+    first: IndexArray,
+    second: IndexArray,
+    one: FloatArray,
+    other: FloatArray,
+    settled: float | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distances (M,) [m] of solids ``first`` and ``second`` (M,) at poses (M, 4, 4), unit vectors (M, 3) from
     the second to the first along which they are, and points (M, 3) on these lines.
 
     At most :data:`AGREED_M` below the truth and never above it; where roundings overlap it is the depth below
-    zero, and where cores do, a bound of it, with no direction.
+    zero, and where cores do, a bound of it, with no direction. Where one is only to be held against
+    ``settled`` [m], a lower bound above that, or any number below it, will do.
     """
     gap, way, place = np.empty(len(first)), np.zeros((len(first), 3)), np.zeros((len(first), 3))
     segments = cores.segment[first] & cores.segment[second]
@@ -97,7 +103,7 @@ def distances(
     for chosen, kernel in ((segments, _segments), (boxed, _segment_box), (~(segments | boxed), _gjk)):
         at = np.flatnonzero(chosen)
         if len(at):
-            gap[at], way[at], place[at] = kernel(cores, first[at], second[at], one[at], other[at])
+            gap[at], way[at], place[at] = kernel(cores, first[at], second[at], one[at], other[at], settled)
     return gap - cores.rounding[first] - cores.rounding[second], way, place
 
 
@@ -105,8 +111,14 @@ _Found = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _segments(
-    cores: Cores, first: IndexArray, second: IndexArray, one: FloatArray, other: FloatArray
+    cores: Cores,
+    first: IndexArray,
+    second: IndexArray,
+    one: FloatArray,
+    other: FloatArray,
+    settled: float | None,
 ) -> _Found:
+    del settled  # closed forms need no search
     between = one[:, :3, 3] - other[:, :3, 3]
     along, across = one[:, :3, 2], other[:, :3, 2]
     a, b = cores.half[first, 2], cores.half[second, 2]
@@ -121,8 +133,14 @@ def _segments(
 
 
 def _segment_box(
-    cores: Cores, first: IndexArray, second: IndexArray, one: FloatArray, other: FloatArray
+    cores: Cores,
+    first: IndexArray,
+    second: IndexArray,
+    one: FloatArray,
+    other: FloatArray,
+    settled: float | None,
 ) -> _Found:
+    del settled  # closed forms need no search
     swap = cores.box[first]
     segment, box = np.where(swap, second, first), np.where(swap, first, second)
     line, frame = (np.where(swap[:, None, None], x, y) for x, y in ((other, one), (one, other)))
@@ -157,11 +175,19 @@ def _with_way(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
     return gap, ray / np.where(gap > TOUCHING_M, gap, np.inf)[:, None]
 
 
-def _gjk(cores: Cores, first: IndexArray, second: IndexArray, one: FloatArray, other: FloatArray) -> _Found:
+def _gjk(
+    cores: Cores,
+    first: IndexArray,
+    second: IndexArray,
+    one: FloatArray,
+    other: FloatArray,
+    settled: float | None,
+) -> _Found:
     """Lower bounds of the distance of cores, ways, places; 0 where they overlap."""
     count = len(first)
     gap, way, place = np.zeros(count), np.zeros((count, 3)), one[:, :3, 3].copy()
     live = np.arange(count)
+    enough = (0.0 if settled is None else settled) + cores.rounding[first] + cores.rounding[second]
     nearest = one[:, :3, 3] - other[:, :3, 3]
     nearest[lengths(nearest) < TOUCHING_M] = [1.0, 0.0, 0.0]
     corner, own = np.zeros((count, 4, 3)), np.zeros((count, 4, 3))
@@ -176,6 +202,8 @@ def _gjk(cores: Cores, first: IndexArray, second: IndexArray, one: FloatArray, o
         gap[live[better]], way[live[better]] = low[better], v[better] / norm[better, None]
         started = used[live].any(axis=1)
         going = ~(started & (norm - gap[live] < AGREED_M))
+        if settled is not None:
+            going &= (norm > enough[live]) & (gap[live] <= enough[live])
         live, support, far = live[going], support[going], far[going]
         if not len(live):
             break
@@ -208,12 +236,13 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     edge_good = used[:, _EDGES].all(axis=2) & (t > 0.0) & (t < 1.0) & (square > 0.0)
 
     x, y, z = (corner[:, _TRIANGLES[:, k]] for k in range(3))
-    normal = np.cross(y - x, z - x)
+    opposite = _cross(np.stack([y, z, x]), np.stack([z, x, y]))
+    normal = opposite.sum(axis=0)
     area = np.einsum("mkc,mkc->mk", normal, normal)
     safe = np.where(area > 0.0, area, 1.0)
-    across = [np.einsum("mkc,mkc->mk", np.cross(p, q), normal) / safe for p, q in ((y, z), (z, x), (x, y))]
+    across = np.einsum("nmkc,mkc->nmk", opposite, normal) / safe
     on_face = normal * (np.einsum("mkc,mkc->mk", x, normal) / safe)[..., None]
-    face_good = used[:, _TRIANGLES].all(axis=2) & (np.stack(across) > 0.0).all(axis=0) & (area > 1e-30)
+    face_good = used[:, _TRIANGLES].all(axis=2) & (across > 0.0).all(axis=0) & (area > 1e-30)
 
     points = np.concatenate([corner, a + t[..., None] * edge, on_face], axis=1)
     good = np.concatenate([used, edge_good, face_good], axis=1)
@@ -225,7 +254,16 @@ def _nearest(corner: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArra
     for k, ends in enumerate(_TRIANGLES):
         for end, own in zip(ends, across, strict=True):
             share[:, 10 + k, end] = own[:, k]
-    volumes = np.einsum("mkc,mkc->mk", np.cross(x, y), z) * np.array([1.0, -1.0, 1.0, -1.0])
+    volumes = np.einsum("mkc,mkc->mk", opposite[2], z) * np.array([1.0, -1.0, 1.0, -1.0])
     inside = used.all(axis=1) & ((volumes > 0.0).all(axis=1) | (volumes < 0.0).all(axis=1))
     rows = np.arange(count)
     return points[rows, best], share[rows, best], inside
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (..., 3); NumPy's own takes several times as long for small arrays."""
+    out = np.empty_like(a)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out

@@ -37,7 +37,7 @@ MOST_DOUBTED = 250_000
 MOST_BROKEN = 1000
 """Looks with too little clearance after which no more of those in doubt are measured."""
 WITNESSED = 32
-"""The smallest distances of a group of looks that Drake is asked about, too."""
+"""Looks of a group that Drake is asked about, too: so many with the smallest distances, so many others."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,9 +121,10 @@ def _witnessed(
     look: IntArray,
     found: clearance.LeastClearance,
 ) -> clearance.LeastClearance:
-    """The distances ``found`` at looks (K,), the smallest ones held against Drake's, which come from another
-    code and are never below the truth: where Drake's are smaller, they count."""
-    some = np.argsort(found.distance, kind="stable")[:WITNESSED]
+    """The distances ``found`` at looks (K,), the smallest ones and some others held against Drake's, which
+    come from another code and are never below the truth: where Drake's are smaller, they count."""
+    spread = np.linspace(0, len(look) - 1, WITNESSED).astype(np.int64) if len(look) else look
+    some = np.union1d(np.argsort(found.distance, kind="stable")[:WITNESSED], spread)
     drake = clearance.witness(model, {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore)
     less = np.flatnonzero(drake.distance < found.distance[some] - PRECISE)
     distance, pair = found.distance.copy(), list(found.pair)
