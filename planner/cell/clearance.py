@@ -288,8 +288,7 @@ class Near:
 
 
 def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()) -> list[Near]:
-    """What :func:`gradients` tells, of configurations (B, nq) at once, the least distance of each pair of
-    bodies.
+    """What :func:`gradients` tells, of configurations (B, nq) at once: of each pair of solids.
 
     The gradient of a distance along the line n is n.(v - w) of the velocities v, w that a joint gives to both
     bodies at any point of the line. Where solids overlap, depth and gradient are Drake's.
@@ -307,13 +306,14 @@ def _gradients(
     index = {name: int(model.body(name).index()) for name in dict.fromkeys(s.body for s in bounds.given)}
     bodies = np.array([index[s.body] for s in bounds.given], dtype=np.intp)[solids].reshape(-1, 2)
     pair = np.sort(bodies, axis=1)
-    order = np.lexsort((gap, pair[:, 1], pair[:, 0], row))
-    key = np.column_stack([row, pair])[order]
-    some = order[np.flatnonzero((np.diff(key, axis=0, prepend=-1) != 0).any(axis=1))]  # each pair's least
-    row, gap, bodies = row[some], gap[some], bodies[some]
+    deep = np.asarray(~way.any(axis=1))
+    some = np.lexsort((gap, ~deep, pair[:, 1], pair[:, 0], row))
+    key = np.column_stack([row, pair])[some]
+    again = (np.diff(key, axis=0, prepend=-1) == 0).all(axis=1) & deep[some]
+    some = some[~again]  # of solids that overlap, one entry stands for both bodies
+    row, gap, bodies, deep = row[some], gap[some], bodies[some], deep[some]
     names = [(bounds.given[a].body, bounds.given[b].body) for a, b in solids[some].tolist()]
     slope = _slopes(model, q, row, names, way[some], place[some])
-    deep = ~way[some].any(axis=1)
     for one in np.unique(row[deep]).tolist():
         own = np.flatnonzero(deep & (row == one))
         _drake_into(model, rows[one], ignore, bodies[own], own, gap, slope)
@@ -365,12 +365,11 @@ def _drake_into(
     """Writes what Drake says of pairs of bodies (K, 2) that overlap into entries ``own`` (K,)."""
     with _ignored(model, ignore):
         found = _steady(functools.partial(_clearance, model, 0.0), row)
-    said = {
-        frozenset((int(a), int(b))): (float(d), j)
-        for a, b, d, j in zip(
-            found.robot_indices(), found.other_indices(), found.distances(), found.jacobians(), strict=True
-        )
-    }
+    each = zip(
+        found.robot_indices(), found.other_indices(), found.distances(), found.jacobians(), strict=True
+    )
+    deepest = sorted(((float(d), (int(a), int(b)), j) for a, b, d, j in each), key=lambda one: -one[0])
+    said = {frozenset(pair): (d, j) for d, pair, j in deepest}
     for entry, pair in zip(own, bodies.tolist(), strict=True):
         depth, gradient = said.get(frozenset(pair), (gap[entry], slope[entry]))
         gap[entry], slope[entry] = min(depth, gap[entry]), gradient
