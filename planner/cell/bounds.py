@@ -1,8 +1,8 @@
-"""Cheap bounds of least distances, which settle most configurations before Drake is asked.
+"""Least distances of a cell's solids: cheap bounds, which settle most configurations, and true ones.
 
 Every moving solid has a capsule around it and one inside it, with the same axis. The distance of the outer
 capsules is a lower bound of the true one, that of the inner capsules an upper bound. Fixed boxes (stock,
-table, bases) stay boxes.
+table, bases) stay boxes. Pairs that no bound settles are measured (:mod:`planner.cell.distance`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.cell.bodies import Solid, extent
 from planner.cell.bodies import fixed as is_fixed
+from planner.cell.distance import AGREED_M, Cores, cores, distances
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots, lengths
 from planner.geometry.rigid import from_parts
 
@@ -36,7 +37,8 @@ class Bounds:
 
     ``boxes`` (K,) are boxes of fixed bodies, of half size (K, 3), or stand for meshes within them where not
     ``exact``. ``pairs`` (M, 2) are pairs of capsules,
-    ``box_pairs`` (N, 2) of a capsule and a box, that are held apart.
+    ``box_pairs`` (N, 2) of a capsule and a box, that are held apart. ``given`` (S + K,) are the solids
+    themselves, moving and fixed ones, and ``cores`` theirs.
     """
 
     solids: tuple[Solid, ...]
@@ -53,6 +55,8 @@ class Bounds:
     exact: BoolArray
     pairs: IndexArray
     box_pairs: IndexArray
+    given: tuple[Solid, ...]
+    cores: Cores
 
     def among(self, ignore: frozenset[frozenset[str]]) -> Bounds:
         """The same without the pairs of bodies in ``ignore``."""
@@ -75,15 +79,8 @@ class Bounds:
         below ``settled`` the lower one is not worked out, and -inf. Unless ``both`` are asked for, upper
         bounds are infinite.
         """
-        rows = max(len(pose) for pose in poses.values())
-        turns = np.empty((rows, len(self.bodies), 3, 3))
-        places = np.empty((rows, len(self.bodies), 3))
-        for k, body in enumerate(self.bodies):
-            turns[:, k], places[:, k] = poses[body][:, :3, :3], poses[body][:, :3, 3]
-        each = turns[:, self.part]
-        centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
-        axis = (each @ self.axis[..., None])[..., 0]
-        lower, upper = np.full(rows, np.inf), np.full(rows, np.inf)
+        turns, _, centre, axis = self._placed(poses)
+        lower, upper = np.full(len(turns), np.inf), np.full(len(turns), np.inf)
         boxes = self._near_boxes(centre, axis, poses, limit)
         if both:
             exact = boxes.some(np.flatnonzero(self.exact[boxes.box]))
@@ -99,6 +96,147 @@ class Bounds:
         live = upper[row] > settled
         row, a, b, w, da, db = row[live], a[live], b[live], w[live], da[live], db[live]
         products = products[0][live], products[1][live], products[2][live]
+        np.minimum.at(lower, row, self._apart(turns, limit, row, a, b, w, da, db, products))
+        self._below(lower, boxes, limit)
+        return lower, upper
+
+    def nearest(
+        self, poses: Mapping[str, FloatArray], limit: float
+    ) -> tuple[FloatArray, IndexArray, BoolArray]:
+        """Least distances (B,) [m] for finite body poses (B | 1, 4, 4), ``limit`` where none is below it; the
+        places in ``given`` of the two solids (B, 2) of each, -1 where there are none; and whether their cores
+        overlap (B,), so that the depth is only bounded.
+
+        Distances are at most 1e-7 m below the truth and never above it.
+        """
+        turns, places, row, first, second, low = self._near_pairs(poses, limit)
+        best = np.full(len(turns), limit)
+        pair = np.full((len(turns), 2), -1, dtype=np.intp)
+        deep = np.zeros(len(turns), dtype=np.bool_)
+        leading = np.flatnonzero(np.diff(row, prepend=-1))
+        rest = np.ones(len(row), dtype=np.bool_)
+        rest[leading] = False
+        for look in (leading, None):  # what is likely the nearest first: it rules out most of the others
+            some = np.flatnonzero(rest & (low < best[row])) if look is None else look
+            if not len(some):
+                continue
+            at, one, other = row[some], first[some], second[some]
+            gap, way, _ = self._measured(turns, places, poses, at, one, other)
+            closest = np.lexsort((gap, at))
+            closest = closest[np.diff(at[closest], prepend=-1) != 0]
+            closest = closest[gap[closest] < best[at[closest]]]
+            best[at[closest]] = gap[closest]
+            pair[at[closest]] = np.stack([one, other], axis=1)[closest]
+            deep[at[closest]] = ~way[closest].any(axis=1)
+        return best, pair, deep
+
+    def apart(self, poses: Mapping[str, FloatArray], padding: float) -> BoolArray:
+        """Whether all solids are farther apart than ``padding`` [m], as (B,), for finite poses."""
+        turns, places, row, first, second, _ = self._near_pairs(poses, padding + AGREED_M)
+        out = np.ones(len(turns), dtype=np.bool_)
+        leading = np.diff(row, prepend=-1) != 0
+        for some in (np.flatnonzero(leading), None):
+            look = np.flatnonzero(~leading & out[row]) if some is None else some
+            if len(look):
+                at, one, other = row[look], first[look], second[look]
+                gap = self._measured(turns, places, poses, at, one, other, padding)[0]
+                out[at[gap <= padding]] = False
+        return out
+
+    def every(
+        self, poses: Mapping[str, FloatArray], limit: float
+    ) -> tuple[IndexArray, IndexArray, FloatArray, FloatArray, FloatArray]:
+        """All pairs of solids nearer than ``limit`` [m]: row (M,), places in ``given`` of both (M, 2),
+        distance (M,) as in :meth:`nearest`, and the line that it lies on, as in :func:`distances`."""
+        turns, places, row, first, second, _ = self._near_pairs(poses, limit)
+        gap, way, place = self._measured(turns, places, poses, row, first, second)
+        near = np.flatnonzero(gap < limit)
+        return row[near], np.stack([first, second], axis=1)[near], gap[near], way[near], place[near]
+
+    def _near_pairs(
+        self, poses: Mapping[str, FloatArray], limit: float
+    ) -> tuple[FloatArray, FloatArray, IndexArray, IndexArray, IndexArray, FloatArray]:
+        """Rotations and places of moving bodies; row, both solids and lower bound (M,) of pairs that may be
+        nearer than ``limit``, by row, the least bound of each row first."""
+        turns, places, centre, axis = self._placed(poses)
+        row, first, second = self._near(centre, limit, np.ones(len(turns), dtype=np.bool_))
+        w, da, db = centre[row, first] - centre[row, second], axis[row, first], axis[row, second]
+        products = (dots(da, db), dots(da, w), dots(db, w))
+        low = self._apart(turns, limit, row, first, second, w, da, db, products)
+        boxes = self._near_boxes(centre, axis, poses, limit)
+        value = self._on_axis(boxes, self.outer[0])
+        step = 2.0 * self.outer[0][boxes.solid] / (AXIS_SAMPLES - 1)
+        between = 0.5 * (value[:, 1:] + value[:, :-1] - step[:, None])
+        low = np.concatenate([low, between.min(axis=1) - self.outer[1][boxes.solid]])
+        row, first = np.concatenate([row, boxes.row]), np.concatenate([first, boxes.solid])
+        second = np.concatenate([second, boxes.box + len(self.solids)])
+        order = np.flatnonzero(low < limit)
+        order = order[np.lexsort((low[order], row[order]))]
+        return turns, places, row[order], first[order], second[order], low[order]
+
+    def _measured(
+        self,
+        turns: FloatArray,
+        places: FloatArray,
+        poses: Mapping[str, FloatArray],
+        row: IndexArray,
+        one: IndexArray,
+        other: IndexArray,
+        settled: float | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Distances (M,) of solids in rows (M,), and their lines, as :func:`distances` has them."""
+        first = self._poses(turns, places, poses, row, one)
+        second = self._poses(turns, places, poses, row, other)
+        return distances(self.cores, one, other, first, second, settled)
+
+    def _placed(
+        self, poses: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Rotations (B, P, 3, 3) and places (B, P, 3) of moving bodies; centres and axes (B, S, 3) of their
+        capsules."""
+        rows = max(len(pose) for pose in poses.values())
+        turns = np.empty((rows, len(self.bodies), 3, 3))
+        places = np.empty((rows, len(self.bodies), 3))
+        for k, body in enumerate(self.bodies):
+            turns[:, k], places[:, k] = poses[body][:, :3, :3], poses[body][:, :3, 3]
+        each = turns[:, self.part]
+        centre = (each @ self.centre[..., None])[..., 0] + places[:, self.part]
+        return turns, places, centre, (each @ self.axis[..., None])[..., 0]
+
+    def _poses(
+        self,
+        turns: FloatArray,
+        places: FloatArray,
+        poses: Mapping[str, FloatArray],
+        row: IndexArray,
+        which: IndexArray,
+    ) -> FloatArray:
+        """World poses (M, 4, 4) of solids of ``given`` in rows (M,)."""
+        own = np.array([solid.shape.pose for solid in self.given]).reshape(-1, 4, 4)
+        body = np.zeros((len(row), 4, 4))
+        body[:, 3, 3] = 1.0
+        moving = which < len(self.solids)
+        part = self.part[which[moving]]
+        body[moving, :3, :3], body[moving, :3, 3] = turns[row[moving], part], places[row[moving], part]
+        if len(self.boxes):
+            fixed = np.stack([poses[solid.body][0] for solid in self.given[len(self.solids) :]])
+            body[~moving] = fixed[which[~moving] - len(self.solids)]
+        return np.asarray(body @ own[which])
+
+    def _apart(
+        self,
+        turns: FloatArray,
+        limit: float,
+        row: IndexArray,
+        a: IndexArray,
+        b: IndexArray,
+        w: FloatArray,
+        da: FloatArray,
+        db: FloatArray,
+        products: tuple[FloatArray, FloatArray, FloatArray],
+    ) -> FloatArray:
+        """Lower bounds (M,) of the distances of moving solids: of their outer capsules, and where these are
+        nearer than ``limit``, of their shadows."""
         between = _segments(w, da, db, products, self.outer[0][a], self.outer[0][b])
         gap = lengths(between) - self.outer[1][a] - self.outer[1][b]
         touch = np.flatnonzero(gap < limit)
@@ -106,9 +244,7 @@ class Bounds:
         one = turns[at, self.part[first]] @ self.frame[first], self.support[first]
         two = turns[at, self.part[second]] @ self.frame[second], self.support[second]
         gap[touch] = np.maximum(gap[touch], _separation(w[touch], between[touch], one, two))
-        np.minimum.at(lower, row, gap)
-        self._below(lower, boxes, limit)
-        return lower, upper
+        return np.asarray(gap)
 
     def _near(
         self, centre: FloatArray, limit: float, rows: BoolArray
@@ -242,7 +378,10 @@ def prepare(
     ]
     bodies = tuple(dict.fromkeys(s.body for s in capsules))
     ready = [_as_box(s) for s in boxes]
+    given = [s for s, fixed in zip(solids, boxed, strict=True) if not fixed] + boxes
     return Bounds(
+        given=tuple(given),
+        cores=cores(given),
         solids=capsules,
         bodies=bodies,
         part=np.array([bodies.index(s.body) for s in capsules], dtype=np.intp),

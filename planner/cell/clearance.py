@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from planner.cell.bodies import LeastClearance, Solid, extent, signed_distance
+from planner.cell.bounds import Bounds
+from planner.cell.kinematics import joint_axes, link_frames
 from planner.cell.plant import CellModel
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 
@@ -132,12 +135,12 @@ def _least_on(solid: Solid, start: FloatArray, end: FloatArray) -> FloatArray:
     return np.minimum(left, right)
 
 
-__all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "least", "overlaps"]
+__all__ = ["LeastClearance", "Pairs", "at_least", "edge", "free", "gradients", "least", "overlaps", "witness"]
 
 Pairs = frozenset[frozenset[str]]
 
 FEW_CONFIGURATIONS: Final = 16
-"""Below so many configurations asking Drake at once is faster than the bounds."""
+"""Below so many configurations measuring at once is faster than bounds first."""
 
 NUDGE: Final = 1e-6
 NUDGE_TRIALS: Final = 8
@@ -158,13 +161,21 @@ def free(
     A configuration that is not finite is not free.
     """
     rows = model.stack(q)
-    good = np.asarray(np.isfinite(rows).all(axis=1))
+    finite = np.asarray(np.isfinite(rows).all(axis=1))
+    good = finite.copy()
     if len(rows) >= FEW_CONFIGURATIONS:
         lower, upper = _bounds(model, rows, padding, ignore, padding - BOUND_ERROR)
-        settled = good & (lower > padding)
-        unsettled = good & (lower <= padding) & (upper > padding)
-        return np.asarray(settled | _asked(model, rows, unsettled, padding, ignore))
-    return _asked(model, rows, good, padding, ignore)
+        good &= upper > padding
+        finite = good & (lower <= padding)
+    bounds, asked = model.bounds.among(ignore), np.flatnonzero(finite)
+    for start in range(0, len(asked), CONFIGURATIONS_AT_ONCE):
+        some = asked[start : start + CONFIGURATIONS_AT_ONCE]
+        good[some] = bounds.apart(model.poses(_by_arm(model, rows[some])), padding)
+    return good
+
+
+def _by_arm(model: CellModel, rows: FloatArray) -> dict[str, FloatArray]:
+    return {arm: rows[:, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
 
 
 def at_least(
@@ -175,20 +186,21 @@ def at_least(
     return np.asarray(np.minimum(lower, reach))
 
 
-def _asked(model: CellModel, rows: FloatArray, which: BoolArray, padding: float, ignore: Pairs) -> BoolArray:
-    """Drake's verdict (B,) on the rows that ``which`` names; False for the others."""
-    good = which.copy()
-    checker = model.checker
-    with _ignored(model, ignore):
-        checker.SetPaddingAllRobotRobotPairs(padding)
-        checker.SetPaddingAllRobotEnvironmentPairs(padding)
-        try:
-            good[good] = checker.CheckConfigsCollisionFree(list(rows[good]), parallelize=False)
-        except RuntimeError:
-            good[good] = [_steady(checker.CheckConfigCollisionFree, row) for row in rows[good]]
-        checker.SetPaddingAllRobotRobotPairs(0.0)  # distances that others ask for are reduced by the padding
-        checker.SetPaddingAllRobotEnvironmentPairs(0.0)
-    return good
+def _nearest(
+    model: CellModel, rows: FloatArray, reach: float, ignore: Pairs
+) -> tuple[FloatArray, list[tuple[str, str]], BoolArray]:
+    """Least distances (B,) [m] of finite configurations (B, nq), ``reach`` where it is more, with the pairs
+    of bodies, and where solids overlap so that only the sign is known (B,)."""
+    bounds = model.bounds.among(ignore)
+    distance, deep = np.empty(len(rows)), np.empty(len(rows), dtype=np.bool_)
+    pairs: list[tuple[str, str]] = []
+    for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
+        part = slice(start, start + CONFIGURATIONS_AT_ONCE)
+        distance[part], solids, deep[part] = bounds.nearest(model.poses(_by_arm(model, rows[part])), reach)
+        for one, other in solids.tolist():
+            first, second = sorted((bounds.given[one].body, bounds.given[other].body))
+            pairs.append((first, second) if one >= 0 else ("", ""))
+    return distance, pairs, deep
 
 
 def _bounds(
@@ -205,8 +217,8 @@ def _bounds(
     lower, upper = np.empty(len(rows)), np.empty(len(rows))
     for start in range(0, len(rows), CONFIGURATIONS_AT_ONCE):
         part = slice(start, start + CONFIGURATIONS_AT_ONCE)
-        q = {arm: rows[part, 6 * i : 6 * i + 6] for i, arm in enumerate(model.arms)}
-        lower[part], upper[part] = bounds.least(model.poses(q), limit + 2.0 * BOUND_ERROR, settled, both)
+        poses = model.poses(_by_arm(model, rows[part]))
+        lower[part], upper[part] = bounds.least(poses, limit + 2.0 * BOUND_ERROR, settled, both)
     return lower - BOUND_ERROR, upper + BOUND_ERROR
 
 
@@ -220,14 +232,33 @@ def least(
     rows = model.stack(q)
     finite = np.isfinite(rows).all(axis=1)
     distance = np.where(finite, reach, np.nan)
-    lower, upper = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
-    if len(rows) >= FEW_CONFIGURATIONS:
-        lower, upper = _bounds(model, rows, reach, ignore)
+    pairs = [("", "")] * len(rows)
+    lower, _ = _bounds(model, rows, reach, ignore, both=False)
+    looked = np.flatnonzero(finite & (lower < reach))
+    distance[looked], found, deep = _nearest(model, rows[looked], reach, ignore)
+    for i, pair in zip(looked, found, strict=True):
+        pairs[i] = pair
+    # how deep solids are in one another is Drake's to say
+    drake = witness(
+        model, {arm: rows[looked[deep], 6 * k : 6 * k + 6] for k, arm in enumerate(model.arms)}, 0.0, ignore
+    )
+    for i, depth, pair in zip(looked[deep], drake.distance, drake.pair, strict=True):
+        if depth < distance[i]:
+            distance[i], pairs[i] = depth, pair
+    return LeastClearance(distance, tuple(pairs))
+
+
+def witness(
+    model: CellModel, q: Mapping[str, FloatArray], reach: float = 0.1, ignore: Pairs = frozenset()
+) -> LeastClearance:
+    """What Drake says :func:`least` is, a second opinion: by libccd, whose distances of round solids may be
+    too large by millimetres, and never too small."""
+    rows = model.stack(q)
+    distance = np.where(np.isfinite(rows).all(axis=1), reach, np.nan)
     pairs = [("", "")] * len(rows)
     with _ignored(model, ignore):
-        for i in np.flatnonzero(finite & (lower < reach)):
-            within = max(min(reach, float(upper[i])), 0.0)
-            found = _steady(functools.partial(_clearance, model, within), rows[i])
+        for i in np.flatnonzero(np.isfinite(distance)):
+            found = _steady(functools.partial(_clearance, model, reach), rows[i])
             values = found.distances()
             if len(values) and values.min() < reach:
                 k = int(values.argmin())
@@ -257,15 +288,91 @@ class Near:
 
 
 def gradients_at(model: CellModel, rows: FloatArray, reach: float, ignore: Pairs = frozenset()) -> list[Near]:
-    """What :func:`gradients` tells, of configurations (B, nq) at once: leaving pairs out takes its time."""
-    out = []
-    with _ignored(model, ignore):
-        for row in rows:
-            found = _steady(functools.partial(_clearance, model, reach), row)
-            bodies = zip(found.robot_indices(), found.other_indices(), strict=True)
-            pairs = np.array([(int(a), int(b)) for a, b in bodies], dtype=np.intp).reshape(-1, 2)
-            out.append(Near(np.array(found.distances()), np.array(found.jacobians()), pairs))
+    """What :func:`gradients` tells, of configurations (B, nq) at once: of each pair of solids.
+
+    The gradient of a distance along the line n is n.(v - w) of the velocities v, w that a joint gives to both
+    bodies at any point of the line. Where solids overlap, depth and gradient are Drake's.
+    """
+    bounds = model.bounds.among(ignore)
+    parts = (rows[i : i + CONFIGURATIONS_AT_ONCE] for i in range(0, len(rows), CONFIGURATIONS_AT_ONCE))
+    return [near for part in parts for near in _gradients(model, part, reach, ignore, bounds)]
+
+
+def _gradients(
+    model: CellModel, rows: FloatArray, reach: float, ignore: Pairs, bounds: Bounds
+) -> Iterator[Near]:
+    q = _by_arm(model, rows)
+    row, solids, gap, way, place = bounds.every(model.poses(q), reach)
+    index = {name: int(model.body(name).index()) for name in dict.fromkeys(s.body for s in bounds.given)}
+    bodies = np.array([index[s.body] for s in bounds.given], dtype=np.intp)[solids].reshape(-1, 2)
+    pair = np.sort(bodies, axis=1)
+    deep = np.asarray(~way.any(axis=1))
+    some = np.lexsort((gap, ~deep, pair[:, 1], pair[:, 0], row))
+    key = np.column_stack([row, pair])[some]
+    again = (np.diff(key, axis=0, prepend=-1) == 0).all(axis=1) & deep[some]
+    some = some[~again]  # of solids that overlap, one entry stands for both bodies
+    row, gap, bodies, deep = row[some], gap[some], bodies[some], deep[some]
+    names = [(bounds.given[a].body, bounds.given[b].body) for a, b in solids[some].tolist()]
+    slope = _slopes(model, q, row, names, way[some], place[some])
+    for one in np.unique(row[deep]).tolist():
+        own = np.flatnonzero(deep & (row == one))
+        _drake_into(model, rows[one], ignore, bodies[own], own, gap, slope)
+    for start, end in itertools.pairwise(np.searchsorted(row, np.arange(len(rows) + 1)).tolist()):
+        yield Near(gap[start:end], slope[start:end], bodies[start:end])
+
+
+def _slopes(
+    model: CellModel,
+    q: Mapping[str, FloatArray],
+    row: IndexArray,
+    names: Sequence[tuple[str, str]],
+    way: FloatArray,
+    place: FloatArray,
+) -> FloatArray:
+    """Gradients (M, nq) [m/rad] of distances along lines ``way`` through ``place`` (M, 3) of pairs of bodies,
+    in rows (M,) of q."""
+    out = np.zeros((len(row), 6 * len(model.arms)))
+    for k, arm in enumerate(model.arms):
+        count = np.array([[_joints(model, arm, body) for body in pair] for pair in names], dtype=np.intp)
+        joint = np.arange(6)
+        moved = (joint < count.reshape(-1, 2, 1)).astype(np.float64)
+        frames = model.bases[arm] @ link_frames(model.robots[arm], q[arm])[:, :6]
+        axes = joint_axes(model.robots[arm], frames)[row]
+        speed = np.cross(axes, place[:, None] - frames[row, :, :3, 3])
+        out[:, 6 * k : 6 * k + 6] = (moved[:, 0] - moved[:, 1]) * np.einsum("mkc,mc->mk", speed, way)
     return out
+
+
+def _joints(model: CellModel, arm: str, body: str) -> int:
+    """How many joints of an arm move a body."""
+    if body == "stock":
+        return 6 if model.stock.held_by == arm else 0
+    owner, _, link = body.partition("/")
+    if owner != arm or not link or link == "base_link":
+        return 0
+    return int(link.removeprefix("link_")) if link.startswith("link_") else 6
+
+
+def _drake_into(
+    model: CellModel,
+    row: FloatArray,
+    ignore: Pairs,
+    bodies: IndexArray,
+    own: IndexArray,
+    gap: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """Writes what Drake says of pairs of bodies (K, 2) that overlap into entries ``own`` (K,)."""
+    with _ignored(model, ignore):
+        found = _steady(functools.partial(_clearance, model, 0.0), row)
+    each = zip(
+        found.robot_indices(), found.other_indices(), found.distances(), found.jacobians(), strict=True
+    )
+    deepest = sorted(((float(d), (int(a), int(b)), j) for a, b, d, j in each), key=lambda one: -one[0])
+    said = {frozenset(pair): (d, j) for d, pair, j in deepest}
+    for entry, pair in zip(own, bodies.tolist(), strict=True):
+        depth, gradient = said.get(frozenset(pair), (gap[entry], slope[entry]))
+        gap[entry], slope[entry] = min(depth, gap[entry]), gradient
 
 
 def overlaps(model: CellModel, tolerance: float = 1e-3) -> tuple[tuple[str, str, float], ...]:

@@ -38,10 +38,16 @@ def jacobian(robot: RobotData, q: FloatArray) -> FloatArray:
     """Geometric Jacobians (..., 6, 6) of the flange in the base frame: rows angular [-], then linear
     [m/rad]."""
     frames = link_frames(robot, q)
-    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate("zyyzyz")], axis=-2)
-    axes = axes * robot.opw.signs[:, None]
+    axes = joint_axes(robot, frames)
     arms = frames[..., 6:7, :3, 3] - frames[..., :6, :3, 3]
     return np.swapaxes(np.concatenate([axes, np.cross(axes, arms)], axis=-1), -1, -2)
+
+
+def joint_axes(robot: RobotData, frames: FloatArray) -> FloatArray:
+    """Unit axes (..., 6, 3) about which the joints turn, by the ``frames`` (..., 6 or more, 4, 4) of the
+    links."""
+    axes = np.stack([frames[..., i, :3, "xyz".index(a)] for i, a in enumerate("zyyzyz")], axis=-2)
+    return np.asarray(axes * robot.opw.signs[:, None])
 
 
 def _turn(axis: str, angle: FloatArray, step: tuple[float, float, float]) -> FloatArray:

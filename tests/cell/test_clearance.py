@@ -26,7 +26,7 @@ def pair() -> plant.CellModel:
     return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
 
 
-def _random(seed: int, count: int) -> dict[str, np.ndarray]:
+def random_joints(seed: int, count: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     return {arm: rng.uniform(-WIDE, WIDE, (count, 6)) for arm in ("left", "right")}
 
@@ -90,9 +90,9 @@ def test_two_arms_in_each_others_way_are_seen(pair: plant.CellModel) -> None:
 _LINKS = ("link_4", "link_5", "link_6", "tool")
 
 
-def test_small_and_large_batches_agree_with_drake_alone(pair: plant.CellModel) -> None:
-    """Bounds settle most rows of a large batch; rows asked one by one go to Drake."""
-    q = _random(3, 400)
+def test_small_and_large_batches_agree(pair: plant.CellModel) -> None:
+    """Bounds settle most rows of a large batch."""
+    q = random_joints(3, 400)
     for padding in (0.0, 0.005, 0.01):
         batch = clearance.free(pair, q, padding)
         single = [
@@ -119,11 +119,11 @@ def test_rows_that_are_not_finite_are_never_free(pair: plant.CellModel) -> None:
 
 
 def test_gradients_are_derivatives_of_the_distances(pair: plant.CellModel) -> None:
-    q = _random(4, 200)
+    q = random_joints(4, 200)
     found = clearance.least(pair, q, 0.05)
     rows = pair.stack(q)[(found.distance > 0.005) & (found.distance < 0.045)][:6]
     assert len(rows) == 6
-    step = 1e-5
+    step = 1e-4  # rad; distances of round solids are found within 1e-7 m
     for row in rows:
         for distance, gradient, bodies in clearance.gradients(pair, row, 0.05)[:3]:
             for j in np.argsort(-np.abs(gradient))[:2]:
@@ -133,7 +133,7 @@ def test_gradients_are_derivatives_of_the_distances(pair: plant.CellModel) -> No
                     moved[j] += sign * step
                     near = [d for d, _, b in clearance.gradients(pair, moved, 0.06) if b == bodies]
                     sides.append(min(near, key=lambda d: abs(d - distance)))
-                assert (sides[1] - sides[0]) / (2 * step) == pytest.approx(gradient[j], abs=0.02)
+                assert (sides[1] - sides[0]) / (2 * step) == pytest.approx(gradient[j], abs=2e-3)
 
 
 def test_fixed_bodies_that_overlap_are_named_with_the_depth(pair: plant.CellModel) -> None:

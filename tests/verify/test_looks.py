@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planner.cell import clearance
+from planner.cell import bounds, clearance
 from planner.cell.plant import build
 from planner.issues import TandemError
 from planner.verify.replay import clearance_samples
@@ -82,3 +82,23 @@ def test_where_enough_is_too_near_no_more_is_measured(sweep, few, monkeypatch):
     found = clearance_samples.least_distances(model, q, 0.05, 0.1, frozenset())
     assert (found.least.distance < 0.05).sum() > 5
     assert len(found.look) < COUNT
+
+
+def test_a_kernel_that_sees_too_much_room_is_found_by_drake(sweep, monkeypatch):
+    """Distances that are 5 mm too large: the least one is told as Drake has it."""
+    model, q, whole = sweep
+    true = bounds.distances
+    monkeypatch.setattr(bounds, "distances", lambda *a, **k: (true(*a, **k)[0] + 0.005, *true(*a, **k)[1:]))
+    fooled = clearance.least(model, q, 0.1)
+    assert fooled.distance.min() > whole.distance.min() + 0.004
+    found = clearance_samples.least_distances(model, q, 0.01, 0.1, frozenset())
+    assert found.least.distance.min() == pytest.approx(whole.distance.min(), abs=1e-4)
+
+
+def test_what_no_pair_is_near_is_told_as_that():
+    """Without a look there is nothing to ask about."""
+    job = small_job.problem()
+    model = build(job.cell, job.stock, small_job.STOCK)
+    none = {"left": np.zeros((0, 6)), "right": np.zeros((0, 6))}
+    found = clearance_samples.least_distances(model, none, 0.01, 0.1, frozenset())
+    assert found.look.size == 0

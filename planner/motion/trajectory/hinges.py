@@ -143,10 +143,10 @@ WRIST_LEVER_M: Final = 0.25
 class Avoid:
     """Hinges on all distances below the wanted clearance and a little more, at joints (N, J) of ``arms``.
 
-    Drake is asked for exact distances only at rows where cheap bounds do not show that nothing is near. Pairs
-    that only the wrist moves against each other (hand and forearm of one arm) are always near, and would
-    spoil the bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with
-    the rows where they may.
+    Distances are measured only at rows where cheap bounds do not show that nothing is near. Pairs that only
+    the wrist moves against each other (hand and forearm of one arm) are always near, and would spoil the
+    bounds: they are followed by their gradients. ``kinds`` are pairs of bodies that may meet, with the rows
+    where they may.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class Avoid:
         self._mask = self._mask[source]
 
     def _ask(self, q: FloatArray, index: IndexArray) -> None:
-        """Asks Drake at the rows ``index`` of q."""
+        """Measures at the rows ``index`` of q."""
         if not len(index):
             return
         index = np.concatenate([index[self._kind[index] == k] for k in range(len(self._meeting))])

@@ -1,5 +1,5 @@
-"""Where clearance is measured along a motion, and how: by cheap bounds, which settle most places, and
-by Drake where they do not.
+"""Where clearance is measured along a motion, and how: by cheap bounds, which settle most places, by true
+distances where they do not, and by Drake where bodies are nearest.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ MOST_DOUBTED = 250_000
 """Looks that bounds leave in doubt at most; a motion that has more is refused."""
 MOST_BROKEN = 1000
 """Looks with too little clearance after which no more of those in doubt are measured."""
+WITNESSED = 32
+"""Looks of a group that Drake is asked about, too: so many with the smallest distances, so many others."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +78,10 @@ def least_distances(
     """
     count = max((len(rows) for rows in q.values()), default=0)
     if count <= SHOWN:
-        return Measured(np.arange(count), clearance.least(model, q, reach, ignore), np.inf)
+        found = _witnessed(
+            model, q, reach, ignore, np.arange(count), clearance.least(model, q, reach, ignore)
+        )
+        return Measured(np.arange(count), found, np.inf)
     asked = _Asked(model, q, reach, ignore, count)
     asked.ask(np.unique(np.linspace(0, count - 1, SHOWN // 4).astype(np.int64)))
     # neither the limit nor the least distance is beyond this, and bounds that need not reach farther are fast
@@ -103,7 +108,29 @@ def least_distances(
             break
         asked.ask(nearest)
     left = lower[~asked.done] + clearance.BOUND_ERROR
-    return Measured(*asked.result(), float(left.min(initial=np.inf)))
+    look, found = asked.result()
+    found = _witnessed(model, q, reach, ignore, look, found)
+    return Measured(look, found, float(left.min(initial=np.inf)))
+
+
+def _witnessed(
+    model: CellModel,
+    q: Mapping[str, FloatArray],
+    reach: float,
+    ignore: Pairs,
+    look: IntArray,
+    found: clearance.LeastClearance,
+) -> clearance.LeastClearance:
+    """The distances ``found`` at looks (K,), the smallest ones and some others held against Drake's, which
+    come from another code and are never below the truth: where Drake's are smaller, they count."""
+    spread = np.linspace(0, len(look) - 1, WITNESSED).astype(np.int64) if len(look) else look
+    some = np.union1d(np.argsort(found.distance, kind="stable")[:WITNESSED], spread)
+    drake = clearance.witness(model, {arm: rows[look[some]] for arm, rows in q.items()}, reach, ignore)
+    less = np.flatnonzero(drake.distance < found.distance[some] - PRECISE)
+    distance, pair = found.distance.copy(), list(found.pair)
+    for k in less.tolist():
+        distance[some[k]], pair[some[k]] = drake.distance[k], drake.pair[k]
+    return clearance.LeastClearance(distance, tuple(pair))
 
 
 class _Asked:

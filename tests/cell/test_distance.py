@@ -1,0 +1,185 @@
+"""Distances of solids against closed forms, coal (https://github.com/coal-library/coal) and Drake."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from planner.cell import clearance, plant
+from planner.cell.bodies import Solid, signed_distance
+from planner.cell.distance import AGREED_M, cores, distances
+from planner.geometry.rigid import Shape, from_rpy
+from tests.cell.cells import BLOCK, UP, facing
+from tests.cell.test_clearance import random_joints
+
+KINDS = ("sphere", "capsule", "box", "cylinder", "mesh")
+PAIRS = list(itertools.combinations_with_replacement(KINDS, 2))
+ALLOWED = 1e-6
+"""Distances are within this of the truth [m]."""
+NEVER_OVER = 1e-9
+
+
+def solid(kind: str, rng: np.random.Generator) -> Solid:
+    """A solid of random size, from a finger to a forearm, or as flat as a table."""
+
+    def size(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    if kind == "box":
+        return Solid("a", Shape("box", (size(0.01, 0.7), size(0.01, 0.7), size(0.01, 0.7)), np.eye(4)))
+    if kind == "sphere":
+        return Solid("a", Shape("sphere", (size(0.005, 0.2),), np.eye(4)))
+    if kind == "mesh":
+        cloud = rng.normal(size=(rng.integers(6, 30), 3)) * [size(0.02, 0.3) for _ in range(3)]
+        corners = cloud[ConvexHull(cloud).vertices]
+        return Solid("a", Shape("mesh", (), np.eye(4), corners, ConvexHull(corners).simplices))
+    return Solid("a", Shape(kind, (size(0.005, 0.15), size(0.02, 0.8)), np.eye(4)))  # type: ignore[arg-type]
+
+
+def poses(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses of both solids at one place, a fifth of them parallel, and directions (N, 3) to part them."""
+    one, other = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(4), (count, 1, 1))
+    turned = rng.random(count) < 0.8
+    for pose in (one, other):
+        pose[turned, :3, :3] = Rotation.random(int(turned.sum()), random_state=rng).as_matrix()
+    way = rng.normal(size=(count, 3))
+    way[~turned & (rng.random(count) < 0.5)] = [0.0, 0.0, 1.0]
+    return one, other, way / np.linalg.norm(way, axis=1)[:, None]
+
+
+def coal_shape(coal: Any, own: Solid) -> Any:
+    shape = own.shape
+    if shape.vertices is not None:
+        points = coal.StdVec_Vec3s()
+        for corner in shape.vertices:
+            points.append(corner)
+        return coal.ConvexBase.convexHull(points, False, "Qt")
+    return {"box": coal.Box, "sphere": coal.Sphere, "capsule": coal.Capsule, "cylinder": coal.Cylinder}[
+        shape.kind
+    ](*shape.size)
+
+
+def against_coal(first: str, second: str, count: int, seed: int) -> None:
+    coal = pytest.importorskip("coal", reason="coal, the referee of distances, is not installed")
+    rng = np.random.default_rng(seed)
+    solids = [solid(kind, rng) for kind in [first] * 30 + [second] * 30]
+    shapes = [coal_shape(coal, own) for own in solids]
+    a, b = rng.integers(0, 30, count), rng.integers(30, 60, count)
+    one, other, way = poses(rng, count)
+    request = coal.DistanceRequest()
+    request.gjk_tolerance, request.gjk_max_iterations = 1e-10, 10_000
+
+    def truth(k: int) -> float:
+        places = (coal.Transform3s(pose[k, :3, :3], pose[k, :3, 3]) for pose in (one, other))
+        there, here = places
+        return float(coal.distance(shapes[a[k]], there, shapes[b[k]], here, request, coal.DistanceResult()))
+
+    wanted = np.empty(count)
+    for k in range(count):
+        one[k, :3, 3] = 2.0 * way[k]
+        for _ in range(3):  # until they are about as far apart as wanted
+            one[k, :3, 3] -= (truth(k) - rng.uniform(0.002, 0.1)) * way[k]
+        wanted[k] = truth(k)
+    got, ray, place = distances(cores(solids), a, b, one, other)
+    apart = wanted > ALLOWED
+    assert apart.mean() > 0.9
+    off = (got - wanted)[apart]
+    assert off.max() < NEVER_OVER, f"{first} {second}, seed {seed}: {np.argmax(off)}"
+    assert off.min() > -ALLOWED, f"{first} {second}, seed {seed}: {np.argmin(off)}"
+    # the line is a witness: both solids lie on their own side of planes across it, that far apart
+    reach = np.abs(np.linalg.norm(ray[apart], axis=1) - 1.0)
+    assert reach.max() < 1e-9
+    assert np.isfinite(place).all()
+
+
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_distances_are_those_of_coal_and_never_above(first: str, second: str) -> None:
+    against_coal(first, second, 300, 11)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_ten_thousand_distances_are_those_of_coal(first: str, second: str) -> None:
+    against_coal(first, second, 10_000, 12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sphere_has_the_distance_of_its_centre(kind: str) -> None:
+    """Less its radius: points have closed forms (for meshes, the nearest triangle)."""
+    rng = np.random.default_rng(5)
+    own = solid(kind, rng)
+    ball = Solid("b", Shape("sphere", (0.02,), np.eye(4)))
+    one, other, _ = poses(rng, 400)
+    one[:, :3, 3] = rng.uniform(-1.0, 1.0, (400, 3))
+    where = np.zeros(400, dtype=np.intp)
+    got, _, _ = distances(cores([own, ball]), where, where + 1, other, one)
+    local = np.einsum("mc,mcd->md", one[:, :3, 3] - other[:, :3, 3], other[:, :3, :3])
+    exact = signed_distance(own, local) - 0.02
+    assert got[exact > 0] == pytest.approx(exact[exact > 0], abs=1e-7)
+    assert (got[exact < -0.021] < 0).all()
+
+
+def test_a_capsule_and_a_box_have_the_least_distance_along_its_axis() -> None:
+    """By twenty thousand points of the axis, of which none is below, and one as near as their spacing."""
+    rng = np.random.default_rng(6)
+    for _ in range(40):
+        box, capsule = solid("box", rng), solid("capsule", rng)
+        one, other, way = poses(rng, 1)
+        one[0, :3, 3] = way[0] * rng.uniform(0.1, 1.0)
+        got, _, _ = distances(cores([capsule, box]), np.array([0]), np.array([1]), one, other)
+        t = np.linspace(-0.5, 0.5, 20_001) * capsule.shape.size[1]
+        axis = one[0, :3, 3] + t[:, None] * one[0, :3, 2]
+        sampled = signed_distance(box, axis @ other[0, :3, :3]).min() - capsule.shape.size[0]
+        if sampled > -capsule.shape.size[0]:
+            assert got[0] <= sampled + 1e-12
+            assert got[0] >= sampled - 0.5 * (t[1] - t[0])
+
+
+def test_bounds_of_convergence_are_what_is_returned() -> None:
+    """Cylinders, whose rims GJK nears step by step: planes across the line part both by what is returned."""
+    rng = np.random.default_rng(7)
+    own = [solid("cylinder", rng) for _ in range(20)]
+    table = cores(own)
+    first, second = rng.integers(0, 10, 500), rng.integers(10, 20, 500)
+    one, other, way = poses(rng, 500)
+    one[:, :3, 3] = way
+    got, ray, _ = distances(table, first, second, one, other)
+    ends = []
+    for which, pose, way in ((first, one, -ray), (second, other, ray)):
+        local = np.einsum("mc,mcd->md", way, pose[:, :3, :3])
+        ends.append(np.einsum("mc,mc->m", table.support(which, local), local))
+    between = np.einsum("mc,mc->m", ray, one[:, :3, 3] - other[:, :3, 3])
+    apart = got > 0
+    assert apart.sum() > 300
+    assert (between - ends[0] - ends[1])[apart] == pytest.approx(got[apart], abs=1e-12)
+    assert AGREED_M <= ALLOWED
+
+
+@pytest.fixture(scope="module")
+def pair() -> plant.CellModel:
+    return plant.build(facing(), BLOCK, from_rpy((0.0, 0.0, 0.5), UP))
+
+
+def test_a_cell_never_has_less_room_by_drake(pair: plant.CellModel) -> None:
+    """Drake (libccd) sees round solids too far apart, never too near; all agree where it converges."""
+    q = random_joints(8, 400)
+    ours, drake = clearance.least(pair, q, 0.1), clearance.witness(pair, q, 0.1)
+    apart = (ours.distance > 0.0) & (ours.distance < 0.099)
+    over = (drake.distance - ours.distance)[apart]
+    assert apart.sum() > 50
+    assert over.min() > -1e-6
+    assert np.median(over) < 1e-6
+
+
+def test_rows_by_themselves_and_in_batches_agree(pair: plant.CellModel) -> None:
+    q = random_joints(9, 1500)
+    whole = clearance.least(pair, q, 0.08)
+    for i in (0, 700, 1400):
+        one = clearance.least(pair, {arm: rows[i : i + 1] for arm, rows in q.items()}, 0.08)
+        assert one.distance[0] == whole.distance[i]
+        assert one.pair[0] == whole.pair[i]
