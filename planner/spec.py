@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Self
 from pydantic import BaseModel
 
 from planner import processes
-from planner.catalogue.robots import bundled
+from planner.catalogue.robots import bundled, data_dir
 from planner.files import is_file
 from planner.forming import operation as forming
 from planner.geometry.rigid import to_rpy
@@ -192,7 +192,12 @@ class Cell(Section, model=cell.CellFile):
     def read(cls, path: str | Path) -> Self:
         """The cell of a file, or a bundled one by its name, such as ``irb140_bow``."""
         named = Path("cells") / f"{path}.yaml"
-        document = strict_yaml.read(_found(Path(path), bundled(named)))
+        found = _found(Path(path), bundled(named))
+        if not is_file(found):
+            known = ", ".join(sorted(one.stem for one in (data_dir("problems") / "cells").glob("*.yaml")))
+            what = f"{path}: no such file, and no cell that is built in; these are {known}"
+            raise TandemError(Issue("problem.missing_file", what, file=str(path)))
+        document = strict_yaml.read(found)
         return cls(**problem_file.resolved({"cell": document.path.name}, document.path.parent)["cell"])
 
 
@@ -352,7 +357,8 @@ class Targets(Operation, model=pose_table.Posed, process="targets"):
         **words: Any,
     ) -> None:
         if poses is not None:
-            words = {"arms": list(poses), **words, "file": values.pose_file(poses, unit, columns or {})}
+            file = values.pose_file(poses, unit, {} if columns is None else columns)
+            words = {"arms": list(poses), **words, "file": file}
         elif unit is not None or columns is not None:
             what = "unit and columns belong to poses; a file has its own"
             _refuse([Issue("problem.field", what, field="poses")], "Targets")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import fcntl
+import functools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,9 +18,10 @@ from typing import Any, Final, Protocol
 
 import yaml
 
-from planner import pipeline
+from planner import pipeline, spec
 from planner.batch.batch_file import BATCH, read_batch
 from planner.batch.job import PROBLEM, Done, Event, Finished, Job, Place, Record, all_versions, safe_names
+from planner.batch.workers import Workers
 from planner.catalogue.robots import bundled
 from planner.files import STAGING, claim_folder, is_file
 from planner.issues import Issue, TandemError
@@ -216,6 +218,36 @@ def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings
             else:
                 tell(event)
     return [rows[item.name] for item in items]
+
+
+def plan_all(
+    problems: Mapping[str, Problem | spec.Problem],
+    out: str | Path,
+    workers: int = 2,
+    settings: Settings | None = None,
+    tell: Tell | None = None,
+) -> dict[str, Done]:
+    """Plan problems of Python by name, as ``tandem batch`` plans files: ``workers`` processes side by side,
+    each result in a folder of that name in ``out``. How each ended, a refused or crashed one too, by name.
+
+    Raises ``ValueError`` for ``workers`` below 1, and ``TandemError`` as :func:`run` and :func:`claimed`.
+    """
+    folder, names = Path(out), safe_names(problems)
+    items = [
+        Item(name, given, functools.partial(_built, problem))
+        for name, (given, problem) in zip(names, problems.items(), strict=True)
+    ]
+    with claimed(folder), Workers(workers) as planners:
+        rows = run(items, folder, planners, settings or Settings(), tell or _silent)
+    return {row.item.origin: row.done for row in rows}
+
+
+def _built(problem: Problem | spec.Problem) -> Problem:
+    return pipeline.build(problem) if isinstance(problem, spec.Problem) else problem
+
+
+def _silent(event: Event) -> None:
+    del event
 
 
 @contextmanager

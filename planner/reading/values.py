@@ -121,7 +121,8 @@ def _file(value: Any, where: str, meshes: bool) -> str:
     if isinstance(value, str | Path):
         return str(Path(value).absolute())
     if not meshes:
-        raise _fault(where, f"got a {type(value).__name__}; give the name of a file")
+        what = f"got a {type(value).__name__}; give the name of a file, or the unit of a mesh beside it"
+        raise _fault(where, what)
     pair = (value.vertices, value.faces) if hasattr(value, "vertices") and hasattr(value, "faces") else value
     try:
         if isinstance(pair, tuple | list) and len(pair) == 2:
@@ -158,6 +159,10 @@ def _grid(points: FloatArray, where: str) -> tuple[FloatArray, Any]:
 
 def pose_file(poses: Mapping[str, Any], unit: str | None, columns: Mapping[str, Any]) -> str:
     """Poses and columns as a CSV file of ``process: targets``."""
+    for field, value in (("poses", poses), ("columns", columns)):
+        if not isinstance(value, Mapping):
+            what = f"got a {type(value).__name__}; give a mapping, such as {{'robot': poses (N, 4, 4)}}"
+            raise _fault(f"Targets.{field}", what)
     table: dict[str, Sequence[Any]] = {}
     for arm, given in poses.items():
         pose = rigid_poses(given, unit, f"Targets.poses.{arm}", (-1, 4, 4))

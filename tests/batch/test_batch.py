@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from planner import pipeline
+from planner import pipeline, spec
 from planner.batch import compare
 from planner.batch import run as batch
 from planner.batch.job import Done, Event, Finished, Job, Record, State
@@ -381,3 +381,19 @@ def test_issues_call_files_as_the_problem_does(tmp_path: Path) -> None:
     (name,) = (file for file in made.files if file.startswith("files/"))
     assert made.origins == {name: str(tmp_path / "targets.csv")}
     assert isinstance(made, Job)
+
+
+def test_problems_of_python_end_by_their_names(tmp_path: Path) -> None:
+    small = pipeline.load(small_problem.write(tmp_path))
+    high = spec.Problem.read(tmp_path).changed("stock.place.xyz_mm", [450, 0, 900])
+    nobody = high.changed("operations.poses.arms", ["nobody"])
+    ended = batch.plan_all({"a problem": small, "nobody": nobody}, tmp_path / "out", workers=1)
+    assert {name: done.state for name, done in ended.items()} == {
+        "a problem": "verified",
+        "nobody": "bad_input",
+    }
+    assert [issue.code for issue in ended["nobody"].issues] == ["problem.unknown_arm"]
+    assert (tmp_path / "out" / ended["a problem"].name / "programs").is_dir()
+    assert not (tmp_path / "out" / "nobody" / "programs").exists()
+    with pytest.raises(ValueError, match="at least 1"):
+        batch.plan_all({"a problem": small}, tmp_path / "out", workers=0)

@@ -1,0 +1,39 @@
+"""A process of one's own: a scanner that looks down goes round on a circle, 40 mm above the block."""
+
+import numpy as np
+
+from planner.claims import claim, dialogue, segments
+from planner.processes import Process
+from planner.reading.strict_yaml import Name, Strict
+from planner.targets import Job, Targets
+
+
+class Ring(Strict):
+    name: Name
+    process: str
+    arms: tuple[str]
+    radius_mm: float
+
+    def leaves(self, stock):
+        return stock  # the block as it was
+
+
+class RingJob(Job[Ring]):
+    def around(self):  # poses (73, 4, 4) in the block's frame, in metres
+        turn, pose = np.linspace(0, 2 * np.pi, 73), np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (73, 1, 1))
+        radius, height = self.operation.radius_mm / 1000, self.setup.stock.upper[2] + 0.04
+        pose[:, :3, 3] = np.stack([radius * np.cos(turn), radius * np.sin(turn), 0 * turn + height], axis=1)
+        return pose
+
+    def targets(self):  # for the arm: where to, at 50 mm/s, stopping at the ends alone
+        arms, ring, feed = self.operation.arms, self.around(), np.full(73, 0.05)
+        ends, cut = np.arange(73) % 72 == 0, segments.Segment.of("cut/ring")
+        step = np.append(0.0, np.linalg.norm(np.diff(ring[:, :3, 3], axis=0), axis=1))
+        return Targets(arms, {arms[0]: ring}, {arms[0]: "stock"}, (), feed, 0 * feed, step, ends, (cut,) * 73)
+
+    def stated(self):  # for the proof: what must hold
+        circle = claim.FollowsPoses(self.operation.arms[0], "stock", self.around(), (), 1e-4, 1e-3)
+        return circle, dialogue.OperatorDialogue(self.operation.arms)
+
+
+PROCESS = Process(Ring, "scan_ring", "RingJob")
