@@ -33,8 +33,8 @@ from planner.units import DEG, MM
 
 JOINED_SHARE: Final = 0.4
 """Share of what tools may cut in that straight moves between two places of the path may take: moves that are
-joined take as much again (`planner.claims.corner_rounding`), and the proof does not know the way between its
-samples."""
+joined take as much again (`planner.forming.job.ROUNDED_SHARE`), and the proof does not know the way between
+its samples."""
 FEATURES_NAMED: Final = 5
 """Features that a message names at most."""
 

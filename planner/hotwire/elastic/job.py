@@ -486,6 +486,7 @@ def _targets(
         claims=claims,
         exhibits=pictures,
         issues=aggregate(issues),
+        may_join=True,
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.claims import corner_rounding
+from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
 from planner.geometry.rigid import inverse, to_quaternion
 from planner.motion.plain_toppra import LinearConstraint
@@ -192,12 +192,12 @@ def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: Floa
     moves to the targets whose times are in proportion to ``duration`` (N,)."""
     rows = np.flatnonzero(samples.share == 1.0)
     poses = {arm: scene.chains[arm].pose(samples.q[arm][rows]) for arm in targets.arms}
-    deviation = corner_rounding.deviations(targets, targets.segment[1:])
+    deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
     zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
     for arm, pose in in_work_frames(targets, poses).items():
         levers: FloatArray = np.full(3, corner_rounding.TURNING_LEVER_MM)
         if scene.model is not None:
-            levers = corner_rounding.levers(targets, arm, scene.model.cell.arm(arm).tool)
+            levers = 1e3 * targets.rounding.turning(arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
         found = corner_rounding.shares(pose[:, :3, 3] / MM, quaternion, duration[1:], levers, deviation)
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
