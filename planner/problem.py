@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.claims.dialogue import Handshake
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, Mesh, Ruled
 from planner.geometry.rigid import Shape
 from planner.issues import Issue
 from planner.reading.materials import WireFile
@@ -146,32 +146,6 @@ class Controller:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""
         numbers = {name.lower(): value for name, value in self.io.get(arm, {}).items()}
         return numbers.get(signal.lower())
-
-
-@dataclasses.dataclass(frozen=True)
-class Mesh:
-    """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
-
-    vertices: FloatArray
-    faces: IntArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Ruled:
-    """A ruled surface of the part: ruling i runs straight from ``start[i]`` to ``end[i]`` (M, 3) [m, stock
-    frame].
-
-    The outward normal, away from the part, is tangent x (end - start), with the tangent along growing i.
-    ``closed``: the last ruling is followed by the first. ``corner`` (M,): rulings at which the surface has an
-    edge. ``hole``: the part lies around a closed contour, not in it.
-    """
-
-    name: str
-    start: FloatArray
-    end: FloatArray
-    corner: BoolArray
-    closed: bool = False
-    hole: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

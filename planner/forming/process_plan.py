@@ -25,9 +25,9 @@ from planner.forming.paths.spiral import MISSED, PathOptions
 from planner.forming.sheet_mechanics import steepest
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
 from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Part, Setup, Sheet
+from planner.problem import Part, Setup, Sheet
 from planner.tooling import FormingHead, FormingTool
 from planner.units import DEG, MM
 
