@@ -20,6 +20,7 @@ from planner.geometry.rigid import Shape
 from planner.issues import Issue
 from planner.reading.materials import WireFile
 from planner.tooling import Gripper, Tool
+from planner.units import DEG
 
 KrlDialect = Literal["krc4", "krc2"]
 KrlPath = Literal["slin", "spline"]
@@ -69,6 +70,11 @@ class Cell:
         raise KeyError(name)
 
 
+def output_of(request: str) -> str:
+    """The name of the output that a request drives, where no other is stated."""
+    return f"{request}Out"
+
+
 @dataclasses.dataclass(frozen=True)
 class PowerOutput:
     """What a request of the program drives: the output ``signal``, bit ``bit`` of ``device`` on an ABB
@@ -101,7 +107,7 @@ class Interlock:
     def of(self, request: str) -> PowerOutput:
         """The output that a request drives; unless stated, one with the request's name and ``Out``."""
         found = {name.lower(): output for name, output in self.outputs.items()}
-        return found.get(request.lower(), PowerOutput(f"{request}Out"))
+        return found.get(request.lower(), PowerOutput(output_of(request)))
 
     def place(self, arm: str, signal: str) -> DevicePlace | None:
         """Where an end of a running wire is wired at the controller of an arm; None if the cell states it
@@ -298,14 +304,14 @@ class Fixed(Protocol):
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins
-    [rad].
+    [rad]. These are the defaults of problem files as well.
     """
 
     clearance: float = 0.010
     speed_fraction: float = 0.9
     acceleration_fraction: float = 0.8
-    joint_margin: float = np.deg2rad(2.0)
-    singularity_margin: float = np.deg2rad(5.0)
+    joint_margin: float = 2.0 * DEG
+    singularity_margin: float = 5.0 * DEG
     tcp_speed: float = 0.25
     seed: int = 0
 
