@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.forming.features.tree import build
-from planner.problem import Mesh
+from planner.geometry.arrays import Mesh
 
 HALF, SPACING = 0.1, 1e-3
 ROUNDS = 5

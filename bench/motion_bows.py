@@ -102,6 +102,8 @@ def cut(
         travel=np.append(0.0, step),
         stop=stop,
         segment=tuple(map(Segment.read, segment)),
+        may_stop=True,
+        may_join=True,
     )
 
 

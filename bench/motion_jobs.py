@@ -82,6 +82,7 @@ def arc_wire(count: int = 437, length: float = 0.56, spin: bool = True) -> Targe
         segment=tuple(map(Segment.read, segment)),
         coupled=True,
         edge=Edge(points, 0.0005),
+        may_join=True,
     )
 
 
@@ -111,6 +112,8 @@ def s_curve(count: int = 400) -> tuple[Cell, Targets]:
         travel=np.append(0.0, np.linalg.norm(np.diff(place, axis=0), axis=1)),
         stop=stop,
         segment=(Segment("path"),) * count,
+        may_stop=True,
+        may_join=True,
     )
     return cell, targets
 
@@ -156,4 +159,5 @@ def spiral_pair(
         travel=np.append(0.0, np.max(step, axis=0)),
         stop=stop,
         segment=(Segment("approach"), *(Segment("cut", "spiral"),) * (count - 2), Segment("retreat")),
+        may_join=True,
     )

@@ -15,11 +15,12 @@ import numpy as np
 
 from planner.catalogue.materials import Foam, SheetMetal
 from planner.claims.dialogue import Handshake
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, Mesh, Ruled
 from planner.geometry.rigid import Shape
 from planner.issues import Issue
 from planner.reading.materials import WireFile
 from planner.tooling import Gripper, Tool
+from planner.units import DEG
 
 KrlDialect = Literal["krc4", "krc2"]
 KrlPath = Literal["slin", "spline"]
@@ -69,6 +70,11 @@ class Cell:
         raise KeyError(name)
 
 
+def output_of(request: str) -> str:
+    """The name of the output that a request drives, where no other is stated."""
+    return f"{request}Out"
+
+
 @dataclasses.dataclass(frozen=True)
 class PowerOutput:
     """What a request of the program drives: the output ``signal``, bit ``bit`` of ``device`` on an ABB
@@ -101,7 +107,7 @@ class Interlock:
     def of(self, request: str) -> PowerOutput:
         """The output that a request drives; unless stated, one with the request's name and ``Out``."""
         found = {name.lower(): output for name, output in self.outputs.items()}
-        return found.get(request.lower(), PowerOutput(f"{request}Out"))
+        return found.get(request.lower(), PowerOutput(output_of(request)))
 
     def place(self, arm: str, signal: str) -> DevicePlace | None:
         """Where an end of a running wire is wired at the controller of an arm; None if the cell states it
@@ -146,32 +152,6 @@ class Controller:
         """The number of a signal on the controller of a KUKA arm; None if the cell states none."""
         numbers = {name.lower(): value for name, value in self.io.get(arm, {}).items()}
         return numbers.get(signal.lower())
-
-
-@dataclasses.dataclass(frozen=True)
-class Mesh:
-    """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
-
-    vertices: FloatArray
-    faces: IntArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Ruled:
-    """A ruled surface of the part: ruling i runs straight from ``start[i]`` to ``end[i]`` (M, 3) [m, stock
-    frame].
-
-    The outward normal, away from the part, is tangent x (end - start), with the tangent along growing i.
-    ``closed``: the last ruling is followed by the first. ``corner`` (M,): rulings at which the surface has an
-    edge. ``hole``: the part lies around a closed contour, not in it.
-    """
-
-    name: str
-    start: FloatArray
-    end: FloatArray
-    corner: BoolArray
-    closed: bool = False
-    hole: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -324,14 +304,14 @@ class Fixed(Protocol):
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Limits that motion and proof share: clearance [m], fractions of joint speed and acceleration, margins
-    [rad].
+    [rad]. These are the defaults of problem files as well.
     """
 
     clearance: float = 0.010
     speed_fraction: float = 0.9
     acceleration_fraction: float = 0.8
-    joint_margin: float = np.deg2rad(2.0)
-    singularity_margin: float = np.deg2rad(5.0)
+    joint_margin: float = 2.0 * DEG
+    singularity_margin: float = 5.0 * DEG
     tcp_speed: float = 0.25
     seed: int = 0
 

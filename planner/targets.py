@@ -9,7 +9,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
@@ -17,9 +17,12 @@ import numpy as np
 from planner.claims.claim import Claim
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.geometry.rigid import exp_twist, log_pose
+from planner.geometry.corner_rounding import CORNER_DEVIATION_MM, TURNING_LEVER_MM
+from planner.geometry.rigid import axis_ends, exp_twist, log_pose
 from planner.issues import Issue
 from planner.problem import Part, Setup
+from planner.tooling import Tool, working_solid
+from planner.units import MM
 
 ActionKind = Literal["message", "confirm", "on", "off", "wait"]
 FEED_SHARE: Final = 0.97
@@ -105,7 +108,8 @@ class Action:
     """Something that happens at a stop at target ``at``, in the order given.
 
     ``message`` shows text, ``confirm`` shows text and waits for the operator, ``on`` and ``off`` switch the
-    signal ``signal``, ``wait`` waits ``seconds``.
+    signal ``signal``, ``wait`` waits ``seconds``. ``powers``: the signal powers something, which the
+    controller switches off where a program breaks off; a pulse that asks for one step does not.
     """
 
     at: int
@@ -113,6 +117,7 @@ class Action:
     text: str = ""
     signal: str = ""
     seconds: float = 0.0
+    powers: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,6 +130,46 @@ class Edge:
 
     points: FloatArray
     radius: float
+
+
+def lever(tool: Tool) -> float:
+    """How far [m] from its TCP a tool works: to the far end of its working solid's axis, or
+    :data:`planner.geometry.corner_rounding.TURNING_LEVER_MM`, also for a solid with corners."""
+    solid, least = working_solid(tool), TURNING_LEVER_MM * MM
+    if solid is None or solid.vertices is not None:
+        return least
+    off = axis_ends(solid) - tool.tcp[:3, 3]
+    return max(least, float(np.linalg.norm(off, axis=1).max()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Rounding:
+    """How far the way may leave straight moves through the targets: at corners, and on curves through them.
+
+    A corner may pass its target by ``work`` [m] behind moves that work (:attr:`Segment.works`), by ``entry``
+    [m] behind a move that one follows that works, else by ``air`` [m]. ``levers`` {arm: (3,)} [m/rad]: what
+    turning about the tool's axes x, y, z counts as there; for other arms as :func:`lever`
+    says. ``curves`` {arm: ((lever [m], off [m]), ...)}: how far the curve of a spline block may be off
+    straight moves, at points so far from the TCP, where that is less than blocks keep to anyway.
+    """
+
+    work: float = CORNER_DEVIATION_MM * MM
+    entry: float = CORNER_DEVIATION_MM * MM
+    air: float = CORNER_DEVIATION_MM * MM
+    levers: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    curves: Mapping[str, tuple[tuple[float, float], ...]] = dataclasses.field(default_factory=dict)
+
+    def deviations(self, segments: Sequence[Segment]) -> FloatArray:
+        """How far (M,) [m] corners at the ends of M moves, which belong to ``segments``, may pass their
+        targets."""
+        works = np.array([segment.works for segment in segments], dtype=np.bool_)
+        follows = np.append(works[1:], False)
+        return np.where(works, self.work, np.where(follows, self.entry, self.air))
+
+    def turning(self, arm: str, tool: Tool) -> FloatArray:
+        """What turning about the axes (3,) of the tool of ``arm`` counts as [m/rad]."""
+        own = self.levers.get(arm)
+        return np.full(3, lever(tool)) if own is None else own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,6 +190,14 @@ class Targets:
     with one of them at its end already and the other still at its start, where they do not go by one clock.
     ``segment`` (N,): the segment that the move to target i belongs to.
     ``exhibits`` is named data for the report, by kind of picture.
+
+    What motion may do to the way, each the careful answer where a process says nothing: ``rounding``, how far
+    corners may be rounded off; ``may_stop``, whether a single arm may stop at further targets, where it is
+    asked for no least feed and a sharp corner takes longer than a stop; ``may_join``, whether targets on one
+    line may be left out, and moves slowed, where moves are shorter than controllers like.
+    ``feed_throughout``: the feeds bind at every instant, not only each move as a whole. ``feed_source``: what
+    the feed of each place is read from ("the G-code file"), of which no curve can keep more than one in a
+    segment; empty where nothing is.
     """
 
     arms: tuple[str, ...]
@@ -165,6 +218,11 @@ class Targets:
     apart: float = 0.0
     ahead: float = np.inf
     run_up: float | None = None
+    rounding: Rounding = Rounding()
+    may_stop: bool = False
+    may_join: bool = False
+    feed_throughout: bool = True
+    feed_source: str = ""
 
     @property
     def count(self) -> int:

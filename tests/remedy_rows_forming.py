@@ -15,8 +15,8 @@ from planner.forming import sheet_mechanics
 from planner.forming.features import tree
 from planner.forming.paths import adsif_response, contact_path
 from planner.forming.paths.spiral import PathOptions
+from planner.geometry.arrays import Mesh
 from planner.issues import Issue
-from planner.problem import Mesh
 from planner.units import DEG, MM
 from tests import small_forming
 from tests.forming import shapes

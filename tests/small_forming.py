@@ -12,7 +12,7 @@ import trimesh
 import yaml
 
 from planner.catalogue.robots import data_dir
-from planner.problem import Mesh
+from planner.geometry.arrays import Mesh
 from planner.units import MM
 from tests.forming.shapes import revolved
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
+from planner.claims.dialogue import Handshake
 from planner.issues import Issue, TandemError
 from planner.pipeline import load
-from planner.reading.problem import bundle
+from planner.problem import Controller, Settings
+from planner.reading import cell
+from planner.reading.controller import ControllerFile, controllers
+from planner.reading.problem import SettingsFile, bundle
+from planner.tooling import Tool, bow, disk_tool, gripper_plate, mill, vacuum_cup
 
 GOOD = """\
 tandem: 1
@@ -141,3 +148,40 @@ def test_a_bundle_reads_as_the_same_problem(tmp_path: Path) -> None:
     again = load(tmp_path / "elsewhere" / "problem.yaml")
     assert again.digest == problem.digest
     assert again.operations[0].file.read_text() == "left.x_mm\n1\n"  # type: ignore[attr-defined]
+
+
+def test_what_a_file_leaves_out_is_what_values_in_python_leave_out() -> None:
+    """To the last bit, as the same plan comes of both."""
+    assert SettingsFile().build() == Settings()
+    assert Settings() == Settings(0.01, 0.9, 0.8, np.deg2rad(2.0), np.deg2rad(5.0), 0.25, 0)
+    arms = ["left", "right"]
+    assert controllers(ControllerFile.model_validate({}), arms) == Controller()
+    assert controllers(ControllerFile.model_validate({"max_kilobytes": 1000}), arms) == Controller()
+    two = controllers(ControllerFile.model_validate({"sync": "handshake"}), arms)
+    assert two.tasks == ("T_ROB1", "T_ROB1") and two.units == ("ROB_1", "ROB_1")
+    meets, usual = two.handshake, Handshake()
+    assert (meets.kind, meets.every, meets.timeout, meets.patience) == ("four_phase", 1, 30.0, 3600.0)
+    assert (usual.kind, usual.every, usual.timeout, usual.patience) == ("four_phase", 1, 30.0, 3600.0)
+    assert {meets.of(arm) for arm in arms} == {usual.of("left")}
+
+
+@pytest.mark.parametrize(
+    ("fields", "made"),
+    [
+        ({"kind": "bow"}, bow()),
+        ({"kind": "gripper_plate"}, gripper_plate(0.16, 0.16)),
+        ({"kind": "vacuum_cup"}, vacuum_cup(0.06)),
+        ({"kind": "disk_tool"}, disk_tool(25.4e-3, 0.3, 0.012, 9.525e-3)),
+        (
+            {"kind": "mill", "diameter_mm": 12, "flute_mm": 40, "overhang_mm": 60},
+            mill("cylinder", 0.006, 0.0, 0.04, 0.06),
+        ),
+    ],
+)
+def test_sizes_of_tools_that_a_file_leaves_out_are_those_of_their_makers(fields: Any, made: Tool) -> None:
+    read = cell.tool(TypeAdapter(cell.ToolFile).validate_python(fields), Path())
+    np.testing.assert_array_equal(read.tcp, made.tcp)
+    assert read.mass == made.mass
+    for ours, theirs in zip(read.shapes, made.shapes, strict=True):
+        assert ours.size == theirs.size
+        np.testing.assert_array_equal(ours.pose, theirs.pose)

@@ -82,6 +82,33 @@ def test_every_row_is_needed() -> None:
         assert others - together - group == set(), f"{name}: listed, but not imported"
 
 
+WORDS_OF_PROGRAMS = {"claims.dialogue", "claims.segments"}
+"""Modules of claims that motion and post may know: sentences, signals and names of moves."""
+CLAIMS_OF_NO_PROCESS = {"Claim", "HoldsStock", "on_straight_moves_alone"}
+"""What they may know of ``claims.claim``: what a robot carries, and kinds of claims by name."""
+
+
+@pytest.mark.parametrize("name", ["motion", "post"])
+def test_motion_and_post_ask_no_process(name: str) -> None:
+    """What they need of a process is a word of `Targets`, not a claim that they look for."""
+    wrong = set()
+    for file, path in FILES.items():
+        if room(file) != name:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("planner.claims"):
+                package = str(node.module).removeprefix("planner.")
+                known = {alias.name for alias in node.names}
+                if package == "claims":
+                    known = {one for one in known if f"claims.{one}" not in WORDS_OF_PROGRAMS}
+                elif package == "claims.claim":
+                    known -= CLAIMS_OF_NO_PROCESS
+                elif package in WORDS_OF_PROGRAMS:
+                    continue
+                wrong |= {f"{file} imports {package}.{one}" for one in known}
+    assert not wrong, "docs/architecture.md, Walls: motion and post ask no process"
+
+
 def test_there_is_no_circle_of_imports() -> None:
     """Looked at from each file: what it imports when it is loaded never leads back to it."""
     graph = {name: imported(path, inside=False) & set(FILES) - {name} for name, path in FILES.items()}

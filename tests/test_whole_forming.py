@@ -15,9 +15,9 @@ import planner
 from planner import pipeline, plans
 from planner.catalogue.robots import data_dir, robot
 from planner.cell.kinematics import forward
+from planner.geometry.arrays import Mesh
 from planner.geometry.rigid import inverse
 from planner.pipeline import Outcome
-from planner.problem import Mesh
 from planner.units import MM
 from tests import small_forming
 

@@ -9,6 +9,7 @@ stated poses, and the sum type `Claim` of all kinds; sheets are in ``claims.form
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -310,3 +311,14 @@ Claim = (
     | Engraves
     | SparesPart
 )
+
+_ON_CURVES = (
+    *(ContactOnlyIn, OperatorDialogue, FeedWindow, FollowsPoses, FollowsTable),
+    *(Engraves, MillsAlong, MillsFlank, MillsOver, MillsProgram, MillsSurface, SparesPart),
+)
+"""Kinds whose rules hold on the curves of spline blocks as well, by the room that is left for these."""
+
+
+def on_straight_moves_alone(claims: Sequence[Claim]) -> tuple[str, ...]:
+    """Kinds of claims, by name, that are proven on straight moves alone."""
+    return tuple(dict.fromkeys(type(one).__name__ for one in claims if not isinstance(one, _ON_CURVES)))

@@ -17,7 +17,7 @@ from planner.units import DEG, LENGTH_UNITS, MM
 
 if TYPE_CHECKING:
     from planner.forming.features.tree import Feature, FeatureTree, OrderStep
-    from planner.problem import Mesh
+    from planner.geometry.arrays import Mesh
 
 out = Console(highlight=False, soft_wrap=True)
 WRITTEN = (".html", ".svg", ".json")
@@ -52,8 +52,8 @@ def run(request: Features) -> tuple[Issue, ...]:
     from planner.files import write_whole
     from planner.forming.features import tree as feature_tree
     from planner.forming.features.tree import NOISE, build
+    from planner.geometry.arrays import Mesh
     from planner.geometry.mesh import read_mesh
-    from planner.problem import Mesh
     from planner.reading.sheet import smooth_face
 
     if request.output is not None and request.output.suffix.lower() not in WRITTEN:

@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.claims import dialogue
 from planner.claims.claim import Claim
+from planner.claims.forming import FormsSheet
 from planner.forming import claims as forming_claims
 from planner.forming import two_point
 from planner.forming.check import check, force, of_die, shift_issues, step_issues, unreached_issues
@@ -33,7 +34,7 @@ from planner.geometry.arrays import BoolArray, FloatArray, read_only
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Setup
-from planner.targets import Action, Job, ScrewFreedom, Targets
+from planner.targets import Action, Job, Rounding, ScrewFreedom, Targets
 from planner.units import DEG, MM
 
 ALIGNED: Final = 0.95
@@ -292,7 +293,23 @@ def _targets(
         claims=claims,
         exhibits=exhibits(made, paths),
         issues=aggregate(issues),
+        rounding=rounding(claims),
+        may_stop=True,
+        may_join=True,
+        feed_throughout=False,
     )
+
+
+ROUNDED_SHARE: Final = 0.4
+"""Share of what a ball may cut into its face that rounded corners may take."""
+
+
+def rounding(claims: Sequence[Claim]) -> Rounding:
+    """Corners take a share of what the balls may cut into their faces, where that is less than they take
+    anyway."""
+    allowed = [ROUNDED_SHARE * claim.tolerance for claim in claims if isinstance(claim, FormsSheet)]
+    least = min([Rounding.work, *allowed])
+    return Rounding(least, least, least)
 
 
 def _or_allowed(made: Work, narrow: Sequence[Issue], corners: Sequence[Issue]) -> list[Issue]:

@@ -31,9 +31,8 @@ from planner.forming.features.pass_shape import Limited, alone, depth_areas, fac
 from planner.forming.features.tree import FeatureTree, OrderStep
 from planner.forming.operation import Forming
 from planner.forming.sheet_mechanics import steepest, thickness_map
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Mesh
 from planner.units import DEG, MM
 
 _FILE: Final = Path(__file__).resolve().parents[1] / "data" / "forming_trials.yaml"

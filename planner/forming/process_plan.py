@@ -25,16 +25,16 @@ from planner.forming.paths.spiral import MISSED, PathOptions
 from planner.forming.sheet_mechanics import steepest
 from planner.forming.support.clearance import Clamp, clamp_of
 from planner.forming.support.modes import tool_path
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, dots
 from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Part, Setup, Sheet
+from planner.problem import Part, Setup, Sheet
 from planner.tooling import FormingHead, FormingTool
 from planner.units import DEG, MM
 
 JOINED_SHARE: Final = 0.4
 """Share of what tools may cut in that straight moves between two places of the path may take: moves that are
-joined take as much again (`planner.claims.corner_rounding`), and the proof does not know the way between its
-samples."""
+joined take as much again (`planner.forming.job.ROUNDED_SHARE`), and the proof does not know the way between
+its samples."""
 FEATURES_NAMED: Final = 5
 """Features that a message names at most."""
 

@@ -21,10 +21,9 @@ from scipy.spatial import cKDTree
 
 from planner.forming.contact import Pass, ToolPath
 from planner.forming.features.tree import FeatureTree
-from planner.geometry.arrays import FloatArray, IntArray, dots
+from planner.geometry.arrays import FloatArray, IntArray, Mesh, dots
 from planner.geometry.mesh import small_pieces
 from planner.issues import Issue
-from planner.problem import Mesh
 from planner.units import MM
 
 SPACING: Final = 2e-3

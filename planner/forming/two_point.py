@@ -226,9 +226,9 @@ def holder_actions(work: Work, one: Pass, path: ToolPath, first: int) -> Iterato
     count = pulses(one, path, work.heads[work.former(one)].radius, holder_step(work))
     for row in np.flatnonzero(count):
         for _ in range(count[row]):
-            yield Action(first + int(row), "on", signal=die.signal)
+            yield Action(first + int(row), "on", signal=die.signal, powers=False)
             yield Action(first + int(row), "wait", seconds=PULSE_SECONDS)
-            yield Action(first + int(row), "off", signal=die.signal)
+            yield Action(first + int(row), "off", signal=die.signal, powers=False)
             yield Action(first + int(row), "wait", seconds=PULSE_SECONDS)
 
 

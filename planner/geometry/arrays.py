@@ -1,4 +1,5 @@
-"""Arrays: their types, read-only values; products, lengths and directions of many short vectors.
+"""Arrays: their types, read-only values; triangles and rulings as values made of them; products,
+lengths and directions of many short vectors.
 
 The products are several times as fast as numpy's sums over a short axis.
 """
@@ -16,6 +17,32 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 IndexArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True)
+class Mesh:
+    """Triangles: ``vertices`` (V, 3) [m], ``faces`` (F, 3)."""
+
+    vertices: FloatArray
+    faces: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Ruled:
+    """A ruled surface of the part: ruling i runs straight from ``start[i]`` to ``end[i]`` (M, 3) [m, stock
+    frame].
+
+    The outward normal, away from the part, is tangent x (end - start), with the tangent along growing i.
+    ``closed``: the last ruling is followed by the first. ``corner`` (M,): rulings at which the surface has an
+    edge. ``hole``: the part lies around a closed contour, not in it.
+    """
+
+    name: str
+    start: FloatArray
+    end: FloatArray
+    corner: BoolArray
+    closed: bool = False
+    hole: bool = False
 
 
 def dots(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -24,9 +24,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, along, arc_length, pieces, rolled, turned
-from planner.problem import Ruled
 
 _GRID: Final = 160
 _MOVES: Final = ((1, 0), (1, 1), (1, 2), (2, 1), (1, 3), (3, 1), (2, 3), (3, 2), (1, 5), (5, 1))

@@ -13,12 +13,11 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 from shapely import LinearRing
 
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals
 from planner.geometry.rigid import exp_rotation, from_parts
 from planner.geometry.rulings import points
 from planner.issues import Issue
-from planner.problem import Ruled
 from planner.units import MM
 
 _FITS_OUTSIDE = 1e-7

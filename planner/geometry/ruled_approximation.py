@@ -21,7 +21,7 @@ import shapely
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import spsolve
 
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, Ruled
 from planner.geometry.curves import CORNER_ANGLE, Guide, Loft, along, arc_length, polyline, turns
 from planner.geometry.matching import best_path
 from planner.geometry.mesh import TriangleMesh, face_normals
@@ -29,7 +29,6 @@ from planner.geometry.mesh_queries import Nearness
 from planner.geometry.placing import backwards
 from planner.geometry.rulings import boundaries, outward, points, resample, tessellate
 from planner.issues import Issue, TandemError
-from planner.problem import Ruled
 from planner.units import DEG, MM
 
 _SAME_PARAMETER = 1e-5

@@ -13,12 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, IntArray
+from planner.geometry.arrays import FloatArray, IntArray, Mesh, Ruled
 from planner.geometry.curves import CORNER_ANGLE, polyline, turns
 from planner.geometry.matching import aligned, join
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, Severity
-from planner.problem import Mesh, Ruled
 
 _SHARES_ALONG: Final = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Places along a ruling at which deviations are looked at."""

@@ -33,12 +33,11 @@ from scipy.optimize import minimize_scalar
 from shapely.geometry import LineString
 
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, turned
 from planner.geometry.matching import Match, join
 from planner.geometry.rulings import resample
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Ruled
 
 THICKNESS_COEFFICIENTS: Final = (0.2969, -0.1260, -0.3516, 0.2843, -0.1015)
 """Coefficients of x^0.5, x, x^2, x^3, x^4 of the half thickness of a section 20 % thick."""

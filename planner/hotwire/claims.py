@@ -41,11 +41,11 @@ from planner.claims.dialogue import (
 )
 from planner.claims.segments import Segment
 from planner.claims.wire_physics import cold_length, slot, stiffness
-from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.arrays import BoolArray, FloatArray, Mesh, Ruled
 from planner.geometry.rulings import tessellate
 from planner.hotwire.operation import ElasticWire, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Part, Ruled, Setup, Stock
+from planner.problem import Part, Setup, Stock
 from planner.reading.materials import WireFile
 from planner.tooling import Bow
 from planner.units import MM

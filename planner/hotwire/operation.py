@@ -18,7 +18,7 @@ from planner.claims.claim import KerfCurve
 from planner.claims.segments import fold
 from planner.hotwire.kerf import width
 from planner.issues import Issue, TandemError
-from planner.problem import Stock
+from planner.problem import Controller, Stock
 from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict
 from planner.units import MM
@@ -80,7 +80,7 @@ class HotWireOperation(Heat):
     ] = 0.95
     signal: Annotated[
         str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$", description="output that powers the wire")
-    ] = "doWirePower"
+    ] = Controller.wire_signal
 
     @model_validator(mode="after")
     def _feeds_in_order(self) -> Self:

@@ -22,12 +22,12 @@ from planner.claims.milling import (
     SparesPart,
 )
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh, Ruled
 from planner.milling.flank_cut import surface
 from planner.milling.operation import EngraveCut, FlankCut, GCodeCut, GCodeFile, LinesCut, Milling
 from planner.milling.process_plan import Done, Work
 from planner.milling.tool_path import SIDES
-from planner.problem import Mesh, Part, Ruled
+from planner.problem import Part
 from planner.reading.part_ruled import GuideFile
 from planner.units import DEG, MM
 

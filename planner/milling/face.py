@@ -18,11 +18,10 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, closest_on_triangles, corner_normals, small_pieces
 from planner.geometry.rulings import boundaries
 from planner.issues import Issue
-from planner.problem import Mesh
 from planner.units import MM
 
 CREASE: Final = float(np.deg2rad(20.0))

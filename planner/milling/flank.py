@@ -20,9 +20,8 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from planner.geometry.arrays import FloatArray, IntArray, unit
+from planner.geometry.arrays import FloatArray, IntArray, Ruled, unit
 from planner.geometry.rulings import resample, runs
-from planner.problem import Ruled
 
 
 @dataclasses.dataclass(frozen=True)

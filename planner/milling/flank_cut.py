@@ -11,13 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from planner.geometry.arrays import FloatArray, unit
+from planner.geometry.arrays import FloatArray, Ruled, unit
 from planner.issues import Issue, Severity, TandemError, has_errors
 from planner.milling import flank
 from planner.milling.flank import Strip, strips
 from planner.milling.operation import FlankCut, Milling
 from planner.milling.tool_path import Run, plain_path, thinned
-from planner.problem import Part, Ruled
+from planner.problem import Part
 from planner.tooling import Cutter
 from planner.units import DEG, MM
 

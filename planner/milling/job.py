@@ -12,14 +12,23 @@ tool.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from planner.claims import dialogue
-from planner.claims.claim import Claim
+from planner.claims.claim import Claim, FeedWindow
+from planner.claims.milling import (
+    Engraves,
+    MillsFlank,
+    MillsOver,
+    MillsProgram,
+    MillsSurface,
+    SparesPart,
+)
 from planner.geometry.arrays import FloatArray, read_only
+from planner.geometry.corner_rounding import TURNING_LEVER_MM
 from planner.geometry.rigid import from_parts
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.milling import claims as mill_claims
@@ -27,7 +36,7 @@ from planner.milling.check import check
 from planner.milling.operation import FlankCut, GCodeCut, LinesCut, Milling, Orient
 from planner.milling.process_plan import Work, work
 from planner.milling.tool_path import Route, lay_out
-from planner.targets import Action, Aim, Job, ScrewFreedom, Targets
+from planner.targets import Action, Aim, Job, Rounding, ScrewFreedom, Targets
 from planner.units import MM
 
 
@@ -157,7 +166,65 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
         claims=claims,
         exhibits=exhibits(made, route),
         issues=issues,
+        rounding=rounding(claims),
+        may_stop=True,
+        may_join=True,
+        feed_throughout=any(isinstance(claim, FeedWindow) for claim in claims),
+        feed_source="the G-code file" if any(isinstance(one.cut, GCodeCut) for one in made.cuts) else "",
     )
+
+
+WAYS: Final = (MillsProgram, Engraves, MillsFlank, MillsOver)
+"""Claims on the way of the cutter."""
+TURNING_LEVER: Final = TURNING_LEVER_MM * MM
+TIGHT_SHARE: Final = 0.5
+"""Part of a tolerance that rounded corners take at most where it is tighter than what they take anyway."""
+ROUNDED_SHARE: Final = 0.15
+"""Part of the tolerance of what is milled that rounded corners may take, where it is more."""
+CURVE_SHARE: Final = 0.75
+CURVE_WAY_SHARE: Final = 0.5
+"""Parts of tolerances that curves of spline blocks may take: of those on surfaces, which corners then leave
+alone, and of those on ways that are divided by a part of it themselves."""
+SPIN_WAY: Final = 5e-4
+"""How far [m] what spins with the tool may be off, at the lever of its turning: as a solid in the air."""
+
+
+def rounding(claims: Sequence[Claim]) -> Rounding:
+    """Corners and curves take a share of what is allowed of surfaces and ways.
+
+    A cutter is a body of revolution that follows a way within an angle: its spin is worth what a solid may
+    move in the air, its lean, where no surface asks for more, what that angle allows.
+    """
+    ways = [claim for claim in claims if isinstance(claim, WAYS)]
+    spared = [claim for claim in claims if isinstance(claim, SparesPart)]
+    tolerance = min((claim.tolerance for claim in (*ways, *spared)), default=np.inf)
+    air = min(Rounding.air, TIGHT_SHARE * tolerance)
+    work = max(air, ROUNDED_SHARE * tolerance) if np.isfinite(tolerance) else air
+    lean, spin = TURNING_LEVER, TURNING_LEVER * work / SPIN_WAY
+    if not spared and not any(isinstance(claim, MillsSurface) for claim in claims):
+        lean = min([lean, *(work / (ROUNDED_SHARE * claim.turn) for claim in ways)])
+    levers = {claim.arm: np.array([lean, lean, spin]) for claim in ways}
+    return Rounding(work, air, air, levers, _curves(claims))
+
+
+def _curves(claims: Sequence[Claim]) -> dict[str, tuple[tuple[float, float], ...]]:
+    """How far [m] curves may be off straight moves, for each arm, with how far from the TCP [m]."""
+    out: dict[str, tuple[tuple[float, float], ...]] = {}
+    for claim in claims:
+        match claim:
+            case MillsProgram():
+                own = 0.0, CURVE_WAY_SHARE * claim.tolerance
+            case Engraves():
+                own = claim.cutter.flute, CURVE_WAY_SHARE * claim.tolerance
+            case SparesPart():
+                reach = 0.0 if claim.cutter is None else claim.cutter.overhang
+                own = reach, CURVE_SHARE * claim.tolerance
+            case MillsFlank() | MillsOver() | MillsSurface():
+                own = claim.cutter.flute, CURVE_SHARE * claim.tolerance
+            case _:
+                continue
+        out[claim.arm] = (*out.get(claim.arm, ()), own)
+    return out
 
 
 def _travel(route: Route) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from planner.claims.segments import clash
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.rulings import tessellate
 from planner.issues import Issue, TandemError
 from planner.milling import face as milling_face
@@ -18,7 +18,7 @@ from planner.milling.face import Over
 from planner.milling.gcode import passes
 from planner.milling.operation import EngraveCut, FlankCut, GCodeCut, LinesCut, Milling, cut_name
 from planner.milling.tool_path import Run
-from planner.problem import Mesh, Part, Setup
+from planner.problem import Part, Setup
 from planner.tooling import Cutter, Mill
 from planner.units import MM
 

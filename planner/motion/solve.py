@@ -15,7 +15,6 @@ import numpy as np
 
 from planner.cell import clearance, plant, support
 from planner.cell.plant import CellModel
-from planner.claims.claim import FeedWindow
 from planner.files import versions
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import from_parts
@@ -59,7 +58,7 @@ def with_room(problem: Problem, targets: Sequence[Targets]) -> tuple[Problem, tu
             feed=t.feed
             / np.where(_near_stops(t), SPLINE_SLOWING_FACTOR * SPLINE_RAMP_FACTOR, SPLINE_SLOWING_FACTOR),
         )
-        if any(isinstance(claim, FeedWindow) for claim in t.claims)
+        if t.feed_throughout
         else t
         for t in targets
     )

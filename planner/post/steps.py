@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from planner.catalogue.robots import robot
-from planner.claims import corner_rounding
 from planner.claims.claim import HoldsStock
 from planner.claims.dialogue import Handshake
 from planner.claims.segments import Segment
+from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
@@ -431,7 +431,7 @@ def _track(
         quaternion[stations],
         duration,
         stop,
-        corner_rounding.levers(plan.targets, arm.name, arm.tool),
-        corner_rounding.deviations(plan.targets, segments),
+        1e3 * plan.targets.rounding.turning(arm.name, arm.tool),
+        1e3 * plan.targets.rounding.deviations(segments),
     )
     return Track(position[keep], quaternion[keep], plan.q[arm.name][keep], duration, distance, *room, frame)

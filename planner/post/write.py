@@ -15,7 +15,6 @@ from typing import Final
 
 from planner.catalogue.robots import robot
 from planner.claims.claim import Claim
-from planner.claims.forming import SinksHolder
 from planner.claims.segments import Segment
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
@@ -41,18 +40,14 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
     first task, or by its arm where each arm has one. One controller has none where nothing is powered; two
     have them always, for the wires by which each knows that the other one runs."""
     controller = problem.cell.controller
-    pulsed = {
-        claim.signal
-        for operation in plan.operations
-        for claim in operation.targets.claims
-        if isinstance(claim, SinksHolder)
-    }
+    actions = [action for operation in plan.operations for action in operation.targets.actions]
+    powered = {action.signal for action in actions if action.powers}
     alone = controller.sync == "handshake"
     arms = [task.arm.name for task in job.tasks]
     wires = controller.handshake.wired_running(arms) if job.handshake is not None else ()
     out: dict[str, str] = {}
     for task in job.tasks:
-        signals = sorted((s for s in job.switched(task) if s not in pulsed), key=str.lower)
+        signals = sorted((s for s in job.switched(task) if s in powered), key=str.lower)
         if not signals and not wires:
             continue
         name = task.arm.name

@@ -19,6 +19,13 @@ from planner.reading.controller import ControllerFile, controllers
 from planner.reading.materials import WiresFile, wires_at_hand
 from planner.reading.strict_yaml import Angle, FileName, Name, Positive, Strict, Unit, Vector
 from planner.tooling import (
+    BOW_SPAN,
+    BOW_THROAT,
+    BOW_WIRE_DIAMETER,
+    DISK_RIM,
+    GRIPPER_REACH,
+    MILL_HOLDER,
+    MILL_SPINDLE,
     FormingTool,
     Gripper,
     Mill,
@@ -96,9 +103,11 @@ class BowFile(Strict):
     """The built-in bow with a straight hot wire; 400 x 400 mm and 650 x 650 mm are the usual ones."""
 
     kind: Literal["bow"]
-    span_mm: Annotated[float, Field(ge=50, le=3000, description="wire between its clamps")] = 400.0
-    throat_mm: Annotated[float, Field(ge=50, le=3000, description="from the beam to the wire")] = 400.0
-    wire_diameter_mm: Annotated[float, Field(ge=0.01, le=10)] = 0.4
+    span_mm: Annotated[float, Field(ge=50, le=3000, description="wire between its clamps")] = BOW_SPAN / MM
+    throat_mm: Annotated[float, Field(ge=50, le=3000, description="from the beam to the wire")] = (
+        BOW_THROAT / MM
+    )
+    wire_diameter_mm: Annotated[float, Field(ge=0.01, le=10)] = BOW_WIRE_DIAMETER / MM
     tilt_deg: Annotated[float, Field(ge=-90, le=90, description="of the bow about its wire")] = 0.0
 
 
@@ -106,7 +115,9 @@ class _GripperFile(Strict):
     """What all tools have that hold a block."""
 
     name: Annotated[Name | None, Field(description="what people call it; none: by its kind")] = None
-    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = 80.0
+    reach_mm: Annotated[float, Field(ge=30, le=500, description="from the flange to the block")] = (
+        GRIPPER_REACH / MM
+    )
     holding_n: Annotated[
         float | None, Field(gt=0, le=100_000, description="force that it holds with; none: by its area")
     ] = None
@@ -153,7 +164,7 @@ class DiskToolFile(Strict):
     kind: Literal["disk_tool"]
     radius_mm: Annotated[float, Field(ge=2, le=200)] = 25.4
     thickness_mm: Annotated[float, Field(ge=1, le=100)] = 12.0
-    rim_mm: Annotated[float, Field(ge=0, le=50, description="rounding of its edge")] = 2.0
+    rim_mm: Annotated[float, Field(ge=0, le=50, description="rounding of its edge")] = DISK_RIM / MM
     shaft_radius_mm: Annotated[float, Field(ge=0.5, le=200)] = 9.525
     length_mm: Annotated[float, Field(ge=110, le=1500, description="from the flange to the face")] = 300.0
 
@@ -189,9 +200,12 @@ class MillFile(Strict):
     holder: Annotated[
         tuple[HolderPieceFile, ...],
         Field(min_length=1, max_length=20, description="its pieces from the nose to the spindle"),
-    ] = (HolderPieceFile(length_mm=40, diameter_mm=50),)
-    spindle_diameter_mm: Annotated[float, Field(ge=10, le=600)] = 100.0
-    spindle_length_mm: Annotated[float, Field(ge=10, le=1500)] = 220.0
+    ] = tuple(
+        HolderPieceFile(length_mm=length / MM, diameter_mm=2.0 * radius / MM)
+        for length, radius in MILL_HOLDER
+    )
+    spindle_diameter_mm: Annotated[float, Field(ge=10, le=600)] = 2.0 * MILL_SPINDLE[0] / MM
+    spindle_length_mm: Annotated[float, Field(ge=10, le=1500)] = MILL_SPINDLE[1] / MM
     tilt_deg: Annotated[
         float, Field(ge=-135, le=135, description="of the spindle against the flange's axis")
     ] = 0.0

@@ -13,9 +13,19 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from planner.catalogue.robots import robot
-from planner.claims.dialogue import Handshake, PartnerSignals, SignalWire
+from planner.claims.dialogue import Handshake, HandshakeKind, PartnerSignals, SignalWire
 from planner.issues import Issue, TandemError
-from planner.problem import Cell, Controller, DevicePlace, Interlock, Operation, PowerOutput
+from planner.problem import (
+    Cell,
+    Controller,
+    DevicePlace,
+    Interlock,
+    KrlDialect,
+    KrlPath,
+    Operation,
+    PowerOutput,
+    output_of,
+)
 from planner.reading.strict_yaml import Name, Strict
 
 SignalNumber = Annotated[int, Field(ge=1, le=4096)]
@@ -25,17 +35,21 @@ SignalNumber = Annotated[int, Field(ge=1, le=4096)]
 class SignalsFile(Strict):
     """Signals of one controller to the other one."""
 
-    output: Annotated[Name, Field(description="digital output to the other controller")] = "doPartner"
-    input: Annotated[Name, Field(description="digital input from the other controller")] = "diPartner"
+    output: Annotated[Name, Field(description="digital output to the other controller")] = (
+        PartnerSignals.output
+    )
+    input: Annotated[Name, Field(description="digital input from the other controller")] = (
+        PartnerSignals.input
+    )
     running: Annotated[
         Name, Field(description="output that the controller holds at 1 while its program runs")
-    ] = "doRunning"
+    ] = PartnerSignals.running
     partner_running: Annotated[
         Name, Field(description="input from the other controller's `running`; its fall stops this arm")
-    ] = "diPartnerRunning"
+    ] = PartnerSignals.partner_running
     move_enable: Annotated[
         Name, Field(description="of a KUKA controller: output that is looped to the input of $MOVE_ENABLE")
-    ] = "doMoveEnable"
+    ] = PartnerSignals.move_enable
 
 
 class WireEndFile(Strict):
@@ -56,10 +70,10 @@ class HandshakeFile(Strict):
     """How two controllers meet that share digital signals only."""
 
     kind: Annotated[
-        Literal["four_phase", "toggle"],
+        HandshakeKind,
         Field(description="signals change twice at each meeting and are 0 between, or once"),
-    ] = "four_phase"
-    every: Annotated[int, Field(ge=1, le=100, description="meet at every so many moves")] = 1
+    ] = Handshake.kind
+    every: Annotated[int, Field(ge=1, le=100, description="meet at every so many moves")] = Handshake.every
     signals: Annotated[
         dict[Name, SignalsFile],
         Field(default_factory=dict, description="by arm; an arm not named has the defaults"),
@@ -73,13 +87,13 @@ class HandshakeFile(Strict):
     ] = ()
     timeout_s: Annotated[
         float, Field(ge=0.1, le=3600, description="longest wait for the other arm at a step of joint work")
-    ] = 30.0
+    ] = Handshake.timeout
     patience_s: Annotated[
         float,
         Field(
             ge=1, le=86_400, description="longest wait while the other arm moves alone or asks the operator"
         ),
-    ] = 3600.0
+    ] = Handshake.patience
 
 
 class PowerOutputFile(Strict):
@@ -108,9 +122,9 @@ class InterlockFile(Strict):
         dict[Name, PowerOutputFile],
         Field(default_factory=dict, description="by the signal that the program sets, which is a request"),
     ]
-    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = "soCycleOn"
+    cycle_signal: Annotated[Name, Field(description="system output of ABB: a program runs")] = Interlock.cycle
     motors_signal: Annotated[Name, Field(description="system output of ABB: the motors are on")] = (
-        "soMotorsOn"
+        Interlock.motors
     )
     places: Annotated[
         dict[Name, dict[Name, DevicePlaceFile]],
@@ -128,7 +142,7 @@ class ControllerFile(Strict):
     sync: Annotated[
         Literal["multimove", "handshake"],
         Field(description="one controller, or two that share digital signals only"),
-    ] = "multimove"
+    ] = Controller.sync
     tasks: Annotated[
         tuple[Name, ...] | None,
         Field(min_length=1, max_length=2, description="T_ROB1, T_ROB2; with `handshake` T_ROB1 twice"),
@@ -138,14 +152,14 @@ class ControllerFile(Strict):
         Field(min_length=1, max_length=2, description="ROB_1, ROB_2; with `handshake` ROB_1 twice"),
     ] = None
     handshake: HandshakeFile | None = None
-    wire_signal: Name = "doWirePower"
-    dialect: Annotated[
-        Literal["krc4", "krc2"], Field(description="of KUKA arms: KSS 8.3 on, or the older subset")
-    ] = "krc4"
+    wire_signal: Name = Controller.wire_signal
+    dialect: Annotated[KrlDialect, Field(description="of KUKA arms: KSS 8.3 on, or the older subset")] = (
+        Controller.dialect
+    )
     path: Annotated[
-        Literal["slin", "spline"],
+        KrlPath,
         Field(description="of KUKA arms: straight moves, or spline blocks with times (`krc4`, one arm)"),
-    ] = "slin"
+    ] = Controller.path
     io: Annotated[
         dict[Name, dict[Name, SignalNumber]],
         Field(
@@ -154,7 +168,7 @@ class ControllerFile(Strict):
     ]
     robotware: Annotated[
         Literal[6, 7], Field(description="of ABB controllers: 6 has `.mod` in ISO 8859-1, 7 `.modx` in UTF-8")
-    ] = 6
+    ] = Controller.robotware
     robots: Annotated[
         tuple[Name, ...] | None,
         Field(min_length=1, max_length=2, description="`ROBOT` in MOC.cfg; unless stated, `units`"),
@@ -164,15 +178,15 @@ class ControllerFile(Strict):
         Field(description="options installed, as the controller lists them; none: not stated"),
     ] = None
     interlock: Annotated[InterlockFile, Field(default_factory=InterlockFile)]
-    max_moves: Annotated[int, Field(ge=10, le=100_000)] = 5000
-    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = 1000
+    max_moves: Annotated[int, Field(ge=10, le=100_000)] = Controller.max_moves
+    max_kilobytes: Annotated[int, Field(ge=10, le=10_000)] = Controller.max_bytes // 1000
 
 
 def controllers(spec: ControllerFile, arms: Sequence[str]) -> Controller:
     """The controller, or the two of them, of a cell with these arms. Raises ``TandemError``."""
     alone = spec.sync == "handshake"
-    tasks = spec.tasks or (("T_ROB1", "T_ROB1") if alone else ("T_ROB1", "T_ROB2"))
-    units = spec.units or (("ROB_1", "ROB_1") if alone else ("ROB_1", "ROB_2"))
+    tasks = spec.tasks or (Controller.tasks[:1] * 2 if alone else Controller.tasks)
+    units = spec.units or (Controller.units[:1] * 2 if alone else Controller.units)
     stated = (("tasks", tasks), ("units", units), ("robots", spec.robots or units))
     for field, names in stated:
         if len(names) < len(arms):
@@ -229,7 +243,7 @@ def _check_path(spec: ControllerFile, arms: int) -> None:
 
 def _interlock(spec: InterlockFile) -> Interlock:
     outputs = {
-        request: PowerOutput(item.signal or f"{request}Out", item.device or "", item.device_map)
+        request: PowerOutput(item.signal or output_of(request), item.device or "", item.device_map)
         for request, item in spec.outputs.items()
     }
     places = {

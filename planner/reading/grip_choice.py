@@ -19,10 +19,10 @@ from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 
 from planner.catalogue.robots import robot
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.rigid import corners, from_rpy, inverse, transform
 from planner.issues import Issue, Severity
-from planner.problem import Part, Problem, Ruled, Setup, Stock
+from planner.problem import Part, Problem, Setup, Stock
 from planner.reading.stock import GRIP_FORCE_FACTOR
 from planner.tooling import Gripper, gripper_plate
 from planner.units import DEG, GRAVITY, MM

@@ -18,7 +18,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from planner.claims.segments import fold
 from planner.geometry import curves as outlines
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh, Ruled
 from planner.geometry.curves import Guide, polyline, spline
 from planner.geometry.mesh import TriangleMesh
 from planner.geometry.placing import (
@@ -33,7 +33,7 @@ from planner.geometry.placing import (
 from planner.geometry.rigid import from_parts, from_rpy, transform
 from planner.geometry.rulings import resample
 from planner.issues import Issue, Remedy, Severity, TandemError, has_errors
-from planner.problem import Mesh, Part, Ruled, Stock
+from planner.problem import Part, Stock
 from planner.reading import part_ruled, part_surfaces, sheet
 from planner.reading.part_ruled import SPLINE_CHORD, RuledFile, WingFile, read_dxf
 from planner.reading.part_surfaces import BackFile, Faces, FrontFile, RuledMeshFile, StripsFile

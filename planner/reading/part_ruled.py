@@ -14,14 +14,13 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from planner.files import is_file
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import Guide, polyline, spline, with_corners
 from planner.geometry.matching import aligned, join
 from planner.geometry.placing import backwards, outwards
 from planner.geometry.rulings import resample
 from planner.geometry.wing import Panel, naca, read_airfoil, wing_surface
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Ruled
 from planner.reading.strict_yaml import Far, FileName, Name, Strict, Unit, Vector
 from planner.units import DEG, LENGTH_UNITS, MM
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from planner.geometry import ruled_approximation
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.curves import ArcRail, CurveKind, Loft, grid_counts, tessellate
 from planner.geometry.mesh import (
     LARGEST_EXTENT,
@@ -29,7 +29,6 @@ from planner.geometry.mesh import (
 from planner.geometry.ruled_approximation import Patch, find_rulings, of_loft, of_mesh
 from planner.geometry.rulings import edge_surface, resample
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Ruled
 from planner.reading.strict_yaml import Angle, Far, FileName, Fraction, Positive, Scale, Strict, Unit, Vector
 from planner.units import DEG, LENGTH_UNITS, MM
 

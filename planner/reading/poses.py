@@ -161,6 +161,8 @@ class PosedJob(Job[Posed]):
             coupled=operation.coupled,
             run_up=operation.run_up_mm * MM,
             claims=self.claims(),
+            may_stop=True,
+            feed_throughout=False,
         )
 
     def stated(self) -> tuple[Claim, ...]:

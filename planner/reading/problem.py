@@ -92,13 +92,13 @@ OperationModels = Mapping[str, type[BaseModel] | Issue]
 class SettingsFile(Strict):
     """Limits that planning and proof share."""
 
-    clearance_mm: Annotated[float, Field(ge=0, le=500)] = 10.0
-    speed_fraction: Annotated[float, Field(ge=0.01, le=1)] = 0.9
-    acceleration_fraction: Annotated[float, Field(ge=0.01, le=1)] = 0.8
-    joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = 2.0
-    singularity_margin_deg: Annotated[float, Field(ge=0, le=45)] = 5.0
-    tcp_speed_mm_s: Annotated[float, Field(ge=1, le=5000)] = 250.0
-    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    clearance_mm: Annotated[float, Field(ge=0, le=500)] = Settings.clearance / MM
+    speed_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.speed_fraction
+    acceleration_fraction: Annotated[float, Field(ge=0.01, le=1)] = Settings.acceleration_fraction
+    joint_margin_deg: Annotated[float, Field(ge=0, le=45)] = Settings.joint_margin / DEG
+    singularity_margin_deg: Annotated[float, Field(ge=0, le=45)] = Settings.singularity_margin / DEG
+    tcp_speed_mm_s: Annotated[float, Field(ge=1, le=5000)] = Settings.tcp_speed / MM
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = Settings.seed
 
     def build(self) -> Settings:
         """The settings in SI units."""

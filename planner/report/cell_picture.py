@@ -13,10 +13,10 @@ import numpy as np
 from scipy import ndimage
 
 from planner.cell.plant import CellModel
-from planner.geometry.arrays import FloatArray, IndexArray
+from planner.geometry.arrays import FloatArray, IndexArray, Mesh
 from planner.geometry.rigid import transform
 from planner.plans import OperationPlan, Plan
-from planner.problem import Mesh, Problem, Setup
+from planner.problem import Problem, Setup
 from planner.report import cell_picture, raster, scene
 from planner.report.raster import Camera, Solid, Thing
 from planner.report.replay import TRIMMED_DEPTH_M

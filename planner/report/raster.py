@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray, lengths
-from planner.problem import Mesh, Part, Ruled, Stock
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh, Ruled, lengths
+from planner.problem import Part, Stock
 
 
 @dataclasses.dataclass(frozen=True)

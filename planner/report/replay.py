@@ -22,10 +22,10 @@ from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, 
 from planner.cell.plant import CellModel, quiet, rigid
 from planner.claims.segments import Segment
 from planner.files import write_whole
-from planner.geometry.arrays import BoolArray, FloatArray
+from planner.geometry.arrays import BoolArray, FloatArray, Mesh
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
-from planner.problem import Mesh, Problem, Setup
+from planner.problem import Problem, Setup
 from planner.report import raster
 from planner.report import scene as scenes
 from planner.report.timeline import Track, track

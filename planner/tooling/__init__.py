@@ -7,6 +7,10 @@ from typing import assert_never
 from planner.geometry.rigid import Shape
 from planner.tooling.base import PlainTool, plain
 from planner.tooling.holding_tools import (
+    BOW_SPAN,
+    BOW_THROAT,
+    BOW_WIRE_DIAMETER,
+    GRIPPER_REACH,
     REACH,
     Bow,
     Gripper,
@@ -17,6 +21,9 @@ from planner.tooling.holding_tools import (
     wire_holder,
 )
 from planner.tooling.working_tools import (
+    DISK_RIM,
+    MILL_HOLDER,
+    MILL_SPINDLE,
     Cutter,
     CutterKind,
     FormingHead,
@@ -49,6 +56,13 @@ def working_solid(tool: Tool) -> Shape | None:
 
 
 __all__ = [
+    "BOW_SPAN",
+    "BOW_THROAT",
+    "BOW_WIRE_DIAMETER",
+    "DISK_RIM",
+    "GRIPPER_REACH",
+    "MILL_HOLDER",
+    "MILL_SPINDLE",
     "REACH",
     "Bow",
     "Cutter",

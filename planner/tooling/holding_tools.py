@@ -146,10 +146,16 @@ class Bow(OnFlange):
         return self.throat + 0.5 * BEAM_WIDTH
 
 
+BOW_SPAN: Final = 0.4
+BOW_THROAT: Final = 0.4
+BOW_WIRE_DIAMETER: Final = 0.0004
+"""Sizes [m] of a bow of which no other are stated."""
+
+
 def bow(
-    span: float = 0.4,
-    throat: float = 0.4,
-    wire_diameter: float = 0.0004,
+    span: float = BOW_SPAN,
+    throat: float = BOW_THROAT,
+    wire_diameter: float = BOW_WIRE_DIAMETER,
     tilt: float = 0.0,
     name: str | None = None,
 ) -> Bow:
@@ -215,8 +221,16 @@ class Gripper(OnFlange):
     holding: float
 
 
+GRIPPER_REACH: Final = 0.080
+"""From the flange to the block [m] where nothing else is stated."""
+
+
 def gripper_plate(
-    width: float, depth: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+    width: float,
+    depth: float,
+    reach: float = GRIPPER_REACH,
+    holding: float | None = None,
+    name: str | None = None,
 ) -> Gripper:
     """A plate ``width`` x ``depth`` [m] with slanted needles that holds a block by its bottom face, with the
     force ``holding`` [N] or what its area gives.
@@ -248,7 +262,7 @@ def gripper_plate(
 
 
 def vacuum_cup(
-    radius: float, reach: float = 0.080, holding: float | None = None, name: str | None = None
+    radius: float, reach: float = GRIPPER_REACH, holding: float | None = None, name: str | None = None
 ) -> Gripper:
     """A suction cup of ``radius`` [m] with its TCP in the middle of the lip, ``reach`` [m] from the flange,
     that holds with the force ``holding`` [N] or what its area gives.

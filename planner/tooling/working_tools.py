@@ -121,8 +121,12 @@ def ball_tool(
     return _forming_tool("ball_tool", head, length, tilt)
 
 
+DISK_RIM: Final = 0.002
+"""Rounding [m] of a disk's edge where no other is stated."""
+
+
 def disk_tool(
-    radius: float, length: float, thickness: float, shaft_radius: float, rim: float = 0.002
+    radius: float, length: float, thickness: float, shaft_radius: float, rim: float = DISK_RIM
 ) -> FormingTool:
     """A flat disk that lies on the sheet's back along the border; its TCP is the middle of its face.
 
@@ -209,6 +213,12 @@ class Mill(OnFlange):
     solid: Shape
 
 
+MILL_HOLDER: Final = ((0.040, 0.025),)
+MILL_SPINDLE: Final = (0.050, 0.220)
+"""Pieces of a mill's holder (length, radius) and its spindle (radius, length) [m] where no other are
+stated."""
+
+
 def mill(
     kind: CutterKind,
     radius: float,
@@ -216,8 +226,8 @@ def mill(
     flute: float,
     overhang: float,
     shank: float | None = None,
-    holder: Sequence[tuple[float, float]] = ((0.040, 0.025),),
-    spindle: tuple[float, float] = (0.050, 0.220),
+    holder: Sequence[tuple[float, float]] = MILL_HOLDER,
+    spindle: tuple[float, float] = MILL_SPINDLE,
     tilt: float = 0.0,
     mass: float | None = None,
 ) -> Mill:

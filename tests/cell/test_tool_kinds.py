@@ -16,13 +16,14 @@ from pydantic import TypeAdapter
 from planner import pipeline, processes
 from planner.cell import plant
 from planner.cell.bodies import own_shapes
-from planner.claims import corner_rounding
+from planner.geometry import corner_rounding
 from planner.geometry.rigid import Shape, axis_ends, inverse, transform
 from planner.geometry.rigid import corners as hull
 from planner.hotwire.straight import job
 from planner.issues import TandemError
 from planner.problem import Problem
 from planner.reading import cell
+from planner.targets import lever
 from planner.tooling import (
     Bow,
     FormingTool,
@@ -38,6 +39,7 @@ from planner.tooling import (
     working_solid,
 )
 from planner.tooling.base import OnFlange
+from planner.units import MM
 from planner.verify.prove import Prover
 from tests import small_forming
 from tests.cell.cells import BLOCK, alone
@@ -145,16 +147,16 @@ def test_a_bow_knows_its_wire_and_the_room_behind_it(tilt: float, throat: float)
 def test_a_tool_cuts_as_far_from_its_tcp_as_its_solid_goes() -> None:
     """A wire to its clamps on either side; a ball's shaft and a cutter from tip to holder, but for rounded
     ends; a solid with corners counts as nothing long."""
-    assert corner_rounding.lever(bow(0.8, 0.4)) == pytest.approx(400.0)
+    assert lever(bow(0.8, 0.4)) == pytest.approx(0.4)
     ball = ball_tool(0.01, 0.3)
-    assert corner_rounding.lever(ball) == pytest.approx(1e3 * (ball.head.length - 0.01))
+    assert lever(ball) == pytest.approx(ball.head.length - 0.01)
     long = mill("cylinder", 0.005, 0.0, 0.05, 0.25)
-    assert corner_rounding.lever(long) == pytest.approx(250.0)
+    assert lever(long) == pytest.approx(0.25)
     assert working_solid(disk_tool(0.03, 0.3, 0.01, 0.01)).kind == "mesh"  # type: ignore[union-attr]
     assert (
-        corner_rounding.lever(disk_tool(0.03, 0.3, 0.01, 0.01))
-        == corner_rounding.TURNING_LEVER_MM
-        == corner_rounding.lever(read("plain"))
+        lever(disk_tool(0.03, 0.3, 0.01, 0.01))
+        == corner_rounding.TURNING_LEVER_MM * MM
+        == lever(read("plain"))
     )
 
 

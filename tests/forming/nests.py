@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import Delaunay
 
-from planner.geometry.arrays import FloatArray
-from planner.problem import Mesh
+from planner.geometry.arrays import FloatArray, Mesh
 
 Height = Callable[[FloatArray, FloatArray], FloatArray]
 

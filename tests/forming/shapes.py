@@ -11,7 +11,7 @@ from planner.forming.contact import ContactPath, Pass
 from planner.forming.features.pass_shape import joined, polygons, triangulated
 from planner.forming.features.tree import FeatureTree, OrderStep, build, in_place
 from planner.forming.operation import Forming
-from planner.problem import Mesh
+from planner.geometry.arrays import Mesh
 from planner.tooling import FormingHead
 
 T0 = 1e-3

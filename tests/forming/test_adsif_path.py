@@ -12,9 +12,8 @@ from planner.forming.contact import Pass, ToolPath
 from planner.forming.passes import passes
 from planner.forming.paths.adsif_path import adsif_tool_path, pressed_by_support
 from planner.forming.paths.adsif_response import built_in_table, wall_angle
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import TandemError
-from planner.problem import Mesh
 from planner.tooling import FormingHead
 from tests.forming.shapes import T0, cone, operation, revolved, tree_of, upside_down
 

@@ -11,8 +11,7 @@ from planner.forming.contact import ContactPath, Pass
 from planner.forming.features.tree import NOISE, build, in_place
 from planner.forming.passes import passes
 from planner.forming.support.modes import border_curve, border_path, tool_path
-from planner.geometry.arrays import FloatArray
-from planner.problem import Mesh
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.tooling import FormingHead
 from tests.forming.nests import sheet
 from tests.forming.shapes import (

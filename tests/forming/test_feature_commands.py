@@ -13,9 +13,8 @@ import pytest
 import trimesh
 
 from planner.cli.features import Features, run
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import TandemError
-from planner.problem import Mesh
 from planner.units import MM
 from tests.forming.nests import dome, frustum, revolved, sheet
 

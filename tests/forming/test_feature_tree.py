@@ -9,9 +9,8 @@ from shapely.geometry import Point, Polygon
 
 from planner.forming.features.surface import plan_area
 from planner.forming.features.tree import FeatureTree, build, given, in_place, on_virgin_sheet
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import TandemError
-from planner.problem import Mesh
 from tests.forming.nests import Nest, dome, frustum, over, random_nest, revolved, sheet
 
 STEPS = (1e-3, 5e-4, 1e-4)

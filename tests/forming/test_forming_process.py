@@ -31,8 +31,9 @@ from planner.claims.forming import (
 from planner.claims.segments import Segment
 from planner.forming.features.pass_shape import joined, polygons, triangulated
 from planner.forming.process_plan import Work, work
+from planner.geometry.arrays import Mesh
 from planner.issues import Severity, TandemError
-from planner.problem import Mesh, Problem
+from planner.problem import Problem
 from planner.reading.sheet import CLAMP_BARS
 from planner.targets import Targets
 from planner.units import DEG, MM

@@ -12,10 +12,9 @@ from planner.forming.features.pass_shape import with_ring
 from planner.forming.features.tree import on_virgin_sheet
 from planner.forming.passes import pass_angles, pass_issues, passes
 from planner.forming.sheet_mechanics import by_corner, steepest, thickness_map, thinnest, wall_angle_map
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.mesh import TriangleMesh, check_surface, face_areas, face_normals
 from planner.issues import Severity, TandemError
-from planner.problem import Mesh
 from tests.forming import nests
 from tests.forming.shapes import T0, bowl, cone, operation, pit, revolved, star, tree_of, upside_down
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planner.geometry.arrays import Ruled
 from planner.geometry.curves import Guide, polyline, rolled, spline, turned, with_corners
 from planner.geometry.matching import Match, aligned, join
-from planner.problem import Ruled
 
 TIP = np.array([0.03, -0.02, 0.4])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import outward, outward_sides, points, resample, runs, tessellate
-from planner.problem import Ruled
 
 
 def smooth(count: int) -> np.ndarray:

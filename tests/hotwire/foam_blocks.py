@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from planner.geometry.arrays import Ruled
 from planner.hotwire.operation import Straight
-from planner.problem import Arm, Cell, Controller, Part, Ruled, Setup, Stock
+from planner.problem import Arm, Cell, Controller, Part, Setup, Stock
 from planner.tooling import bow, gripper_plate, wire_holder
 
 SIZE = (0.30, 0.20, 0.10)

@@ -13,10 +13,10 @@ from scipy.interpolate import CubicSpline
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, WireJoins
 from planner.claims.dialogue import OperatorDialogue
 from planner.claims.segments import Segment
+from planner.geometry.arrays import Mesh
 from planner.geometry.rigid import interpolate, inverse
 from planner.hotwire.elastic import job
 from planner.hotwire.elastic.path import Wires, driven
-from planner.problem import Mesh
 from planner.targets import ScrewFreedom, TableFreedom, Targets
 from tests.hotwire import panels
 

@@ -11,9 +11,10 @@ import pytest
 import trimesh
 
 from planner.claims.claim import OneOf, WireJoins
+from planner.geometry.arrays import Mesh
 from planner.hotwire.elastic.job import ElasticJob
 from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Part, Setup
+from planner.problem import Part, Setup
 from planner.reading import materials
 from planner.reading.materials import WireFile, WiresFile
 from planner.targets import Targets

@@ -19,11 +19,12 @@ from planner.claims.claim import (
 )
 from planner.claims.dialogue import OperatorDialogue
 from planner.claims.segments import Segment
+from planner.geometry.arrays import Ruled
 from planner.geometry.rigid import Shape, exp_twist, from_rpy, interpolate, inverse, transform
 from planner.hotwire.straight import job
 from planner.hotwire.straight.order import distance_to_polyline
 from planner.issues import Severity
-from planner.problem import Part, Ruled, Stock
+from planner.problem import Part, Stock
 from planner.processes import PROCESSES
 from planner.targets import FEED_SHARE, ScrewFreedom, Targets
 from tests.hotwire import foam_blocks as blocks

@@ -11,6 +11,7 @@ from scipy.optimize import root
 
 from planner.catalogue.materials import ROOM_TEMPERATURE, foams
 from planner.claims.claim import KerfCurve
+from planner.geometry.arrays import Ruled
 from planner.geometry.matching import Match
 from planner.geometry.rulings import resample
 from planner.geometry.wing import Panel, naca, wing_surface
@@ -18,7 +19,6 @@ from planner.hotwire.kerf import width as kerf_width
 from planner.hotwire.straight import job as straight_job
 from planner.hotwire.straight.offset import beside, end_speeds, make_row
 from planner.issues import Issue, TandemError
-from planner.problem import Ruled
 from planner.targets import FEED_SHARE
 from tests.hotwire import foam_blocks as blocks
 

@@ -11,10 +11,11 @@ import shapely
 from pydantic import ValidationError
 
 from planner.catalogue.materials import foams
+from planner.geometry.arrays import Ruled
 from planner.hotwire.operation import Straight
 from planner.hotwire.straight import job
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Part, Ruled, Setup, Stock
+from planner.problem import Part, Setup, Stock
 from tests.hotwire import foam_blocks as blocks
 
 SQUARE = blocks.prism("sq", [(-0.02, 0.03), (-0.02, 0.07), (0.02, 0.07), (0.02, 0.03)], closed=True)

@@ -8,6 +8,7 @@ import shapely
 from scipy.optimize import brentq
 
 from planner.claims.claim import KerfCurve
+from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import resample
 from planner.hotwire.straight.offset import Beside, beside, end_speeds, make_row
 from planner.hotwire.straight.order import (
@@ -19,7 +20,6 @@ from planner.hotwire.straight.order import (
     grown,
     move_across,
 )
-from planner.problem import Ruled
 from tests.hotwire import foam_blocks as blocks
 
 BOX = np.array([[-0.3, -0.1, -0.3], [0.3, 0.1, 0.3]])

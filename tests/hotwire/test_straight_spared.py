@@ -7,10 +7,11 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
+from planner.geometry.arrays import Ruled
 from planner.hotwire.straight import job
 from planner.hotwire.straight.order import depths, wanted
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Part, Ruled
+from planner.problem import Part
 from tests.hotwire import foam_blocks as blocks
 
 HALF = 0.00075

@@ -15,6 +15,7 @@ import planner
 from planner.catalogue import materials
 from planner.claims.claim import SlitsAllowed
 from planner.claims.wire_physics import rectangle_torsion, slot, stiffness
+from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import resample
 from planner.hotwire import claims, wire
 from planner.hotwire.claims import claimed, nesting
@@ -23,7 +24,6 @@ from planner.hotwire.operation import SurfaceCut
 from planner.hotwire.straight.cut import choose
 from planner.hotwire.straight.order import depths, wanted
 from planner.issues import TandemError
-from planner.problem import Ruled
 from planner.reading import materials as material_file
 from planner.verify.wire.slits import BLOCK_DIAGONAL_SHARE, CONTOUR_SHARE, SLIT_LENGTH_FACTOR, Section
 from tests.hotwire import foam_blocks as blocks

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from planner.geometry.arrays import Ruled
 from planner.milling import flank
 from planner.milling.flank import Strip, strips
 from planner.milling.point_cut import ridge_step, tips
-from planner.problem import Ruled
 from planner.tooling import Cutter
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from planner import processes
 from planner.claims.milling import MillsSurface
+from planner.geometry.arrays import Mesh
 from planner.milling import face as milling_face
 from planner.milling.process_plan import work
-from planner.problem import Mesh
 from tests.milling.small_mill import BALL, PANEL, problem
 from tests.verify.test_rules_milling import Job
 

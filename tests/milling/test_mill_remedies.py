@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from planner.geometry.arrays import Mesh
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, Severity
 from planner.milling import face
-from planner.problem import Mesh
 from tests.remedy_rows import lay
 from tests.remedy_rows_milling import arc, walls
 from tests.test_remedies import Said

@@ -10,9 +10,8 @@ import pytest
 from planner import processes
 from planner.claims.milling import SparesPart
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.milling import check
-from planner.problem import Mesh
 from planner.tooling import Cutter
 from planner.verify.milling import tool_motion
 from planner.verify.milling.tool_motion import edges, near_places, rim_size, rim_step

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from shapely import LineString, Point
 
-from planner.claims import corner_rounding
-from planner.claims.claim import FollowsPoses
+from planner.geometry import corner_rounding
 from planner.motion.operation import plan_operation
 from planner.motion.trajectory import thinning
 from planner.motion.trajectory.joint_path import MOST_RAMP
@@ -99,8 +98,7 @@ def test_where_a_least_feed_is_asked_for_and_the_way_bends_short_moves_are_told(
 
 def test_poses_that_a_user_stated_and_arms_that_have_to_meet_stay():
     _, targets = s_targets(300)
-    claim = FollowsPoses("arm", "world", targets.pose["arm"], (), 1e-5, 1e-4)
-    stated = dataclasses.replace(targets, claims=(claim,))
+    stated = dataclasses.replace(targets, may_join=False)
     time = np.arange(300) * 0.005
     every = np.arange(300)
     assert len(thinning.joined(targets, targets.neutral(), time, every)) < 300

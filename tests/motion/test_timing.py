@@ -23,6 +23,7 @@ from planner.motion.trajectory.timing import (
     parameterise_drake,
 )
 from planner.problem import Settings
+from planner.targets import Targets
 from planner.verify.replay import moves as replay_moves
 from tests.motion.scenes import HIGH, one_arm, s_curve
 
@@ -185,3 +186,19 @@ def test_a_piece_that_harder_bounds_leave_without_a_clock_keeps_the_one_before(
     corner = Corners.of(spline, s[::2], np.array([0.05])).asked(np.diff(ticks.time), limits.acceleration)
     assert corner.max() <= timing.RESERVE_CORNER * (1 + 1e-9)
     assert ticks.asked[1] == pytest.approx(corner[0], rel=1e-9)
+
+
+def test_an_arm_stops_at_sharp_corners_only_where_it_may() -> None:
+    """A saw at 200 mm/s, whose corners cost far more than stops; nobody who says nothing is stopped."""
+    cell, targets = s_curve(15)
+    pose = targets.pose["arm"].copy()
+    pose[:, :2, 3] = np.stack([0.5 + 0.02 * (np.arange(15) % 2), 0.01 * np.arange(15) - 0.07], axis=1)
+    travel = np.append(0.0, np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1))
+    saw = dataclasses.replace(targets, pose={"arm": pose}, travel=travel, feed=np.full(15, 0.2))
+    assert not Targets.may_stop and not Targets.may_join and Targets.feed_throughout
+    stopped, passed = (
+        plan_operation("saw", cell, dataclasses.replace(saw, may_stop=may), Settings(), HIGH)
+        for may in (True, False)
+    )
+    assert stopped.targets.stop.sum() > 10 and passed.targets.stop.sum() == 2
+    assert stopped.time[-1] < 0.8 * passed.time[-1]

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 
 import numpy as np
 import pytest
 
-from planner.claims import corner_rounding
-from planner.claims.claim import CutsSurface, KerfCurve, StraightWire
-from planner.claims.milling import MillsAlong, SparesPart
+from planner.claims.forming import FormsSheet
+from planner.claims.milling import MillsProgram, SparesPart
 from planner.claims.segments import Segment
+from planner.forming import job as forming_job
+from planner.geometry import corner_rounding
+from planner.hotwire.straight import job as straight_job
+from planner.milling import job as milling_job
 from planner.post.krl import linear_moves
 from planner.post.rapid import syntax as rapid_syntax
+from planner.targets import Rounding, lever
 from planner.tooling import bow
+from tests.hotwire import foam_blocks
 from tests.post import synthetic
 from tests.post.reading import moves, numbers, programs
+
+FACE = (np.zeros((3, 3)), np.array([[0, 1, 2]]))
 
 
 def test_zones_take_at_most_half_a_segment():
@@ -96,23 +102,29 @@ def test_a_tool_that_only_gets_faster_has_all_of_its_moves_for_zones():
 
 def test_a_cutter_may_spin_as_its_way_asks():
     """Its spin is worth 4 mm/rad, its lean 100 where a surface is claimed, else what its angle allows."""
-    way = MillsAlong(
-        Segment.read("mill/a"), "left", np.zeros((2, 3)), np.zeros((2, 3)), np.ones(2), 2e-4, 0.01
-    )
-    job = synthetic.problem(("left",))
-    labels = ["approach", "mill/a", "mill/a", "retreat"]
-    made = synthetic.operation(job, {"left": synthetic.sweep(4)}, labels, actions=(), coupled=False).targets
-    alone = dataclasses.replace(made, claims=(way,))
+    way = MillsProgram("a", "left", None, None, 2e-4, 0.01, True)
     allowed = 0.15 * 0.2  # mm: a share of its tolerance
     lean = allowed / (0.15 * 0.01)
     spin = 100.0 * allowed / 0.5
-    assert corner_rounding.levers(alone, "left", synthetic.tool()) == pytest.approx([lean, lean, spin])
-    spared = SparesPart(
-        (Segment.read("mill/a"),), "left", None, np.zeros((3, 3)), np.array([[0, 1, 2]]), 0.0, 2e-4
-    )
-    both = dataclasses.replace(made, claims=(way, spared))
-    assert corner_rounding.levers(both, "left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
-    assert corner_rounding.levers(made, "left", synthetic.tool()) == pytest.approx([100.0] * 3)
+    alone = milling_job.rounding((way,))
+    assert 1e3 * alone.turning("left", synthetic.tool()) == pytest.approx([lean, lean, spin])
+    assert 1e3 * alone.work == pytest.approx(allowed) and alone.air == alone.entry == Rounding.air
+    spared = SparesPart((Segment.read("mill/a"),), "left", None, *FACE, 0.0, 2e-4)
+    both = milling_job.rounding((way, spared))
+    assert 1e3 * both.turning("left", synthetic.tool()) == pytest.approx([100.0, 100.0, spin])
+    assert 1e3 * both.turning("right", synthetic.tool()) == pytest.approx([100.0] * 3)
+    assert alone.curves == {"left": ((0.0, 1e-4),)}
+    assert both.curves == {"left": ((0.0, 1e-4), (0.0, 0.75 * 2e-4))}
+
+
+def test_a_tight_cutter_takes_half_of_what_is_allowed_and_a_ball_its_share():
+    tight = milling_job.rounding((MillsProgram("a", "left", None, None, 2e-5, 0.01, True),))
+    assert (tight.work, tight.entry, tight.air) == pytest.approx((1e-5, 1e-5, 1e-5))
+    for gouge, share in ((3e-5, 0.4), (1e-3, 0.02)):
+        face = FormsSheet(Segment.read("form/a"), "left", 1, 0.005, *FACE, 0.0, 0.0, gouge, 1e-3, 0.9)
+        made = forming_job.rounding((face,))
+        assert (made.work, made.entry, made.air) == pytest.approx((share * gouge,) * 3)
+    assert forming_job.rounding(()) == Rounding()
 
 
 def test_sizes_of_zones_are_no_farther_apart_than_the_clock_counts_with():
@@ -157,7 +169,7 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
     turn = np.concatenate([still, turned])
     duration = np.where(np.arange(20) == 10, 40.0, 0.5)
     reach, reach_turn = corner_rounding.room(
-        way, turn, duration, np.arange(20) == 19, corner_rounding.lever(bow(span=0.65))
+        way, turn, duration, np.arange(20) == 19, 1e3 * lever(bow(span=0.65))
     )
     assert (reach[:19] > 0.0).all() and reach[19] == 0.0
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
@@ -171,12 +183,8 @@ def test_a_wire_turns_a_sharp_corner_in_foam_without_a_stop():
 
 
 def test_turning_counts_at_the_end_of_the_wire():
-    assert corner_rounding.lever(bow(span=0.65)) == pytest.approx(325.0)
-    assert (
-        corner_rounding.lever(bow(span=0.1))
-        == corner_rounding.TURNING_LEVER_MM
-        == corner_rounding.lever(synthetic.tool())
-    )
+    assert lever(bow(span=0.65)) == pytest.approx(0.325)
+    assert lever(bow(span=0.1)) == 1e-3 * corner_rounding.TURNING_LEVER_MM == lever(synthetic.tool())
 
 
 def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
@@ -193,20 +201,14 @@ def test_a_corner_without_room_for_a_zone_is_passed_all_the_same():
 
 def test_a_straight_wire_turns_wider_in_the_air_than_in_the_foam():
     """0.5 mm in the air, 15 % of 0.3 mm at and beside cuts; whatever else keeps to 0.02 mm everywhere."""
-    surface = CutsSurface(
-        Segment.read("cut/a"), np.zeros((3, 3)), np.array([[0, 1, 2]]), KerfCurve.constant(1e-3), 3e-4
-    )
-    wire = StraightWire("left", np.zeros(3), np.ones(3), 2e-4, 0.02)
-    job = synthetic.problem(("left",))
-    labels = ["approach", "approach", "approach", "cut/a", "cut/a", "link", "link"]
-    made = synthetic.operation(job, {"left": synthetic.sweep(7)}, labels, actions=(), coupled=False).targets
-    straight = dataclasses.replace(made, claims=(wire, surface))
+    labels = ["approach", "approach", "cut/a", "cut/a", "link", "link"]
+    segments = [Segment.read(label) for label in labels]
+    wire = straight_job.rounding(foam_blocks.operation(shape_tol_mm=0.3))
     expected = [0.5, 0.045, 0.045, 0.045, 0.5, 0.5]
-    np.testing.assert_allclose(corner_rounding.deviations(straight, made.segment[1:]), expected)
-    for other in (made, dataclasses.replace(straight, coupled=True)):
-        np.testing.assert_allclose(
-            corner_rounding.deviations(other, made.segment[1:]), corner_rounding.CORNER_DEVIATION_MM
-        )
+    np.testing.assert_allclose(1e3 * wire.deviations(segments), expected)
+    np.testing.assert_allclose(
+        1e3 * Rounding().deviations(segments), corner_rounding.CORNER_DEVIATION_MM, rtol=1e-12
+    )
     position = np.stack([np.arange(7.0) * 3.0, np.abs(np.arange(7.0) - 3.0), np.zeros(7)], axis=1)
     still, even = np.tile([1.0, 0, 0, 0], (7, 1)), np.full(6, 0.1)
     reach, _ = corner_rounding.room(position, still, even, np.arange(6) == 5, 100.0, np.array(expected))

@@ -10,7 +10,8 @@ import pytest
 from planner.claims import dialogue
 from planner.claims.dialogue import PartnerSignals
 from planner.post import handshake, write
-from tests.post import krl_job
+from planner.targets import Action
+from tests.post import krl_job, synthetic
 from tests.verify import handshake_job
 
 KUKA, ABB = "kr10_r1100", "irb140"
@@ -97,3 +98,18 @@ def test_every_text_on_the_running_wire_is_in_some_program(text):
     given = " ".join(re.sub(r"[^\w .:]", "", "\n".join(files).replace("TPWrite", "")).split())
     words = text.format(other="right", input="diPartnerRunning")
     assert " ".join(re.sub(r"[^\w .:]", "", words).split()) in given
+
+
+def test_a_signal_that_powers_nothing_is_no_matter_of_the_controller():
+    """A pulse that asks for one step is not switched off when a program breaks off."""
+    job = synthetic.problem(("left",))
+    found = {}
+    for powers in (True, False):
+        actions = [Action(0, kind, signal="doStep", powers=powers) for kind in ("on", "off")]
+        made = synthetic.operation(
+            job, {"left": synthetic.sweep(4)}, ["cut/a"] * 4, actions=actions, coupled=False
+        )
+        texts = write.programs(synthetic.plan(made), job)
+        found[powers] = {name for name in texts if name.startswith("controller/")}
+        assert any("doStep" in text for text in texts.values())
+    assert found[True] and not found[False]

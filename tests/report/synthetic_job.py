@@ -11,10 +11,11 @@ from planner.catalogue import robots
 from planner.cell import kinematics
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, KerfCurve, WireJoins
 from planner.claims.segments import Segment
+from planner.geometry.arrays import Mesh
 from planner.geometry.rigid import Shape, from_rpy, inverse, log_pose
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Cell, Controller, Mesh, Obstacle, Part, Problem, Settings, Stock
+from planner.problem import Arm, Cell, Controller, Obstacle, Part, Problem, Settings, Stock
 from planner.targets import Action, Edge, ScrewFreedom, Targets
 from planner.tooling import PlainTool
 from planner.verify.result import CutFace, Proof, RuleResult

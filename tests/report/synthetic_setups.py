@@ -12,10 +12,11 @@ from planner.catalogue.robots import robot
 from planner.cell.kinematics import forward
 from planner.claims.claim import ContactOnlyIn, CutsSurface, FeedWindow, HoldsStock, KerfCurve, StraightWire
 from planner.claims.segments import Segment
+from planner.geometry.arrays import Ruled
 from planner.geometry.rigid import from_parts, from_rpy, inverse
 from planner.issues import Issue, Severity
 from planner.plans import OperationPlan, Plan
-from planner.problem import Arm, Change, Part, Problem, Ruled, Setup, Stock
+from planner.problem import Arm, Change, Part, Problem, Setup, Stock
 from planner.targets import Action, Targets
 from planner.tooling import bow, gripper_plate
 

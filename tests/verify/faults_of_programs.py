@@ -241,7 +241,7 @@ RAPID: Final = (
     Fault(
         "post_corners_wide",
         "flank_rough",
-        {"claims.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
+        {"geometry.corner_rounding:room": result(lambda r: tuple(8.0 * v for v in r))},
     ),
     Fault("post_joints_degrees", "posed", {"post.rapid.syntax:jointtarget": given(0, np.deg2rad)}),
     Fault(

@@ -11,9 +11,9 @@ import pytest
 from planner import pipeline, processes
 from planner.claims.forming import FormsByTable
 from planner.forming.paths.adsif_response import BUILT_IN
+from planner.geometry.arrays import Mesh
 from planner.motion import solve
 from planner.post import write
-from planner.problem import Mesh
 from planner.verify.forming import accumulative
 from planner.verify.prove import Prover
 from tests import line_ends, small_forming

@@ -79,10 +79,7 @@ def test_plans_leave_room_where_blocks_are_asked_for():
     roomy, targets = solve.with_room(problem, [operation.targets])
     assert roomy.settings.clearance > problem.settings.clearance
     assert targets == (operation.targets,)  # feeds of poses are kept by their times
-    fed = dataclasses.replace(
-        operation.targets,
-        claims=(*operation.targets.claims, FeedWindow(operation.targets.segment[1], 0.0, 0.04)),
-    )
+    fed = dataclasses.replace(operation.targets, feed_throughout=True)
     _, (slower,) = solve.with_room(problem, [fed])
     share = fed.feed / np.where(slower.feed > 0.0, slower.feed, 1.0)
     assert share[10:-10] == pytest.approx(solve.SPLINE_SLOWING_FACTOR)

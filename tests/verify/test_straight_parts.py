@@ -11,8 +11,9 @@ import trimesh
 
 from planner.claims.claim import CutsSurface, FollowsRulings, KerfCurve, KerfWithin, StraightWire
 from planner.claims.segments import Segment
+from planner.geometry.arrays import Ruled
 from planner.geometry.rulings import tessellate
-from planner.problem import Ruled, Stock
+from planner.problem import Stock
 from planner.verify.context import Context
 from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.setups import letters

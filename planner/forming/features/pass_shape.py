@@ -20,9 +20,8 @@ import shapely
 
 from planner.forming.features.surface import SheetSurface, signed_plan_areas, slice_levels
 from planner.forming.features.tree import FeatureTree
-from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.arrays import BoolArray, FloatArray, IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, face_normals
-from planner.problem import Mesh
 
 RING: Final = 0.03
 """Width [m] of the flat that is kept around a feature."""

@@ -52,9 +52,8 @@ from planner.forming.features.surface import (
     where,
 )
 from planner.forming.features.walls import Wall, skeleton, walls
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Mesh
 from planner.units import MM
 
 NOISE: Final = 50e-6

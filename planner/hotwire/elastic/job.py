@@ -21,7 +21,7 @@ import numpy as np
 from planner.claims import dialogue
 from planner.claims.claim import Claim, KerfCurve
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.geometry.mesh import TriangleMesh, offset
 from planner.geometry.rigid import from_parts
 from planner.hotwire import claims
@@ -51,7 +51,7 @@ from planner.hotwire.elastic.wire_choice import Attempt, choose, sweep_notes
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
-from planner.problem import Mesh, Part, Setup, Stock
+from planner.problem import Part, Setup, Stock
 from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
@@ -486,6 +486,7 @@ def _targets(
         claims=claims,
         exhibits=pictures,
         issues=aggregate(issues),
+        may_join=True,
     )
 
 

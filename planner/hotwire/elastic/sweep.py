@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from trimesh.intersections import slice_faces_plane
 
-from planner.geometry.arrays import IntArray
+from planner.geometry.arrays import IntArray, Mesh
 from planner.geometry.mesh import TriangleMesh, face_areas, face_normals, merge, offset
 from planner.hotwire import wire as wires
 from planner.hotwire.elastic.family import SectionSet, Spine, cut_sections, direction_of, make_spine
@@ -22,7 +22,7 @@ from planner.hotwire.elastica.clamped import STABLE
 from planner.hotwire.elastica.fit import CurveFit, fit_curves
 from planner.hotwire.elastica.heavy import end_sensitivity
 from planner.hotwire.operation import ElasticWire
-from planner.problem import Mesh, Setup
+from planner.problem import Setup
 from planner.reading.materials import WireFile
 from planner.units import MM
 

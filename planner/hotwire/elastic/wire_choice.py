@@ -11,13 +11,14 @@ from typing import Final
 
 import numpy as np
 
+from planner.geometry.arrays import Mesh
 from planner.hotwire.elastic.check import Cut, Figures
 from planner.hotwire.elastic.path import Route
 from planner.hotwire.elastic.sweep import BENT, CANDIDATES, STRAIGHT, Screen, Sweep, ranked
 from planner.hotwire.operation import ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, Severity, TandemError
-from planner.problem import Mesh, Setup
+from planner.problem import Setup
 from planner.reading.materials import WireFile
 from planner.units import MM
 

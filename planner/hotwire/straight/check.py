@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from planner.claims.segments import Segment
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Ruled
 from planner.geometry.rigid import Shape, corners, inverse, transform
 from planner.hotwire.kerf import width as kerfs
 from planner.hotwire.kerf.width import KerfFlag, explain
@@ -28,7 +28,7 @@ from planner.hotwire.straight.order import (
     place_text,
 )
 from planner.issues import Issue, Severity
-from planner.problem import Part, Ruled, Setup
+from planner.problem import Part, Setup
 from planner.reading import grip_choice
 from planner.tooling import Bow
 from planner.units import MM

@@ -13,12 +13,11 @@ import numpy as np
 import shapely
 
 from planner.claims.claim import KerfCurve
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
 from planner.geometry.rulings import outward_sides, resample
 from planner.hotwire.operation import Straight, SurfaceCut, TrimCut
 from planner.hotwire.straight.offset import VERTEX_TURN, Beside, Row, followed, make_row
 from planner.hotwire.straight.order import Lines, Wanted, exit_length, fastest, grown, join
-from planner.problem import Ruled
 from planner.targets import FEED_SHARE
 from planner.units import MM
 

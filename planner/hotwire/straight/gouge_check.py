@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from planner.geometry.arrays import BoolArray, FloatArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, Ruled, dots
 from planner.geometry.rulings import resample, tessellate
 from planner.hotwire.operation import Straight, SurfaceCut
 from planner.hotwire.straight.cut import Cut
@@ -32,7 +32,6 @@ from planner.hotwire.straight.order import (
     section,
 )
 from planner.issues import Issue
-from planner.problem import Ruled
 from planner.units import MM
 
 GRAZE: Final = 0.3

@@ -32,7 +32,7 @@ from planner.hotwire.straight.route import Route, actions, check_drops, lay_out
 from planner.hotwire.straight.slot_check import check_driven, check_heat, check_inner, check_passed
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Part, Setup, Stock
-from planner.targets import Freedom, Job, ScrewFreedom, Targets
+from planner.targets import Freedom, Job, Rounding, ScrewFreedom, Targets
 from planner.tooling import Bow
 from planner.units import DEG, MM
 
@@ -417,7 +417,22 @@ def _targets(
         claims=claims,
         exhibits=exhibits(op, bow, cuts),
         issues=aggregate(issues),
+        rounding=rounding(op),
+        may_join=True,
     )
+
+
+AIR_DEVIATION_MM: Final = 0.5
+"""How far [mm] a straight wire may pass a target in the air: slower turns, and still far within any
+clearance."""
+ROUNDED_SHARE: Final = 0.15
+"""Part of a surface's tolerance that rounded corners may take, where it is more than they take anyway."""
+
+
+def rounding(op: Straight) -> Rounding:
+    """A straight wire is free in the air; in the foam, and on the way into it, the surfaces bound it."""
+    foam = max(Rounding.work, ROUNDED_SHARE * op.shape_tol_mm * MM)
+    return Rounding(foam, foam, AIR_DEVIATION_MM * MM)
 
 
 def _feeds(op: Straight, todo: list[Wanted], route: Route) -> FloatArray:

@@ -25,10 +25,9 @@ import shapely
 from scipy.spatial import cKDTree
 
 from planner.claims.claim import KerfCurve
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled
 from planner.geometry.rulings import outward_sides
 from planner.hotwire.straight.order import Lines, chord, distance_to_polyline, fastest, join, move_across
-from planner.problem import Ruled
 
 Damping = tuple[tuple[float, int], ...]
 

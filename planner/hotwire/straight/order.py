@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 
 from planner.claims.segments import Segment, clash
-from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
+from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, Ruled, dots
 from planner.hotwire.operation import SIDES, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
-from planner.problem import Part, Ruled, Setup, Stock
+from planner.problem import Part, Setup, Stock
 from planner.tooling import Bow
 from planner.units import MM
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.claims import corner_rounding
+from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
 from planner.geometry.rigid import inverse, to_quaternion
-from planner.motion.plain_toppra import LinearConstraint
 from planner.motion.scene import Scene, holders
 from planner.targets import Targets
 from planner.units import MM
@@ -192,12 +191,12 @@ def corner_shares(scene: Scene, targets: Targets, samples: Dense, duration: Floa
     moves to the targets whose times are in proportion to ``duration`` (N,)."""
     rows = np.flatnonzero(samples.share == 1.0)
     poses = {arm: scene.chains[arm].pose(samples.q[arm][rows]) for arm in targets.arms}
-    deviation = corner_rounding.deviations(targets, targets.segment[1:])
+    deviation = 1e3 * targets.rounding.deviations(targets.segment[1:])
     zone, own = np.full((2, targets.count), MOST_CORNER_SHARE)
     for arm, pose in in_work_frames(targets, poses).items():
         levers: FloatArray = np.full(3, corner_rounding.TURNING_LEVER_MM)
         if scene.model is not None:
-            levers = corner_rounding.levers(targets, arm, scene.model.cell.arm(arm).tool)
+            levers = 1e3 * targets.rounding.turning(arm, scene.model.cell.arm(arm).tool)
         quaternion = to_quaternion(pose[:, :3, :3])
         found = corner_rounding.shares(pose[:, :3, 3] / MM, quaternion, duration[1:], levers, deviation)
         zone[1:-1] = np.minimum(zone[1:-1], found[0])
@@ -296,24 +295,19 @@ class Corners:
         return 0.5 * (self.before + self.after) * middle / window, (self.after - self.before) / window
 
 
-class CornerConstraint(LinearConstraint):  # type: ignore[misc]
+@dataclasses.dataclass(frozen=True)
+class CornerLimits:
     """Accelerations within ``acceleration`` (J,) at corners: ``slope`` u + ``bend`` x, (G, J) each at the
-    grid points; rows of zeros ask for nothing."""
+    grid points, with the path's acceleration u and squared speed x; rows of zeros ask for nothing."""
 
-    def __init__(self, slope: FloatArray, bend: FloatArray, acceleration: FloatArray) -> None:
-        super().__init__()
-        self._slope, self._bend = slope, bend
-        eye = np.eye(len(acceleration))
-        self._rows, self._most = np.concatenate([eye, -eye]), np.concatenate([acceleration, acceleration])
-        self.identical = True
-
-    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
-        return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._most, None, None
+    slope: FloatArray
+    bend: FloatArray
+    acceleration: FloatArray
 
 
 def on_grid(
     corners: Corners, knots: FloatArray, grid: FloatArray, weaker: FloatArray, acceleration: FloatArray
-) -> CornerConstraint:
+) -> CornerLimits:
     """What the corners ask for at the grid points (G,): each half of a move by the corner next to it, and
     nothing in moves from and to stops, which are ramps. ``weaker`` (n,) divides the limits of the corners."""
     slope, bend = corners.demand()
@@ -322,4 +316,4 @@ def on_grid(
     near = np.searchsorted(middle, grid)
     apart = (grid >= inner[0]) & (grid <= inner[-1])
     scale = np.where(apart, weaker[near], 0.0)[:, None]
-    return CornerConstraint(slope[near] * scale, bend[near] * scale, acceleration)
+    return CornerLimits(slope[near] * scale, bend[near] * scale, acceleration)

@@ -17,7 +17,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from planner.claims.claim import StraightWire
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import log_rotation
 from planner.issues import Issue, Severity, TandemError, aggregate
@@ -240,11 +239,10 @@ def clocked_with_stops(
 
 
 def _sharp_corners(targets: Targets, ticks: Clock, limits: Limits) -> BoolArray:
-    """Sharp corners (N,) between moves that crawl, where one arm alone is at work and may stand still: not
-    with a hot wire, nor where a least feed is asked for."""
+    """Sharp corners (N,) between moves that crawl, where one arm alone is at work and may stop: not where a
+    least feed is asked for."""
     out = np.zeros(targets.count, dtype=bool)
-    wire = any(isinstance(claim, StraightWire) for claim in targets.claims)
-    if wire or targets.coupled or len(targets.arms) > 1:
+    if not targets.may_stop or targets.coupled or len(targets.arms) > 1:
         return out
     took, least = np.diff(ticks.time, prepend=0.0), limits.least_time
     crawls = took[1:-1] + took[2:] > CRAWL_FACTOR * (least[1:-1] + least[2:])

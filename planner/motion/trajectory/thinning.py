@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims import corner_rounding
-from planner.claims.claim import FollowsPoses, FollowsTable
+from planner.geometry import corner_rounding
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, lengths
 from planner.geometry.rigid import interpolate, log_rotation
 from planner.issues import Issue, Severity
@@ -25,7 +24,7 @@ from planner.units import MM
 LEAST_MOVE_TIME_S: Final = 0.04
 """Least time of a move [s] that controllers take gladly,"""
 LEAST_MOVE_WAY_MM: Final = 0.2
-"""and its least way [mm]; turning counts by :data:`planner.claims.corner_rounding.TURNING_LEVER_MM`."""
+"""and its least way [mm]; turning counts by :data:`planner.geometry.corner_rounding.TURNING_LEVER_MM`."""
 WANTED_TIME_FACTOR: Final = 1.25
 """Moves are joined until they last so many times the least time: the clock is worked out anew then."""
 MOST_SLOWING_FACTOR: Final = 2.5
@@ -47,10 +46,10 @@ def joined(targets: Targets, values: FloatArray, time: FloatArray, kept: IndexAr
 
     ``time`` (K,) [s] is the clock of the kept ones. No target is farther off the joined moves than a corner
     may be, along the way too, nor do two TCPs stand to each other otherwise than by ``targets.apart``, or by
-    ``targets.ahead`` with one a move ahead. Poses that a user stated stay, and so do stops, actions and the
-    ends of segments.
+    ``targets.ahead`` with one a move ahead. Targets that may not be joined stay, and so do stops, actions and
+    the ends of segments.
     """
-    if _stated(targets) or (len(targets.arms) > 1 and targets.apart <= 0.0):
+    if not targets.may_join or (len(targets.arms) > 1 and targets.apart <= 0.0):
         return kept
     brief = short(subset(targets, kept), values[kept], time)
     if not brief.any():
@@ -120,8 +119,8 @@ def picked(targets: Targets, kept: IndexArray) -> Targets:
 
 def slowed(targets: Targets, least: FloatArray) -> FloatArray:
     """Least times (N,) [s] by which short moves take longer than ``least`` (N,) [s] where no least feed is
-    asked for, unless poses and their pace are a user's own."""
-    free = (targets.feed_min == 0.0) & (not _stated(targets))
+    asked for, if short moves may be made longer at all."""
+    free = (targets.feed_min == 0.0) & targets.may_join
     return np.where(
         free, np.maximum(least, np.minimum(LEAST_MOVE_TIME_S, MOST_SLOWING_FACTOR * least)), least
     )
@@ -165,8 +164,8 @@ class _Line:
     def __init__(self, targets: Targets, values: FloatArray) -> None:
         self.poses = targets.poses(values)
         self.along = np.cumsum(_ways(targets, values))
-        off = corner_rounding.deviations(targets, targets.segment)
-        self.allowed = MM * np.minimum(off, corner_rounding.CORNER_DEVIATION_MM)
+        off = targets.rounding.deviations(targets.segment)
+        self.allowed = np.minimum(off, corner_rounding.CORNER_DEVIATION_MM * MM)
         self.apart, self.ahead = targets.apart, targets.ahead
 
     def way(self, first: int, last: int) -> float:
@@ -210,11 +209,6 @@ def _ways(targets: Targets, values: FloatArray) -> FloatArray:
         turn = log_rotation(np.swapaxes(pose[:-1, :3, :3], -1, -2) @ pose[1:, :3, :3])
         out[1:] = np.maximum(out[1:], moved + corner_rounding.TURNING_LEVER_MM * lengths(turn))
     return out
-
-
-def _stated(targets: Targets) -> bool:
-    """Whether a user stated the poses themselves."""
-    return any(isinstance(claim, FollowsTable | FollowsPoses) for claim in targets.claims)
 
 
 def _fixed(targets: Targets) -> BoolArray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from pydrake.multibody.optimization import Toppra
@@ -20,15 +20,8 @@ from pydrake.trajectories import PiecewisePolynomial
 from scipy.interpolate import CubicSpline
 
 from planner.geometry.arrays import FloatArray
-from planner.motion.plain_toppra import (
-    TOPPRA,
-    AbstractGeometricPath,
-    DiscretizationType,
-    JointAccelerationConstraint,
-    LinearConstraint,
-)
 from planner.motion.trajectory.joint_path import (
-    CornerConstraint,
+    CornerLimits,
     Corners,
     JointPath,
     from_stop_to_stop,
@@ -234,7 +227,7 @@ def _piece(
     speed, acceleration = RESERVE * limits.speed, RESERVE_ACCELERATION * limits.acceleration
     corners = Corners.of(spline, knots, limits.rounded[first + 1 : last])
     weaker = np.ones(len(knots) - 2)
-    held: CornerConstraint | None = None
+    held: CornerLimits | None = None
     rounds = 0
     slower: tuple[FloatArray, FloatArray, Profile, str] | None = None
     while True:
@@ -281,61 +274,23 @@ def parameterise(
     bound: FloatArray,
     speed: FloatArray,
     acceleration: FloatArray,
-    corners: CornerConstraint | None = None,
+    corners: CornerLimits | None = None,
 ) -> tuple[Profile | None, str]:
     """Fastest profile over ``grid`` (G,) with path speed below ``bound`` (G,), at rest at both ends.
 
     ``speed`` and ``acceleration`` (J,) are joint limits, ``corners`` what is to hold besides, which Drake's
     solver does not know. The second value names the solver.
     """
+    from planner.motion.trajectory.toppra_solver import path_speeds  # loads plots that few commands need
+
     with np.errstate(divide="ignore"):
         fastest = np.min(speed / np.abs(spline(grid, 1)), axis=1)
     limit = np.minimum(bound, fastest)
-    held = JointAccelerationConstraint(
-        np.stack([-acceleration, acceleration], axis=1),
-        discretization_scheme=DiscretizationType.Interpolation,
-    )
-    constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, corners]
-    solver = TOPPRA(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
-    _, found, _ = solver.compute_parameterization(0.0, 0.0)
-    if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
-        return Profile(spline, grid, np.asarray(found)), "toppra"
+    found = path_speeds(spline, grid, limit, acceleration, corners)
+    if found is not None:
+        return Profile(spline, grid, found), "toppra"
     again = parameterise_drake(spline, grid, limit, acceleration)
     return (None if again is None else Profile(spline, grid, again)), "drake"
-
-
-class _Spline(AbstractGeometricPath):  # type: ignore[misc]
-    """A scipy spline as toppra wants it."""
-
-    def __init__(self, spline: CubicSpline) -> None:
-        self._spline = spline
-
-    def __call__(self, path_positions: FloatArray, order: int = 0) -> FloatArray:
-        return np.asarray(self._spline(path_positions, order))
-
-    @property
-    def dof(self) -> int:
-        return int(self._spline.c.shape[2])
-
-    @property
-    def path_interval(self) -> FloatArray:
-        return np.array([self._spline.x[0], self._spline.x[-1]])
-
-    @property
-    def waypoints(self) -> tuple[FloatArray, FloatArray]:
-        return self._spline.x, self(self._spline.x)
-
-
-class _Bound(LinearConstraint):  # type: ignore[misc]
-    """An upper bound on the path speed at every grid point; joint speeds are one too."""
-
-    def __init__(self, limit: FloatArray) -> None:
-        super().__init__()
-        self._limit = limit
-
-    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
-        square = np.minimum(self._limit, 1e4) ** 2
-        return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
 
 
 def least_times(

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from planner.claims.corner_rounding import FINE_ZONES
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.corner_rounding import FINE_ZONES
 from planner.geometry.rigid import from_quaternion
 from planner.post.krl.syntax import ANGLE_DECIMALS, abc, rotation
 from planner.post.program import POSITION_DECIMALS, Track, short

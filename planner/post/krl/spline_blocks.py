@@ -2,7 +2,8 @@
 
 From stop to stop all moves go into one block, or none: into none where a curve through its points
 might be too far off the straight moves, or too fast, for the room that was left for that
-(:func:`planner.claims.corner_rounding.spline_off`), and where there are more points than a block may have.
+(:data:`DEVIATION_MM`, :class:`planner.targets.Rounding`), and where there are more points than a
+block may have.
 
 How far the curve of a block may be off straight moves is counted here as the writer of blocks
 counts it. docs/krl.md says which curves are meant; the proof has its own count
@@ -20,18 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from planner.catalogue.robots import robot
-from planner.claims import corner_rounding
-from planner.claims.claim import ContactOnlyIn, FeedWindow, FollowsPoses, FollowsTable
-from planner.claims.dialogue import OperatorDialogue
-from planner.claims.milling import (
-    Engraves,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    SparesPart,
-)
+from planner.claims.claim import on_straight_moves_alone
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import from_quaternion, log_rotation, to_quaternion
@@ -49,6 +39,8 @@ _Terms = tuple[FloatArray, FloatArray, FloatArray]
 
 LEVER_MM_PER_RAD: Final = 100.0
 """What a turn counts as [mm/rad]."""
+DEVIATION_MM: Final = 0.08
+"""How far [mm] the curve of a spline block may be off straight moves; the proof allows no more than 0.1."""
 MOST_TURN_RAD: Final = 0.1
 """Most that a move of a block may turn [rad]."""
 _OUTER: Final = 0.125
@@ -198,13 +190,6 @@ ASSUMED: Final = (
 """What programs with blocks rest on, for their headers."""
 
 
-KNOWN: Final = (
-    *(ContactOnlyIn, OperatorDialogue, FeedWindow, FollowsPoses, FollowsTable),
-    *(Engraves, MillsAlong, MillsFlank, MillsOver, MillsProgram, MillsSurface, SparesPart),
-)
-"""Claims that hold for the curve of a block as well, by the room that is left for it."""
-
-
 def spline_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, ...]:
     """Why a job cannot go by spline blocks, however it is planned (``post.path``)."""
     if problem.cell.controller.path != "spline":
@@ -216,7 +201,7 @@ def spline_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, .
         if data.family != "KUKA" or data.coupling is not None:
             got = f"path: spline for {arm.name} ({arm.robot}); allowed: KUKA arms without parallel rods"
             issues.append(Issue("post.path", got, field="controller.path", arm=arm.name, hint=hint))
-    kinds = dict.fromkeys(type(c).__name__ for t in made for c in t.claims if not isinstance(c, KNOWN))
+    kinds = dict.fromkeys(kind for t in made for kind in on_straight_moves_alone(t.claims))
     if kinds:
         got = f"path: spline for work that claims {', '.join(kinds)}, which is proven on straight moves alone"
         issues.append(
@@ -227,15 +212,17 @@ def spline_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issue, .
         issues.append(
             Issue("post.path", f"{got}; allowed: no least feed", field="controller.path", hint=hint)
         )
-    if changing := [str(segment) for targets in made for segment in _changing(targets)]:
-        got = f"path: spline in {changing[0]}, whose feed changes in the G-code file"
+    if changing := [(segment, targets.feed_source) for targets in made for segment in _changing(targets)]:
+        segment, source = changing[0]
+        got = f"path: spline in {segment}, whose feed changes in {source}"
         issues.append(Issue("post.path", f"{got}; allowed: one feed", field="controller.path", hint=hint))
     return tuple(issues)
 
 
 def _changing(targets: Targets) -> Iterator[Segment]:
-    """Segments of G-code files with more than one feed, moves from and to rest left out."""
-    if not any(isinstance(claim, MillsProgram) for claim in targets.claims):
+    """Segments with more than one feed where these are read place by place, moves from and to rest left
+    out."""
+    if not targets.feed_source:
         return
     moving = ~(targets.stop | np.append(True, targets.stop[:-1]))
     for segment in dict.fromkeys(segment for segment in targets.segment if segment.works):
@@ -266,9 +253,9 @@ def runs(
 ) -> list[Run]:
     """All moves of a track from stop to stop, two at least, but those in which the arm stands.
 
-    ``start``: position (3,) [mm] and A, B, C (3,) [deg] before them, as written; ``allowed``: as
-    :func:`planner.claims.corner_rounding.spline_off` says; ``fed``: whether there are feeds to keep between
-    targets.
+    ``start``: position (3,) [mm] and A, B, C (3,) [deg] before them, as written; ``allowed``: how far
+    [mm] curves may be off straight moves, at points so far [mm] from the TCP; ``fed``: whether there are
+    feeds to keep between targets.
     """
     out = []
     position = np.concatenate([start[0][None], moves.position])
@@ -411,8 +398,8 @@ def operation_blocks(task: TaskProgram, plan: Plan, data: Data) -> list[list[Run
             out.append([])
             continue
         targets = plan.operations[number].targets
-        allowed = corner_rounding.spline_off(targets, task.arm.name)
-        fed = any(isinstance(claim, FeedWindow) for claim in targets.claims)
+        curves = targets.rounding.curves.get(task.arm.name, ())
+        allowed = [(LEVER_MM_PER_RAD, DEVIATION_MM), *((1e3 * lever, 1e3 * off) for lever, off in curves)]
         start = data.start_pose(operation, q)
-        out.append(runs(own, start, operation.segments, allowed, fed))
+        out.append(runs(own, start, operation.segments, allowed, targets.feed_throughout))
     return out

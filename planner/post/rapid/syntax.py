@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.catalogue.robots import RobotData
-from planner.claims.corner_rounding import FINE_ZONES
 from planner.claims.dialogue import HEADER
 from planner.claims.segments import Segment, fold
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
+from planner.geometry.corner_rounding import FINE_ZONES
 from planner.geometry.rigid import to_quaternion
 from planner.issues import Issue, TandemError
 from planner.post.program import Part, Track, number, plain, short

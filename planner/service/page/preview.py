@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from planner import processes
-from planner.geometry.arrays import FloatArray
+from planner.geometry.arrays import FloatArray, Mesh
 from planner.issues import Issue, TandemError
-from planner.problem import Mesh, Problem
+from planner.problem import Problem
 from planner.report.raster import part_meshes
 from planner.units import MM
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from planner import pipeline
-from planner.problem import Mesh
+from planner.geometry.arrays import Mesh
 from planner.service.page import routes
 from planner.service.page.preview import bars, shapes, thinned
 from planner.service.page.routes import ROOT, STATIC

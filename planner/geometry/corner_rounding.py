@@ -1,53 +1,21 @@
 """How much of its moves a corner between two of them may round off: what a zone may take.
 
-It follows from what is claimed at the targets. The clock asks it as well as the writers of
-programs: the speed that changes at a corner changes while that is rounded off, so small zones want
-slow corners.
+How far a corner may pass its target is what a process says of its targets
+(:class:`planner.targets.Rounding`). The clock asks for the shares that follow as well as the
+writers of programs: the speed that changes at a corner changes while that is rounded off, so small
+zones want slow corners.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from planner.claims.claim import CutsSurface, StraightWire
-from planner.claims.forming import FormsSheet
-from planner.claims.milling import (
-    Engraves,
-    MillsAlong,
-    MillsFlank,
-    MillsOver,
-    MillsProgram,
-    MillsSurface,
-    SparesPart,
-)
-from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, dots, lengths
-from planner.geometry.rigid import axis_ends
-from planner.targets import Targets
-from planner.tooling import Tool, working_solid
 
-CUTTER_WAYS: Final = (MillsAlong, MillsProgram, Engraves, MillsFlank, MillsOver)
-"""Claims on the way of a cutter."""
 CORNER_DEVIATION_MM: Final = 0.02
 """How far [mm] a rounded corner may pass its target; on a smooth curve with dense targets it is less."""
-AIR_DEVIATION_MM: Final = 0.5
-"""How far [mm] a straight wire may pass a target in the air: slower turns, and still far within any
-clearance."""
-SURFACE_SHARE: Final = 0.15
-"""Part of a surface's tolerance that rounded corners of a straight wire may take, where it is more."""
-TIGHT_SHARE: Final = 0.5
-"""The same of a cutter's tolerance that is tighter than :data:`CORNER_DEVIATION_MM`."""
-FORMED_SHARE: Final = 0.4
-"""The same of what a forming ball may cut into its face."""
-SPLINE_DEVIATION_MM: Final = 0.08
-"""How far [mm] the curve of a spline block may be off straight moves; the proof allows no more than 0.1."""
-SPLINE_SHARE: Final = 0.75
-SPLINE_WAY_SHARE: Final = 0.5
-"""The same as a part of a cutter's tolerance on its surfaces, which corners then leave alone, and on ways
-that are divided by a part of it themselves."""
 TURNING_LEVER_MM: Final = 100.0
 """Turning counts as the way [mm/rad] of a point so far from the TCP at least, for what a tool holds is
 long."""
@@ -69,73 +37,6 @@ LARGEST_ZONE_DEG: Final = 1.0
 STANDING_MM: Final = 0.01
 """A TCP stands in a move that goes no farther than this [mm]: corners beside it are sized by angle."""
 _CORNER_SHARE: Final = 0.5
-
-
-def lever(tool: Tool) -> float:
-    """How far [mm] from its TCP a tool cuts: to the far end of its working solid's axis, or
-    :data:`TURNING_LEVER_MM`, also for a solid with corners."""
-    solid = working_solid(tool)
-    if solid is None or solid.vertices is not None:
-        return TURNING_LEVER_MM
-    off = axis_ends(solid) - tool.tcp[:3, 3]
-    return max(TURNING_LEVER_MM, 1e3 * float(np.linalg.norm(off, axis=1).max()))
-
-
-def levers(targets: Targets, arm: str, tool: Tool) -> FloatArray:
-    """What turning about the tool's axes x, y, z (3,) counts as [mm/rad].
-
-    :func:`lever`; but a cutter is a body of revolution that follows a way within an angle: its spin is worth
-    what a solid may move in the air, its lean, where no surface asks for more, what that angle allows.
-    """
-    along = [c for c in targets.claims if isinstance(c, CUTTER_WAYS) and c.arm == arm]
-    if not along:
-        return np.full(3, lever(tool))
-    lean, allowed = TURNING_LEVER_MM, float(deviations(targets, [Segment("mill")])[0])
-    if not any(isinstance(claim, MillsSurface | SparesPart) for claim in targets.claims):
-        lean = min(TURNING_LEVER_MM, allowed / (SURFACE_SHARE * min(claim.turn for claim in along)))
-    return np.array([lean, lean, TURNING_LEVER_MM * allowed / AIR_DEVIATION_MM])
-
-
-def deviations(targets: Targets, segments: Sequence[Segment]) -> FloatArray:
-    """How far (M,) [mm] the corners at the ends of M moves may pass their targets.
-
-    A straight wire is free in the air; in the foam, and on the way into and out of it, the surfaces bound
-    it. A cutter and a forming ball may take a share of what their surfaces allow. Whatever follows poses or
-    joins two arms keeps to :data:`CORNER_DEVIATION_MM` everywhere.
-    """
-    least = np.full(len(segments), CORNER_DEVIATION_MM)
-    formed = [c.tolerance for c in targets.claims if isinstance(c, FormsSheet)]
-    if formed:
-        return np.asarray(np.minimum(least, FORMED_SHARE * 1e3 * min(formed)))
-    milled = [c.tolerance for c in targets.claims if isinstance(c, (SparesPart, *CUTTER_WAYS))]
-    if milled:
-        tolerance = 1e3 * min(milled)
-        least = np.full(len(segments), min(CORNER_DEVIATION_MM, TIGHT_SHARE * tolerance))
-        part = max(float(least[0]), SURFACE_SHARE * tolerance)
-        return np.where(np.array([segment.works for segment in segments]), part, least)
-    if not any(isinstance(claim, StraightWire) for claim in targets.claims) or targets.coupled:
-        return least
-    surfaces = [claim.tolerance for claim in targets.claims if isinstance(claim, CutsSurface)]
-    cutting = np.array([segment.works for segment in segments])
-    foam = max(CORNER_DEVIATION_MM, 1e3 * SURFACE_SHARE * min(surfaces, default=0.0))
-    return np.where(cutting | np.append(cutting[1:], False), foam, AIR_DEVIATION_MM)
-
-
-def spline_off(targets: Targets, arm: str) -> list[tuple[float, float]]:
-    """How far [mm] the curve of a spline block may be off straight moves, at points so far [mm] from the TCP:
-    of the most anywhere, and a part of what a cutter's surfaces and ways allow there."""
-    out = [(TURNING_LEVER_MM, SPLINE_DEVIATION_MM)]
-    for claim in targets.claims:
-        if isinstance(claim, (SparesPart, *CUTTER_WAYS, MillsSurface)) and claim.arm == arm:
-            cutter = getattr(claim, "cutter", None)
-            lever = 0.0
-            if cutter is not None:
-                lever = 1e3 * (cutter.overhang if isinstance(claim, SparesPart) else cutter.flute)
-            share = (
-                SPLINE_WAY_SHARE if isinstance(claim, MillsAlong | MillsProgram | Engraves) else SPLINE_SHARE
-            )
-            out.append((lever, share * 1e3 * claim.tolerance))
-    return list(dict.fromkeys(out))
 
 
 def room(

@@ -1,0 +1,90 @@
+"""TOPPRA by the package ``toppra``: a path and limits as it wants them, and the call.
+
+Imported where the first path is timed, not at start. Whatever is imported of the package loads all of
+it, and with it ``matplotlib.pyplot``, which nothing here asks for: 0.48 s of processor time, 0.38 s
+of them for the plots (medians of 9 processes each, which had loaded the rest of motion in 1.0 s).
+Commands that time nothing, ``check`` among them, do without; a plan pays once in its process.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
+from toppra.interpolator import AbstractGeometricPath
+
+from planner.geometry.arrays import FloatArray
+from planner.motion.trajectory.joint_path import CornerLimits
+
+
+def path_speeds(
+    spline: CubicSpline,
+    grid: FloatArray,
+    limit: FloatArray,
+    acceleration: FloatArray,
+    corners: CornerLimits | None,
+) -> FloatArray | None:
+    """The greatest path speeds (G,) below ``limit`` (G,) at the points ``grid`` (G,), at rest at both ends,
+    with joint accelerations within ``acceleration`` (J,) and within what ``corners`` allow; None where the
+    solver finds none."""
+    held = JointAccelerationConstraint(
+        np.stack([-acceleration, acceleration], axis=1),
+        discretization_scheme=DiscretizationType.Interpolation,
+    )
+    constraints = [_Bound(limit), held] if corners is None else [_Bound(limit), held, _Corners(corners)]
+    solver = TOPPRA(constraints, _Spline(spline), gridpoints=grid, parametrizer="ParametrizeSpline")
+    _, found, _ = solver.compute_parameterization(0.0, 0.0)
+    if found is not None and np.all(np.isfinite(found)) and np.all(found[1:-1] > 0.0):
+        return np.asarray(found)
+    return None
+
+
+class _Spline(AbstractGeometricPath):  # type: ignore[misc]
+    """A scipy spline as toppra wants it."""
+
+    def __init__(self, spline: CubicSpline) -> None:
+        self._spline = spline
+
+    def __call__(self, path_positions: FloatArray, order: int = 0) -> FloatArray:
+        return np.asarray(self._spline(path_positions, order))
+
+    @property
+    def dof(self) -> int:
+        return int(self._spline.c.shape[2])
+
+    @property
+    def path_interval(self) -> FloatArray:
+        return np.array([self._spline.x[0], self._spline.x[-1]])
+
+    @property
+    def waypoints(self) -> tuple[FloatArray, FloatArray]:
+        return self._spline.x, self(self._spline.x)
+
+
+class _Bound(LinearConstraint):  # type: ignore[misc]
+    """An upper bound on the path speed at every grid point; joint speeds are one too."""
+
+    def __init__(self, limit: FloatArray) -> None:
+        super().__init__()
+        self._limit = limit
+
+    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        square = np.minimum(self._limit, 1e4) ** 2
+        return None, None, None, None, None, None, np.stack([np.zeros_like(square), square], axis=1)
+
+
+class _Corners(LinearConstraint):  # type: ignore[misc]
+    """What corners ask for at the grid points, within the accelerations that they allow."""
+
+    def __init__(self, corners: CornerLimits) -> None:
+        super().__init__()
+        self._slope, self._bend = corners.slope, corners.bend
+        eye, most = np.eye(len(corners.acceleration)), corners.acceleration
+        self._rows, self._most = np.concatenate([eye, -eye]), np.concatenate([most, most])
+        self.identical = True
+
+    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._most, None, None
