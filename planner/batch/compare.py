@@ -29,7 +29,7 @@ from planner.batch.solve import figures
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
 from planner.report import markup
-from planner.report.markup import CSS, Raw
+from planner.report.markup import CSS
 from planner.units import MM
 from planner.verify.result import RuleResult
 
@@ -379,8 +379,8 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
     [s] what the whole batch took this time."""
     paths = varied(rows)
     known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
-    varied_heads = [Raw(html.escape(path).replace(".", ".<wbr>")) for path in paths]
-    figure_heads = [FIGURES[name] for name in known]
+    varied_heads = [html.escape(path).replace(".", ".<wbr>") for path in paths]
+    figure_heads = [html.escape(FIGURES[name]) for name in known]
     heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
     body = "".join(_lines(row, paths, known, out, len(heads)) for row in rows)
     counts: Counter[str] = Counter(row.done.state for row in rows)
@@ -392,7 +392,8 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
     kept = sum(row.kept for row in rows)
     told = f"{len(rows)} problems in {seconds:.0f} s" + (f", {kept} kept from earlier runs" if kept else "")
     head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{told}</p>"
-    inner = f'{head}<div class="tiles">{tiles}</div>{markup.section("jobs", "Results", _table(heads, body))}'
+    results = markup.section(markup.Section("jobs", "Results", (_table(heads, body),)))
+    inner = f'{head}<div class="tiles">{tiles}</div>{results}'
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{CSS}{OWN}</style></head>'
@@ -429,15 +430,16 @@ def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, widt
         data = base64.b64encode(small).decode()
         shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
     state = row.done.state
-    tag = f'<span class="tag {KIND.get(state, "bad")}">{STATES[state]}</span>'
+    tag = markup.text(markup.Tag(KIND.get(state, "bad"), STATES[state]))
     linked = (out / report).is_file()
     name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
     name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
     values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
     figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in known]
-    cells = [Raw(shown), Raw(name), Raw(tag), *values, *figures, row.done.seconds]
+    marked = "".join(f"<td>{cell}</td>" for cell in (shown, name, tag))
+    cells = "".join(_cell(cell) for cell in (*values, *figures, row.done.seconds))
     kind = ' class="has"' if row.done.issues else ""
-    line = f"<tr{kind}>{''.join(_cell(cell) for cell in cells)}</tr>"
+    line = f"<tr{kind}>{marked}{cells}</tr>"
     said = worst(row.done)
     if not row.done.issues:
         return line
@@ -456,10 +458,11 @@ def _cell(cell: object) -> str:
     return f"<td{kind}>{markup.text(cell)}</td>"
 
 
-def _table(heads: Sequence[str], body: str) -> Raw:
-    head = "".join(f"<th>{markup.text(name)}</th>" for name in heads)
+def _table(heads: Sequence[str], body: str) -> markup.Drawing:
+    """The table of ``heads`` and rows, both HTML: its rows have pictures, links and a line for issues."""
+    head = "".join(f"<th>{name}</th>" for name in heads)
     inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return Raw(f'<div class="scroll"><table>{inner}</table></div>')
+    return markup.Drawing(f'<div class="scroll"><table>{inner}</table></div>')
 
 
 def _tile(figure: str, name: str, bad: bool) -> str:

@@ -17,14 +17,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray
-from planner.report import charts, markup
-from planner.report.markup import Raw
+from planner.report import markup
+from planner.report.markup import Drawing, Figure, Group, Paragraph, Phrase
 
 _LEFT: Final = 52.0
 _RIGHT: Final = 12.0
 _TOP: Final = 10.0
 _BOTTOM: Final = 34.0
 _COLUMNS: Final = 420
+_NO_DATA: Final = Paragraph("no data", "empty")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,14 +93,14 @@ def chart(
     y_range: tuple[float, float] | None = None,
     size: tuple[float, float] = (540.0, 210.0),
     equal: bool = False,
-) -> str:
-    """An SVG line chart with axes, limits, tinted bands and a legend; ``equal`` gives both axes one scale.
+) -> Drawing | Paragraph:
+    """A line chart with axes, limits, tinted bands and a legend; ``equal`` gives both axes one scale.
 
     Curves of more points than the picture has columns keep the least and greatest value of each column.
     """
     finite = [line for line in lines if np.isfinite(line.y).any()]
     if not finite:
-        return '<p class="empty">no data</p>'
+        return _NO_DATA
     x_range = _span([line.x for line in finite])
     values = [*(line.y for line in finite), np.array([v.value for v in levels])]
     frame = _Frame(x_range, y_range or padded(*_span(values)), *size)
@@ -120,7 +121,8 @@ def chart(
     keys = dict.fromkeys(
         f'<span class="key c{line.color % 8}">{html.escape(line.name)}</span>' for line in finite
     )
-    return "".join(parts) + (f'<div class="legend">{"".join(keys)}</div>' if len(finite) > 1 else "")
+    legend = f'<div class="legend">{"".join(keys)}</div>' if len(finite) > 1 else ""
+    return Drawing("".join(parts) + legend)
 
 
 def _bands(frame: _Frame, bands: Sequence[Band]) -> list[str]:
@@ -356,10 +358,10 @@ def deviation_map(
     points: FloatArray,
     deviation: FloatArray,
     tolerance: float,
-    title: str,
+    title: Phrase,
     rulings: tuple[FloatArray, FloatArray] | None = None,
     signs: tuple[str, str, str] = CUT_WORDS,
-) -> Raw:
+) -> Figure:
     """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks where the edge did not pass.
 
     ``signs``: what negative, positive and missing deviations are called.
@@ -373,8 +375,8 @@ def deviation_map(
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
     color[missed] = _MISSED
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
-    body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()), signs)
-    return markup.figure(title, body, words)
+    field = _field(markup.png(color, alpha), extent)
+    return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), signs))), words)
 
 
 def _axis(direction: FloatArray) -> str:
@@ -382,18 +384,18 @@ def _axis(direction: FloatArray) -> str:
     return ("+" if direction[k] > 0 else "−") + "xyz"[k]
 
 
-def histogram(deviation: FloatArray, tolerance: float) -> str:
+def histogram(deviation: FloatArray, tolerance: float) -> Drawing | Paragraph:
     """Share of the face over the deviation [mm], with the tolerance marked."""
     finite = deviation[np.isfinite(deviation)] * 1e3
     if not len(finite):
-        return '<p class="empty">no data</p>'
+        return _NO_DATA
     span = 1e3 * span_of(deviation, tolerance)
     counts, edges = np.histogram(np.clip(finite, -span, span), bins=60, range=(-span, span))
     share = 100.0 * counts / max(len(deviation), 1)
     x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
-    inside = charts.Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
-    return charts.chart(
-        [charts.Line("share", x, y, 0)],
+    inside = Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
+    return chart(
+        [Line("share", x, y, 0)],
         x_label="deviation [mm]",
         y_label="share [%]",
         bands=[inside],
@@ -401,7 +403,7 @@ def histogram(deviation: FloatArray, tolerance: float) -> str:
     )
 
 
-def _field(image: str, extent: tuple[float, float, float, float]) -> str:
+def _field(image: str, extent: tuple[float, float, float, float]) -> Drawing:
     """A picture with ruled edges in mm, one scale for both axes."""
     u0, u1, v0, v1 = (e * 1e3 for e in extent)
     width = 440.0
@@ -413,19 +415,19 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
         f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" '
         'preserveAspectRatio="none"/>'
     ]
-    for value in charts.ticks(u0, u1, int(np.clip(w / 60.0, 1, 7))):
+    for value in ticks(u0, u1, int(np.clip(w / 60.0, 1, 7))):
         x = left + (value - u0) * scale
         parts.append(f'<text class="xtick" x="{x:.1f}" y="{h + 21:.1f}">{markup.number(float(value))}</text>')
-    for value in charts.ticks(v0, v1, int(np.clip(h / 40.0, 1, 6))):
+    for value in ticks(v0, v1, int(np.clip(h / 40.0, 1, 6))):
         y = 6 + (v1 - value) * scale
         parts.append(
             f'<text class="ytick" x="{left - 6:.1f}" y="{y + 4:.1f}">{markup.number(float(value))}</text>'
         )
     parts.append("</svg>")
-    return "".join(parts)
+    return Drawing("".join(parts))
 
 
-def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> str:
+def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> Drawing:
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0
@@ -447,10 +449,10 @@ def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, st
         tolerance > span
     )
     keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
-    return "".join(parts) + f'<div class="legend">{keys}</div>'
+    return Drawing("".join(parts) + f'<div class="legend">{keys}</div>')
 
 
-def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> str:
+def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> Group:
     """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
@@ -467,9 +469,9 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
         color = sequential((np.where(inside, grid, low) - low) / max(high - low, 1e-12))
         bar = sequential(np.linspace(0.0, 1.0, 200))
     image = markup.png(np.tile(bar[None], (2, 1, 1)))
-    key = (
+    key = Drawing(
         f'<svg class="plot" viewBox="0 0 440 24"><image href="{image}" x="90" y="6" width="260" height="9" '
         f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
         f'<text x="356" y="14">{markup.number(high, 3)} {markup.text(unit)}</text></svg>'
     )
-    return _field(markup.png(color, inside.astype(np.float64)), extent) + key
+    return Group((_field(markup.png(color, inside.astype(np.float64)), extent), key))
