@@ -21,6 +21,7 @@ from planner.problem import Problem
 from planner.report import charts, markup, motion_charts
 from planner.report.cell_picture import Picture
 from planner.report.markup import Block, Phrase
+from planner.report.timeline import MOTION_TIME
 from planner.units import DEG, MM
 from planner.verify.result import CutFace, Proof, RuleResult
 
@@ -66,7 +67,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
     motion = motion_charts.motion_series(problem, plan, proof)
     count = sum(op.targets.count for op in plan.operations)
     time = sum(float(op.time[-1]) for op in plan.operations if len(op.time))
-    out = [markup.Tile("targets", f"{count}"), markup.Tile("motion time", *duration(time))]
+    out = [markup.Tile("targets", f"{count}"), markup.Tile(f"motion time {MOTION_TIME}", *duration(time))]
     # one figure for each thing: where the proof has it, the page and the list of rules say the same
     proven = {r.code: r.worst for r in (proof.rules if proof is not None else ()) if r.worst is not None}
     if motion.clearance is not None:

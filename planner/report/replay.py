@@ -28,7 +28,7 @@ from planner.plans import Plan
 from planner.problem import Mesh, Problem, Setup
 from planner.report import raster
 from planner.report import scene as scenes
-from planner.report.timeline import Track, track
+from planner.report.timeline import MOTION_TIME, SETUP_SEGMENT, Track, track
 from planner.verify.result import Proof
 
 _COLOURS: Final = {
@@ -119,8 +119,9 @@ go(start??0);if(start===null)set(true);
 """
 
 
-def time_bar(name: str, run: Track, clock: Clock = ()) -> str:
-    """HTML of the bar for an animation that starts at time 0.
+def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None = None) -> str:
+    """HTML of the bar for an animation that starts at time 0; with ``motion_time`` [s], which the report
+    states, it says how much of its own time is what.
 
     ``#t=seconds`` in the address stops there, also when it changes; ``#at=`` is a time on the programs'
     clock, which ``clock`` leads over; ``#work=`` one from the start of the work of the operation that has the
@@ -144,11 +145,27 @@ def time_bar(name: str, run: Track, clock: Clock = ()) -> str:
         f"<style>{_STYLE}</style><div id='bar'>"
         "<button title='play or pause (space)'>▶</button><div class='line'>"
         f"<div class='knob'></div></div><select title='speed'>{options}</select>"
-        f"<div class='say'><span><b>{html.escape(name)}</b></span><span class='time'></span>"
+        f"<div class='say'><span><b>{html.escape(name)}</b></span><span><span class='time'></span>"
+        f"{_shares(end, run, motion_time)}</span>"
         "<span><i></i><span class='segment'></span></span>"
         "<span class='stopped' style='color:#c0352b'></span></div></div>"
         f"<script type='application/json' id='track'>{packed}</script><script>{_SCRIPT}</script>"
     )
+
+
+def _shares(end: float, run: Track, motion_time: float | None) -> str:
+    """What the time ``end`` [s] of a replay consists of; the report's ``motion_time`` [s] is a part of it."""
+    if motion_time is None or end - motion_time < 0.05:
+        return ""
+    rest = "ways from and to home"
+    rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
+    return f": {_clock_time(motion_time)} {MOTION_TIME}, {_clock_time(end - motion_time)} {rest}"
+
+
+def _clock_time(seconds: float) -> str:
+    """A time as the bar shows it: minutes, and seconds to a tenth."""
+    tenths = round(10.0 * seconds)
+    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
 def replay_clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
@@ -239,8 +256,10 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     meshcat.SetAnimation(animation)
     page = str(meshcat.StaticHtml())
     title = f"{problem.name} – Tandem replay"
+    motion_time = sum(float(op.time[-1] - op.time[0]) for op in plan.operations if len(op.time))
+    bar = time_bar(problem.name, run, _clock(run, proof), motion_time or None)
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", time_bar(problem.name, run, _clock(run, proof)) + "</body>", 1)
+    return page.replace("</body>", f"{bar}</body>", 1)
 
 
 def _clock(run: Track, proof: Proof | None) -> Clock:

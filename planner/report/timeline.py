@@ -17,6 +17,9 @@ from planner.problem import Problem, Setup
 from planner.report import scene
 
 POINTS: Final = 29
+"""Points of a bent wire as the replay shows it."""
+MOTION_TIME: Final = "from first to last target"
+"""Of what report and replay state the motion time; the ways from and to home have no clock of the plan."""
 ENTRY_PACE: Final = 0.25
 """Share of the joint speed limits at which the replay shows entry and exit, which have no clock."""
 SETUP_PAUSE_S: Final = 2.0
