@@ -13,7 +13,6 @@ import dataclasses
 import html
 import io
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from planner.batch.run import RECORDS, Row
 from planner.batch.solve import figures
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
-from planner.report import markup
+from planner.report import markup, page_sections
 from planner.report.markup import CSS
 from planner.units import MM
 from planner.verify.result import RuleResult
@@ -68,7 +67,7 @@ def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue
         ) from error
 
 
-SAME_S = 1e-9
+EQUAL_WITHIN = 1e-9
 """Times that differ by less [s] are the same; so are angles [rad] and lengths [m]."""
 
 
@@ -246,7 +245,7 @@ def _change(
         default=0.0,
     )
     later = abs((seconds[0] or 0.0) - (seconds[1] or 0.0))
-    if max(joints, poses, later) <= SAME_S and set(first.q) == set(second.q):
+    if max(joints, poses, later) <= EQUAL_WITHIN and set(first.q) == set(second.q):
         return None
     return SegmentChange(name, label, counts, seconds, float(np.rad2deg(joints)), poses / MM)
 
@@ -287,6 +286,7 @@ STATES: Final[dict[str, str]] = {
     "memory": "memory",
     "cancelled": "cancelled",
 }
+"""What the states of jobs are called, in the order in which they are counted."""
 
 
 def varied(rows: Iterable[Row]) -> list[str]:
@@ -311,14 +311,14 @@ def worst(done: Done) -> Issue | None:
 def counted(row: Row) -> str:
     """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
     accepts."""
-    told = []
+    parts = []
     for severity in Severity:
         count = sum(issue.severity is severity for issue in row.done.issues)
         if count:
-            told.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
+            parts.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
     taken = accepted(row.done.issues)
-    told += [f"accepted: {' '.join(taken)}"] if taken else []
-    return ", ".join(told)
+    parts += [f"accepted: {' '.join(taken)}"] if taken else []
+    return ", ".join(parts)
 
 
 def figure_text(name: str, value: float | None) -> str:
@@ -363,15 +363,18 @@ def _harmless(cell: str) -> str:
 
 THUMBNAIL: Final = (200, 120)
 """Largest width and height of a thumbnail [pixels]."""
-MAX_REPORT: Final = 50_000_000
+MAX_REPORT_BYTES: Final = 50_000_000
+"""Bytes of a report beyond which its picture is not looked for."""
 MAX_PIXELS: Final = 40_000_000
-_PICTURE = re.compile(r'<img alt="the cell" src="data:image/png;base64,([A-Za-z0-9+/=]+)"')
-KIND: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
-OWN: Final = (
+"""Pixels of a picture beyond which no thumbnail is made of it."""
+TAG_OF_STATE: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
+"""Kind of the tag that shows a state; `bad` for all others."""
+SUMMARY_CSS: Final = (
     "main{max-width:1500px}td img{display:block;width:128px;border-radius:6px;background:#fff}"
     "td a{color:var(--accent)}td:first-child{width:140px}td .soft{font-size:12px;overflow-wrap:anywhere}"
     "tr.has>td{border-bottom:0}tr.said>td{padding-top:0}"
 )
+"""Style of the summary besides that of every page."""
 
 
 def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
@@ -390,13 +393,16 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
         if counts[state]
     )
     kept = sum(row.kept for row in rows)
-    told = f"{len(rows)} problems in {seconds:.0f} s" + (f", {kept} kept from earlier runs" if kept else "")
-    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{told}</p>"
+    summary = f"{len(rows)} problems in {seconds:.0f} s" + (
+        f", {kept} kept from earlier runs" if kept else ""
+    )
+    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{summary}</p>"
     results = markup.section(markup.Section("jobs", "Results", (_table(heads, body),)))
     inner = f'{head}<div class="tiles">{tiles}</div>{results}'
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{CSS}{OWN}</style></head>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<style>{CSS}{SUMMARY_CSS}</style></head>"
         f"<body><main>{inner}</main></body></html>\n"
     )
 
@@ -404,12 +410,12 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
 def thumbnail(report: Path) -> bytes | None:
     """The cell's picture in a report as a small PNG; None where it has none that can be read."""
     try:
-        if report.stat().st_size > MAX_REPORT:
+        if report.stat().st_size > MAX_REPORT_BYTES:
             return None
-        found = _PICTURE.search(report.read_text("utf-8"))
+        found = markup.photo(report.read_text("utf-8"), page_sections.CELL)
         if found is None:
             return None
-        with Image.open(io.BytesIO(base64.b64decode(found[1])), formats=["PNG"]) as picture:
+        with Image.open(io.BytesIO(found), formats=["PNG"]) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 return None
             small = picture.convert("RGBA")
@@ -430,7 +436,7 @@ def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, widt
         data = base64.b64encode(small).decode()
         shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
     state = row.done.state
-    tag = markup.text(markup.Tag(KIND.get(state, "bad"), STATES[state]))
+    tag = markup.text(markup.Tag(TAG_OF_STATE.get(state, "bad"), STATES[state]))
     linked = (out / report).is_file()
     name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
     name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'

@@ -28,6 +28,7 @@ from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
 
 SUFFIXES = (".yaml", ".yml")
+"""Endings of problem and batch files."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,15 +182,18 @@ class Settings:
     resume: bool = False
 
 
-Tell = Callable[[Event], None]
+OnEvent = Callable[[Event], None]
 
 
-def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings, tell: Tell) -> list[Row]:
+def run(
+    items: Sequence[Item], out: Path, planners: Planners, settings: Settings, on_event: OnEvent
+) -> list[Row]:
     """Plan all items into ``out``; the rows in the order of the items, as far as it came when interrupted
     nothing is lost but what was under way.
 
-    ``tell`` hears every event, a :class:`Finished` of what was kept too. Raises ``TandemError`` where nothing
-    can be written or planned (``output.folder``, ``batch.worker``, ``batch.cluster``, ``batch.versions``).
+    ``on_event`` gets every event, a :class:`Finished` of what was kept too. Raises ``TandemError`` where
+    nothing can be written or planned (``output.folder``, ``batch.worker``, ``batch.cluster``,
+    ``batch.versions``).
     """
     rows: dict[str, Row] = {}
     waiting = collections.deque(items)
@@ -200,7 +204,7 @@ def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings
     def ended(row: Row) -> None:
         rows[row.item.name] = row
         under_way.pop(row.item.name, None)
-        tell(Finished(row.item.name, row.done))
+        on_event(Finished(row.item.name, row.done))
 
     while waiting or planners.busy:
         while waiting and len(under_way) < planners.ahead:
@@ -214,7 +218,7 @@ def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings
             if isinstance(event, Finished):
                 ended(Row(known[event.name], event.done))
             else:
-                tell(event)
+                on_event(event)
     return [rows[item.name] for item in items]
 
 

@@ -21,11 +21,17 @@ from planner.report import markup
 from planner.report.markup import Drawing, Figure, Group, Paragraph, Phrase
 
 _LEFT: Final = 52.0
+"""Room [px of the drawing] left of a plot, for the numbers and the name of its y axis."""
 _RIGHT: Final = 12.0
+"""Room [px] right of a plot."""
 _TOP: Final = 10.0
+"""Room [px] above a plot."""
 _BOTTOM: Final = 34.0
+"""Room [px] below a plot, for the numbers and the name of its x axis."""
 _COLUMNS: Final = 420
+"""Columns that a longer curve is thinned to, with its least and greatest value in each."""
 _NO_DATA: Final = Paragraph("no data", "empty")
+"""What stands for a chart of nothing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -250,14 +256,21 @@ def _runs(y: FloatArray) -> list[slice]:
 
 
 _COLD = np.array([0.13, 0.36, 0.70])
+"""Red, green, blue in 0..1 of a deviation far below zero: too much is cut."""
 _MILD = np.array([0.93, 0.94, 0.93])
+"""Red, green, blue in 0..1 of no deviation."""
 _WARM = np.array([0.78, 0.18, 0.13])
-_GRID = (1500, 41)
-_MISSED = np.array([0.35, 0.13, 0.45])
+"""Red, green, blue in 0..1 of a deviation far above zero: material is left standing."""
+_UNROLLED_GRID = (1500, 41)
+"""Points along and across a ruled surface that is laid flat."""
+_MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
+"""Red, green, blue in 0..1 of places that the tool did not pass."""
 CUT_WORDS: Final = ("too much cut", "left standing", "the wire did not pass")
+"""What negative, positive and missing deviations of a cut face are called."""
 FORMED_WORDS: Final = ("pressed too far", "not pressed so far", "the ball did not pass")
+"""The same of a formed face."""
 MILLED_WORDS: Final = ("too much cut", "left standing", "the cutter did not pass")
-"""What negative, positive and missing deviations of a cut, a formed and a milled face are called."""
+"""The same of a milled face."""
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -335,13 +348,13 @@ def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> tuple[Fl
     Each point takes the place of the nearest one of a dense grid on the surface.
     """
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))])
-    at, share = np.linspace(0.0, way[-1], _GRID[0]), np.linspace(0.0, 1.0, _GRID[1])
+    at, share = np.linspace(0.0, way[-1], _UNROLLED_GRID[0]), np.linspace(0.0, 1.0, _UNROLLED_GRID[1])
     low, high = (
         np.stack([np.interp(at, way, side[:, c]) for c in range(3)], axis=-1) for side in (start, end)
     )
     grid = low[:, None] + share[:, None] * (high - low)[:, None]
     _, nearest = cKDTree(grid.reshape(-1, 3)).query(points)
-    row, column = np.divmod(nearest, _GRID[1])
+    row, column = np.divmod(nearest, _UNROLLED_GRID[1])
     length = float(np.linalg.norm(end - start, axis=1).mean())
     words = "laid flat: along the cut to the right, along the wire up; mm"
     return np.stack([at[row], length * share[column]], axis=1), words
@@ -373,7 +386,7 @@ def deviation_map(
     grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
-    color[missed] = _MISSED
+    color[missed] = _MISSED_COLOUR
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
     field = _field(markup.png(color, alpha), extent)
     return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), signs))), words)

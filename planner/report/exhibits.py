@@ -36,7 +36,8 @@ from planner.issues import Issue, Severity
 from planner.report import charts, markup, raster
 from planner.report.markup import Block, Drawing, Phrase
 
-_MOST = 60
+_MOST_CURVES = 60
+"""Curves of one exhibit that are drawn, evenly chosen where there are more."""
 
 
 def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> Drawing:
@@ -155,7 +156,7 @@ def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _thin(count: int) -> list[int]:
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST))})
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST_CURVES))})
 
 
 def _colours(value: FloatArray) -> list[str]:
@@ -164,7 +165,7 @@ def _colours(value: FloatArray) -> list[str]:
     return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]
 
 
-_HALF = 6
+_HALF_WIDTH_COLUMNS = 6
 """Tables of more columns than this take the whole width."""
 
 
@@ -267,7 +268,7 @@ def _table(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     columns = tuple(exhibit["columns"])
     drawn = _figure(exhibit, markup.table(columns, exhibit["rows"]))
-    return markup.Wide(drawn) if len(columns) > _HALF else drawn
+    return markup.Wide(drawn) if len(columns) > _HALF_WIDTH_COLUMNS else drawn
 
 
 def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
@@ -324,3 +325,4 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = 
     "tree": _tree,
     "text": _text,
 }
+"""What draws each kind of exhibit in the block of an operation."""

@@ -20,6 +20,9 @@ from PIL import Image as PillowImage
 
 from planner.geometry.arrays import FloatArray
 
+_PNG: Final = "data:image/png;base64,"
+"""How the address of a PNG begins that lies in the page itself."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Code:
@@ -378,6 +381,17 @@ def _photo(shown: Photo) -> str:
     return f'<div class="picture"><img alt="{html.escape(shown.name)}" src="{shown.address}">{labels}</div>'
 
 
+def photo(page: str, name: str) -> bytes | None:
+    """The PNG of the first photo of that ``name`` in a page that :func:`page` wrote; None where none is.
+
+    For whoever has a saved page and not what it was made of. Raises ``ValueError`` for what is no such
+    address.
+    """
+    begin = f'<img alt="{html.escape(name)}" src="{_PNG}'
+    _, found, rest = page.partition(begin)
+    return base64.b64decode(rest.partition('"')[0], validate=True) if found else None
+
+
 def _tile(shown: Tile) -> str:
     kind = "tile bad" if shown.bad else "tile"
     value = html.escape(shown.value.replace("-", "−"))
@@ -394,7 +408,7 @@ def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool
     data = (np.clip(np.concatenate(layers, axis=-1), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     stream = io.BytesIO()
     PillowImage.fromarray(data).save(stream, "PNG", compress_level=6)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    return _PNG + base64.b64encode(stream.getvalue()).decode()
 
 
 CSS: Final = """
@@ -495,6 +509,7 @@ nav{display:none}figure,.tile,tr,.facts div{break-inside:avoid}h2,h3,figcaption{
 .grid.three{grid-template-columns:1fr 1fr 1fr}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}@page{margin:14mm}}
 """
+"""The style sheet of every page."""
 
 SCRIPT: Final = """
 (()=>{const tip=document.createElement('div');tip.id='tip';document.body.append(tip);
@@ -520,3 +535,4 @@ cursor.setAttribute('y2',p);
   tip.style.left=Math.min(e.clientX+14,innerWidth-tip.offsetWidth-8)+'px';
 tip.style.top=(e.clientY+14)+'px'})}})();
 """
+"""The script of the report: figures of charts below the pointer."""

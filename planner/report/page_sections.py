@@ -25,9 +25,12 @@ from planner.report.timeline import MOTION_TIME
 from planner.units import DEG, MM
 from planner.verify.result import CutFace, Proof, RuleResult
 
-_CLEARANCE: Final = ("verify.clearance", "verify.wire_clearance")
+_CLEARANCE_RULES: Final = ("verify.clearance", "verify.wire_clearance")
+"""Rules that say whether the least clearance is enough."""
 _IN_TILES: Final = frozenset({"clearance_mm", "clearance_index", "edge_clearance_mm", "peak_speed_share"})
 """Figures of the plan's targets alone: of the whole motion they are in tiles."""
+CELL: Final = "the cell"
+"""What the picture of a cell is called."""
 MOST_FACE_TILES: Final = 4
 """Cut surfaces with a tile of their own, those nearest to their limit first."""
 
@@ -123,7 +126,7 @@ def tiles(problem: Problem, plan: Plan, proof: Proof | None) -> tuple[markup.Til
 
 def _too_close(problem: Problem, proof: Proof | None, least: float) -> bool:
     """Whether the proof says so; it allows a little between targets."""
-    rules = [r for r in (proof.rules if proof is not None else ()) if r.code in _CLEARANCE]
+    rules = [r for r in (proof.rules if proof is not None else ()) if r.code in _CLEARANCE_RULES]
     return any(not r.passed for r in rules) if rules else least < problem.settings.clearance
 
 
@@ -137,7 +140,7 @@ def duration(seconds: float) -> tuple[str, str]:
 def picture(shown: Picture, title: str = "") -> Block:
     """The cell's picture with the names of the arms, and its title where it has one."""
     address = markup.png(shown.pixels, shown.alpha, premultiplied=True)
-    body = markup.Photo(address, "the cell", shown.labels)
+    body = markup.Photo(address, CELL, shown.labels)
     return markup.Figure(title, body) if title else body
 
 
@@ -162,9 +165,10 @@ def _figures(metrics: Mapping[str, Any]) -> Iterable[tuple[str, object]]:
             yield name.replace("_", " "), value
 
 
-_WORDS = {"form": ("ball", charts.FORMED_WORDS), "mill": ("cutter", charts.MILLED_WORDS)}
+_FACE_WORDS = {"form": ("ball", charts.FORMED_WORDS), "mill": ("cutter", charts.MILLED_WORDS)}
 """What passes a face, and what deviations are called, by the kind of its segment; a wire cuts."""
-_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
+_SEVERITY_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
+"""Issues are shown in this order, the gravest first."""
 
 
 def issue_table(found: Sequence[Issue]) -> markup.Table:
@@ -178,7 +182,7 @@ def issue_table(found: Sequence[Issue]) -> markup.Table:
             _figure(issue.limit, issue.unit),
             markup.Code(issue.code),
         )
-        for issue in sorted(found, key=lambda i: _ORDER[i.severity])
+        for issue in sorted(found, key=lambda i: _SEVERITY_ORDER[i.severity])
     ]
     return markup.table(("", "what", "where", "got", "allowed", "code"), rows)
 
@@ -229,7 +233,7 @@ def rule_table(results: Sequence[RuleResult]) -> markup.Table:
 def cut_face_figure(cut: CutFace, rulings: tuple[FloatArray, FloatArray] | None = None) -> Block:
     """Heat map, histogram and figures of a simulated face; ``rulings``: the ends of its rulings."""
     missed = float(np.isnan(cut.deviation).mean())
-    tool, words = _WORDS.get(cut.segment.kind, ("wire", charts.CUT_WORDS))
+    tool, words = _FACE_WORDS.get(cut.segment.kind, ("wire", charts.CUT_WORDS))
     items = [
         (f"within {_allowed(cut)} mm", f"{100 * cut.share:.2f} % of the face"),
         ("asked for", f"{100 * cut.wanted_share:.0f} %"),

@@ -31,7 +31,7 @@ from planner.report import scene as scenes
 from planner.report.timeline import MOTION_TIME, SETUP_SEGMENT, Track, track
 from planner.verify.result import Proof
 
-_COLOURS: Final = {
+_SEGMENT_COLOURS: Final = {
     "cut": "#f08a3c",
     "mill": "#f08a3c",
     "form": "#f08a3c",
@@ -43,7 +43,9 @@ _COLOURS: Final = {
     "exit": "#aab4c0",
     "setup": "#c9a2c4",
 }
-_OTHER: Final = "#8d99a8"
+"""Colours of the time bar by kind of segment."""
+_OTHER_COLOUR: Final = "#8d99a8"
+"""Colour of the time bar for every other kind of segment."""
 Clock = tuple[tuple[float, float], ...]
 """Times of the programs and of the replay [s] that belong together, ascending; straight between them."""
 
@@ -69,6 +71,7 @@ font-size:13px;min-height:18px}
 #bar .say i{display:inline-block;width:10px;height:10px;
 border-radius:3px;margin-right:6px}
 """
+"""Style of the time bar."""
 
 _SCRIPT: Final = """
 (()=>{const D=JSON.parse(document.getElementById('track').textContent),T=D.end,
@@ -117,6 +120,7 @@ go(start??0);if(start===null)set(true);
    requestAnimationFrame(step)}else setTimeout(ready,60)};
  draw();ready()})();
 """
+"""Script of the time bar, which drives the animation of Meshcat."""
 
 
 def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None = None) -> str:
@@ -207,23 +211,31 @@ def _segments(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[flo
         if out and out[-1][2] == segments[i]:
             out[-1] = (out[-1][0], b, *out[-1][2:])
         else:
-            out.append((a, b, segments[i], _COLOURS.get(segments[i].kind, _OTHER)))
+            out.append((a, b, segments[i], _SEGMENT_COLOURS.get(segments[i].kind, _OTHER_COLOUR)))
     return out
 
 
-FPS: Final = 100.0
-KEYS: Final = 480
-KEYS_MORE: Final = 240
-"""Keyframes of a job of one operation, and of each further one."""
+FRAMES_PER_S: Final = 100.0
+"""Frames [1/s] of the animation, which its keyframes are rounded to."""
+KEYFRAMES: Final = 480
+"""Keyframes of a job of one operation."""
+KEYFRAMES_MORE: Final = 240
+"""Keyframes of each further operation."""
 STRIPS: Final = 120
+"""Strips of cut surface that appear one after the other, in all."""
 TRIMMED_DEPTH_M: Final = 0.001
 """How far [m] inside a block that was trimmed earlier cuts are still drawn: those that trimmed it are now its
 sides."""
-LINKS: Final = 28
-BLOCK: Final = "/block"
-_CUT: Final = Rgba(1.0, 0.66, 0.36, 1.0)
-_FOAM: Final = Rgba(0.97, 0.91, 0.66, 0.42)
-_PART: Final = Rgba(0.16, 0.56, 0.62, 1.0)
+WIRE_LINKS: Final = 28
+"""Capsules of the chain that a bent wire is drawn as."""
+BLOCK_PATH: Final = "/block"
+"""Where the block stands in the tree of Meshcat."""
+_CUT_COLOUR: Final = Rgba(1.0, 0.66, 0.36, 1.0)
+"""Colour of what has been cut."""
+_BLOCK_COLOUR: Final = Rgba(0.97, 0.91, 0.66, 0.42)
+"""Colour of the block, which is seen through."""
+_PART_COLOUR: Final = Rgba(0.16, 0.56, 0.62, 1.0)
+"""Colour of the wanted part."""
 
 
 def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
@@ -242,9 +254,9 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     except RuntimeError as error:
         issue = Issue("report.replay_failed", f"Meshcat, which writes replay.html, cannot start: {error}")
         raise TandemError(issue) from error
-    run = track(problem, plan, KEYS + KEYS_MORE * max(0, len(plan.operations) - 1))
-    animation = MeshcatAnimation(FPS)
-    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FPS).astype(int))
+    run = track(problem, plan, KEYFRAMES + KEYFRAMES_MORE * max(0, len(plan.operations) - 1))
+    animation = MeshcatAnimation(FRAMES_PER_S)
+    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FRAMES_PER_S).astype(int))
     _look(meshcat, model, run)
     _bodies(film, model, problem, plan.places, run)
     _parts(meshcat, problem)
@@ -330,7 +342,7 @@ def _bodies(
         film.move(f"/cell/{body}", poses[body])
     for arm in model.arms:
         film.move(f"/cell/{arm}/tool", poses[f"{arm}/tool"])
-    film.move(BLOCK, run.block)
+    film.move(BLOCK_PATH, run.block)
     sets: dict[str, tuple[list[scenes.Piece], BoolArray]] = {}
     for index, setup in enumerate(problem.setups):
         for name, pieces in _groups(setup, places[index]).items():
@@ -351,7 +363,7 @@ def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
     out: dict[str, list[scenes.Piece]] = {}
     for piece in scenes.mounted(setup, place):
         arm, _, kind = piece.body.partition("/")
-        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK}/{piece.body}", []).append(piece)
+        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK_PATH}/{piece.body}", []).append(piece)
     return out
 
 
@@ -366,14 +378,14 @@ def _same(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
 
 
 def _object(film: _Film, path: str, piece: scenes.Piece) -> None:
-    film.meshcat.SetObject(path, piece.shape, _FOAM if piece.body == "stock" else Rgba(*piece.color))
+    film.meshcat.SetObject(path, piece.shape, _BLOCK_COLOUR if piece.body == "stock" else Rgba(*piece.color))
     film.meshcat.SetTransform(path, rigid(piece.pose))
 
 
 def _parts(meshcat: Any, problem: Problem) -> None:
     """The wanted surfaces, which move with the block."""
     for name, mesh in raster.part_meshes(problem.part):
-        _surface(meshcat, f"{BLOCK}/wanted/{name}", mesh, _PART)
+        _surface(meshcat, f"{BLOCK_PATH}/wanted/{name}", mesh, _PART_COLOUR)
 
 
 def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
@@ -384,14 +396,14 @@ def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
 
 def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> None:
     """A chain of capsules along the wire (T, P, 3), drawn thick enough to be seen."""
-    points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, LINKS + 1).round().astype(int))]
+    points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, WIRE_LINKS + 1).round().astype(int))]
     step = np.diff(points, axis=1)
     length = np.linalg.norm(step, axis=-1)
     poses = _along(0.5 * (points[:, 1:] + points[:, :-1]), step)
     for k in range(step.shape[1]):
         path = f"/wire/{k}"
         shape = Capsule(max(radius, scenes.LEAST_WIRE_RADIUS_M), float(np.median(length[shown, k])))
-        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT))
+        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT_COLOUR))
         film.move(path, poses[:, k])
     film.show("/wire", shown)
 
@@ -433,8 +445,8 @@ def _strips(film: _Film, problem: Problem, run: Track) -> None:
             mesh = raster.swept_surface(points[part[0] : part[-1] + 2], lower, upper) if len(part) else None
             if mesh is None:
                 continue
-            path = f"{BLOCK}/cut/{number}"
-            _surface(film.meshcat, path, mesh, _CUT)
+            path = f"{BLOCK_PATH}/cut/{number}"
+            _surface(film.meshcat, path, mesh, _CUT_COLOUR)
             done = np.arange(len(run.time)) >= cut.keys[part[-1] + 1]
             film.show(path, done & np.isin(run.setup, setups))
             number += 1

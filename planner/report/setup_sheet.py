@@ -27,13 +27,16 @@ from planner.units import DEG, MM
 from planner.verify.result import Proof
 
 _FILL = markup.Blank()
-_POSE = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
+"""Room to tick off or to write in what was measured."""
+_POSE_COLUMNS = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
+"""Heads of the columns of a pose."""
 _CORNERS = (
     ("bottom corner −x −y", (0, 0, 0)),
     ("bottom corner +x −y", (1, 0, 0)),
     ("bottom corner −x +y", (0, 1, 0)),
     ("top corner −x −y", (0, 0, 1)),
 )
+"""Corners of the block to be measured: what they are called, and their place along x, y, z."""
 
 
 def pose_cells(pose: FloatArray) -> tuple[str, str, str]:
@@ -54,7 +57,7 @@ def tool_table(setup: Setup, plan: Plan) -> Block:
         frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
     heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    return markup.Group((markup.table(heads, rows), markup.table(("frame", *_POSE), frames)))
+    return markup.Group((markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)))
 
 
 def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
@@ -168,7 +171,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
         rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), "", "", _FILL))
-    heads = ("what", *_POSE[:2], "axes on the controller [deg]", "measured")
+    heads = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
     return markup.table(heads, rows)
 
 
@@ -180,7 +183,8 @@ def _size(size: FloatArray) -> str:
     return " × ".join(markup.fixed(float(v) / MM, 1) for v in size)
 
 
-_HEADS = ("controller", "what", "to be so", "done")
+_CHECK_COLUMNS = ("controller", "what", "to be so", "done")
+"""Heads of the table of what is checked at controllers."""
 
 
 def controller_checks(problem: Problem, plan: Plan) -> Table:
@@ -207,7 +211,7 @@ def controller_checks(problem: Problem, plan: Plan) -> Table:
     if joined:
         both = ", ".join(arm.name for arm in arms)
         rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]
-    return markup.table(_HEADS, rows)
+    return markup.table(_CHECK_COLUMNS, rows)
 
 
 def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
@@ -325,13 +329,14 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     return out
 
 
-_STEPS = {
+_STOP_WORDS = {
     "confirm": "the program waits for the operator",
     "message": "message",
     "on": "signal on",
     "off": "signal off",
     "wait": "wait",
 }
+"""What a program does at a stop, by kind of action."""
 
 
 def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> markup.Group:
@@ -488,7 +493,7 @@ def _stops(operation: OperationPlan, start: float) -> Block:
     for action in operation.targets.actions:
         what = action.text or action.signal or (f"{action.seconds:g} s" if action.kind == "wait" else "")
         time = markup.fixed(float(operation.time[action.at]) + start, 1)
-        rows.append((time, operation.targets.name(action.at), _STEPS[action.kind], what))
+        rows.append((time, operation.targets.name(action.at), _STOP_WORDS[action.kind], what))
     if not rows:
         return markup.Paragraph("none")
     return markup.table(("motion time [s]", "at target", "", "what"), rows)

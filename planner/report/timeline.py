@@ -16,7 +16,7 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import scene
 
-POINTS: Final = 29
+WIRE_POINTS: Final = 29
 """Points of a bent wire as the replay shows it."""
 MOTION_TIME: Final = "from first to last target"
 """Of what report and replay state the motion time; the ways from and to home have no clock of the plan."""
@@ -156,12 +156,12 @@ def _work(
 
 
 def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatArray | None:
-    """The wire that joins the arms (N, POINTS, 3) in the world at every target, or None."""
+    """The wire that joins the arms (N, WIRE_POINTS, 3) in the world at every target, or None."""
     targets = operation.targets
     if targets.edge is None:
         return None
     points = targets.edge.points
-    at = np.linspace(0.0, points.shape[1] - 1.0, POINTS)
+    at = np.linspace(0.0, points.shape[1] - 1.0, WIRE_POINTS)
     low = np.minimum(at.astype(int), points.shape[1] - 2)
     share = (at - low)[:, None]
     points = points[:, low] * (1.0 - share) + points[:, low + 1] * share
@@ -187,7 +187,7 @@ def _append(
     rows.time.append(time)
     for arm, gathered in rows.q.items():
         gathered.append(np.broadcast_to(q[arm], (count, 6)))
-    rows.wire.append(np.full((count, POINTS, 3), np.nan) if wire is None else wire)
+    rows.wire.append(np.full((count, WIRE_POINTS, 3), np.nan) if wire is None else wire)
     rows.segment += list(segment)
     rows.operation += [index] * count
 

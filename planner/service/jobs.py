@@ -27,7 +27,9 @@ from planner.service.security import Limits, RefusedError, plain, unknown_job
 from planner.service.storage import Blob
 
 CANCELLED: Final = 1
+"""In a job's column `cancel`: its owner wants it to end."""
 DELETED: Final = 2
+"""In a job's column `cancel`: its owner wants it to end and to go."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -265,9 +267,11 @@ def _row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
 
 
 POLL_S: Final = 0.25
+"""Time [s] between two looks for new events."""
 ALIVE_S: Final = 15.0
 """A comment is sent so often, so that proxies do not take a stream for dead."""
-CHUNK: Final = 500
+JOBS_PER_QUERY: Final = 500
+"""Jobs that one query of the database asks for."""
 
 
 class Event(NamedTuple):
@@ -351,8 +355,10 @@ class Hub:
     def _numbers(self, jobs: list[str]) -> dict[str, int]:
         found: dict[str, int] = {}
         with self._database.read() as db:
-            for start in range(0, len(jobs), CHUNK):
-                query = select(JOBS.c.id, JOBS.c.seq).where(JOBS.c.id.in_(jobs[start : start + CHUNK]))
+            for start in range(0, len(jobs), JOBS_PER_QUERY):
+                query = select(JOBS.c.id, JOBS.c.seq).where(
+                    JOBS.c.id.in_(jobs[start : start + JOBS_PER_QUERY])
+                )
                 found |= dict(tuple(row) for row in db.execute(query))
         return found
 

@@ -35,7 +35,8 @@ from planner.service.upload import Upload
 from planner.service.upload_processes import Examiners, Reading, broken_off
 from planner.service.uploaded_files import Examined
 
-PID: Final = ".pid-"
+PID_MARK: Final = ".pid-"
+"""Stands before the process identifier in the name of a service's folder."""
 Read = TypeVar("Read")
 REMEMBERED: Final = 256
 """So many uploads that were read are known again."""
@@ -82,7 +83,7 @@ class Service:
             hint = f"make one: tandem token add NAME --data {options.data}"
             raise TandemError(Issue("service.start", message, field="host", hint=hint))
         self.files = Files(options.data / "files")
-        self.host = f"{socket.gethostname()}{PID}{os.getpid()}-{secrets.token_hex(4)}"
+        self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
         self.scratch = _fresh(options.data / "work", options.database is None, self.host)
         self.jobs = Jobs(self.database, self.limits)
         self.storage = Storage(self.files, self.jobs.owned, self.limits)
@@ -260,7 +261,7 @@ def _fresh(work: Path, alone: bool, host: str) -> Path:
     """A folder of this instance for what is under way; what killed ones of this machine left is removed."""
     work.mkdir(exist_ok=True, mode=0o700)
     for old in work.iterdir():
-        name, _, rest = old.name.partition(PID)
+        name, _, rest = old.name.partition(PID_MARK)
         gone = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
         if alone or gone:
             shutil.rmtree(old, ignore_errors=True)

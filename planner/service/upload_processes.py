@@ -25,6 +25,7 @@ from planner.service.security import RefusedError
 from planner.service.uploaded_files import Examined
 
 MB: Final = 1 << 20
+"""Bytes of a megabyte, as limits of memory are counted (2^20)."""
 
 
 class Reading:

@@ -21,6 +21,7 @@ from planner.reading.strict_yaml import Document
 NOWHERE: Final = "files/not-uploaded"
 """Stands for a file that was not uploaded; there is none of this name."""
 _SUFFIX: Final = re.compile(r"\.[A-Za-z0-9]{1,8}")
+"""An ending of a name that is kept."""
 
 
 class Uploaded:
@@ -47,11 +48,11 @@ class Uploaded:
                 data["cell"] = self._changed(self._cell.data, self._cell, ("cell",))
         return document.with_data(data), self._faults
 
-    def told(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
+    def in_user_names(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
         """The issues without paths of this machine, those of a cell's file with its lines."""
-        return tuple(self._told(issue) for issue in issues)
+        return tuple(self._in_user_names(issue) for issue in issues)
 
-    def _told(self, issue: Issue) -> Issue:
+    def _in_user_names(self, issue: Issue) -> Issue:
         place = (issue.field or "").split(".")
         if self._cell is not None and place[0] == "cell" and len(place) > 1:
             steps = tuple(int(step) if step.isdigit() else step for step in place[1:])

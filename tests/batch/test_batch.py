@@ -293,7 +293,7 @@ def test_the_line_of_a_job_that_ended_names_its_error(capsys: pytest.CaptureFixt
     item = Item("one", "one.yaml", lambda: pytest.fail("nobody reads it"))
     for issues, said in (((doubt, error), "stock.footprint"), ((doubt,), "kerf.doubt")):
         with batch_commands._progress([item]) as shown:
-            shown.hear(Finished("one", Done("one", "infeasible", issues)))
+            shown.show(Finished("one", Done("one", "infeasible", issues)))
         told = capsys.readouterr().err
         assert said in told and (said == "kerf.doubt" or "kerf.doubt" not in told)
 
