@@ -289,7 +289,7 @@ STATES: Final[dict[str, str]] = {
 """What the states of jobs are called, in the order in which they are counted."""
 
 
-def varied(rows: Iterable[Row]) -> list[str]:
+def varied_fields(rows: Iterable[Row]) -> list[str]:
     """Paths of all fields that batch files varied, in order of first appearance."""
     return list(dict.fromkeys(path for row in rows for path in row.item.varied))
 
@@ -299,7 +299,7 @@ def value_text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def worst(done: Done) -> Issue | None:
+def gravest_issue(done: Done) -> Issue | None:
     """The issue that says most about a job: the first error, else the first warning."""
     for severity in (Severity.ERROR, Severity.WARNING):
         for issue in done.issues:
@@ -308,7 +308,7 @@ def worst(done: Done) -> Issue | None:
     return None
 
 
-def counted(row: Row) -> str:
+def issue_counts(row: Row) -> str:
     """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
     accepts."""
     parts = []
@@ -328,10 +328,10 @@ def figure_text(name: str, value: float | None) -> str:
     return f"{value:.0f}" if name == "targets" else f"{value:.4g}"
 
 
-def table(rows: Sequence[Row]) -> str:
+def csv_table(rows: Sequence[Row]) -> str:
     """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, those that the
     problem accepts, varied fields, figures, planning time [s], first error or warning."""
-    paths = varied(rows)
+    paths = varied_fields(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
     heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
@@ -340,7 +340,7 @@ def table(rows: Sequence[Row]) -> str:
         codes = " ".join(dict.fromkeys(issue.code for issue in row.done.issues))
         values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
         figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
-        said = worst(row.done)
+        said = gravest_issue(row.done)
         message = said.message if said is not None else ""
         taken = " ".join(accepted(row.done.issues))
         cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
@@ -377,10 +377,10 @@ SUMMARY_CSS: Final = (
 """Style of the summary besides that of every page."""
 
 
-def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
+def summary_page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
     """The page; ``out`` is the folder of the results, which links and thumbnails come from, and ``seconds``
     [s] what the whole batch took this time."""
-    paths = varied(rows)
+    paths = varied_fields(rows)
     known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
     varied_heads = [html.escape(path).replace(".", ".<wbr>") for path in paths]
     figure_heads = [html.escape(FIGURES[name]) for name in known]
@@ -446,10 +446,10 @@ def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, widt
     cells = "".join(_cell(cell) for cell in (*values, *figures, row.done.seconds))
     kind = ' class="has"' if row.done.issues else ""
     line = f"<tr{kind}>{marked}{cells}</tr>"
-    said = worst(row.done)
+    said = gravest_issue(row.done)
     if not row.done.issues:
         return line
-    text = html.escape(counted(row))
+    text = html.escape(issue_counts(row))
     if said is not None:
         text += f": <code>{said.code}</code> {html.escape(said.message)}"
     return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'

@@ -65,7 +65,7 @@ def collect(given: Sequence[Path], leave_out: Path) -> list[Item]:
 def _items(path: Path, leave_out: Path) -> list[Item]:
     if path.is_dir():
         files = [file for file in _files(path) if not file.resolve().is_relative_to(leave_out)]
-        items = [item for file in files for item in _in_file(file, path) if _kind(file) is not None]
+        items = [item for file in files for item in _in_file(file, path) if _file_kind(file) is not None]
         if not items:
             what = f"{path}: no problem file in this folder; a problem file is YAML with 'tandem: 1'"
             raise TandemError(Issue("problem.missing_file", what, file=str(path)))
@@ -84,11 +84,11 @@ def _files(folder: Path) -> Iterator[Path]:
             continue
         if path.is_dir() and not path.is_symlink():
             yield from _files(path)
-        elif path.suffix.lower() in SUFFIXES and path.is_file() and _kind(path) is not None:
+        elif path.suffix.lower() in SUFFIXES and path.is_file() and _file_kind(path) is not None:
             yield path
 
 
-def _kind(path: Path) -> str | None:
+def _file_kind(path: Path) -> str | None:
     """``tandem`` for a problem file, ``batch`` for a batch file, by a top-level key; None for others.
 
     What cannot be read counts as a problem file: nobody can say that it is none, and its row says what is
@@ -103,7 +103,7 @@ def _kind(path: Path) -> str | None:
 
 def _in_file(path: Path, root: Path) -> list[Item]:
     name = _name(path, root)
-    if _kind(path) == BATCH:
+    if _file_kind(path) == BATCH:
         return [Item(f"{name}-{v.name}", f"{path} {v.name}", v.read, v.values) for v in read_batch(path)]
     return [Item(name, str(path), lambda: pipeline.load(path))]
 
@@ -223,7 +223,7 @@ def run(
 
 
 @contextmanager
-def claimed(out: Path) -> Iterator[None]:
+def claimed_folder(out: Path) -> Iterator[None]:
     """``out`` is this batch's own while the block runs: it can be written, and no other batch writes to it.
 
     Raises ``TandemError`` (``output.folder``, ``batch.in_use``).

@@ -61,7 +61,7 @@ def run(request: Batch) -> int:
     _check(request)
     start = time.perf_counter()
     rows: dict[str, Row] = {}
-    with batch.claimed(request.output):
+    with batch.claimed_folder(request.output):
         items = collect(request.problems, request.output)
         count = min(request.workers or len(os.sched_getaffinity(0)), len(items))
         settings = batch.Settings(request.timeout, request.memory, request.resume)
@@ -128,7 +128,7 @@ class _Shown:
                 self._bar.remove_task(self._jobs.pop(event.name))
             self._bar.advance(self._all)
             if event.done.state != "verified":
-                issue = compare.worst(event.done)
+                issue = compare.gravest_issue(event.done)
                 said = f": {issue}" if issue is not None else ""
                 text = f"{event.name}: {event.done.state}{said}"
                 self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -156,8 +156,8 @@ def _write(request: Batch, rows: Sequence[Row], seconds: float) -> None:
     from planner.files import write_whole
 
     title = f"Batch {request.output.resolve().name}"
-    write_whole(request.output / "summary.csv", compare.table(rows))
-    write_whole(request.output / "summary.html", compare.page(title, rows, request.output, seconds))
+    write_whole(request.output / "summary.csv", compare.csv_table(rows))
+    write_whole(request.output / "summary.html", compare.summary_page(title, rows, request.output, seconds))
 
 
 def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
@@ -167,8 +167,8 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
         "name", "status", *(compare.FIGURES[name] for name in TABLE_FIGURES), "planned in s", "issues"
     )
     for row in rows:
-        issue = compare.worst(row.done)
-        remark = " ".join(filter(None, (compare.counted(row), issue.code if issue is not None else "")))
+        issue = compare.gravest_issue(row.done)
+        remark = " ".join(filter(None, (compare.issue_counts(row), issue.code if issue is not None else "")))
         table.add_row(
             row.item.name,
             compare.STATES[row.done.state],

@@ -110,10 +110,10 @@ def run(action: Fit | Width | Speed | Power) -> None:
     if isinstance(action, Fit):
         _fit(action)
     else:
-        _answer(action)
+        _width_at(action)
 
 
-def _answer(question: Width | Speed | Power) -> None:
+def _width_at(question: Width | Speed | Power) -> None:
     from planner.hotwire.kerf import width as kerf
 
     foam = _foam(question.foam)

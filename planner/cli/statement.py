@@ -88,7 +88,7 @@ class PrivateKey:
 def read_private_key(path: Path) -> PrivateKey:
     """The Ed25519 key in an OpenSSH file; asks for its passphrase at a terminal. Raises ``TandemError`` with
     ``sign.key`` or ``sign.extra``."""
-    _needed()
+    _require_cryptography()
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_ssh_private_key
@@ -140,7 +140,7 @@ def read_public_keys(path: Path) -> tuple[PublicKey, ...]:
 
 def sign_message(message: bytes, key: PrivateKey) -> str:
     """The signature of a message, armoured."""
-    signature = key.key.sign(_asked(message, HASH))
+    signature = key.key.sign(_signed_bytes(message, HASH))
     parts = (key.public.blob, NAMESPACE.encode(), b"", HASH.encode())
     blob = _MAGIC + struct.pack(">I", 1) + b"".join(map(_string, parts))
     blob += _string(_string(KEY_KIND.encode()) + _string(signature))
@@ -152,7 +152,7 @@ def sign_message(message: bytes, key: PrivateKey) -> str:
 def find_signer(message: bytes, armoured: str, known: Iterable[PublicKey]) -> PublicKey:
     """The key among those ``known`` that signed the message. Raises ``ValueError`` that says why none did,
     and ``TandemError`` with ``sign.extra``."""
-    _needed()
+    _require_cryptography()
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
@@ -166,7 +166,7 @@ def find_signer(message: bytes, armoured: str, known: Iterable[PublicKey]) -> Pu
         by = f"SHA256:{base64.b64encode(hashlib.sha256(blob).digest()).decode().rstrip('=')}"
         raise ValueError(f"it is by the key {by}, which is none of those given")
     try:
-        Ed25519PublicKey.from_public_bytes(own.raw).verify(signature, _asked(message, hashed.decode()))
+        Ed25519PublicKey.from_public_bytes(own.raw).verify(signature, _signed_bytes(message, hashed.decode()))
     except InvalidSignature:
         raise ValueError("it does not belong to this text: the text was changed, or the signature") from None
     return own
@@ -188,7 +188,7 @@ def _parsed(armoured: str) -> tuple[bytes, bytes, bytes, bytes, bytes]:
     return key, namespace, hashed, kind, signature
 
 
-def _asked(message: bytes, hashed: str) -> bytes:
+def _signed_bytes(message: bytes, hashed: str) -> bytes:
     """What is signed for a message."""
     parts = (NAMESPACE.encode(), b"", hashed.encode(), hashlib.new(hashed, message).digest())
     return _MAGIC + b"".join(map(_string, parts))
@@ -210,7 +210,7 @@ def _strings(data: bytes) -> list[bytes]:
     return out
 
 
-def _needed() -> None:
+def _require_cryptography() -> None:
     try:
         import cryptography  # noqa: F401
     except ImportError as error:

@@ -238,7 +238,7 @@ def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Mo
     operation = plan.operations[-minus]
     here = int(rows[int(SHOWN_CUT_SHARE * (len(rows) - 1))])
     q = {**still.q, **{arm: operation.q[arm][here] for arm in operation.q}}
-    done = _done(problem, plan, -minus, here, setup)
+    done = _cut_so_far(problem, plan, -minus, here, setup)
     edge, frame = operation.targets.edge, operation.targets.frame[operation.targets.arms[0]]
     wires: list[FloatArray] = []
     if edge is not None and frame in ("stock", "world"):
@@ -261,7 +261,7 @@ def _cuts(operation: OperationPlan) -> list[IndexArray]:
     ]
 
 
-def _done(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> list[Mesh]:
+def _cut_so_far(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> list[Mesh]:
     """What straight wires have cut up to target ``here`` of operation ``last``, within the block as shown."""
     out = []
     for index in range(last + 1):

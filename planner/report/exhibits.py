@@ -69,7 +69,7 @@ def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray)
                     f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
                 )
     colors = _colours(value)
-    for i in _thin(len(curves)):
+    for i in _evenly_chosen(len(curves)):
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
         parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{points}"/>')
     parts.append("</svg>")
@@ -94,7 +94,7 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
     stretch = np.array([1e3, 1e3 * times])
     drawn: list[tuple[FloatArray, str]] = []
     colors = _colours(value)
-    for i in _thin(len(curves)):
+    for i in _evenly_chosen(len(curves)):
         origin, axes = frames[i]
         drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
         if len(wanted) == len(curves):
@@ -155,7 +155,7 @@ def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray
     return 0.5 * (curve[0] + curve[-1]), np.stack([x, y], axis=1)
 
 
-def _thin(count: int) -> list[int]:
+def _evenly_chosen(count: int) -> list[int]:
     return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST_CURVES))})
 
 

@@ -257,7 +257,7 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     run = track(problem, plan, KEYFRAMES + KEYFRAMES_MORE * max(0, len(plan.operations) - 1))
     animation = MeshcatAnimation(FRAMES_PER_S)
     film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FRAMES_PER_S).astype(int))
-    _look(meshcat, model, run)
+    _set_view(meshcat, model, run)
     _bodies(film, model, problem, plan.places, run)
     _parts(meshcat, problem)
     if run.wire is not None:
@@ -309,7 +309,7 @@ class _Film:
             self.animation.SetProperty(int(self.frames[i]), path, "visible", bool(seen[i]))
 
 
-def _look(meshcat: Any, model: CellModel, run: Track) -> None:
+def _set_view(meshcat: Any, model: CellModel, run: Track) -> None:
     """Background, camera across the line of the bases, or of the base and the block; no axes."""
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [0.74, 0.78, 0.83])
@@ -347,7 +347,7 @@ def _bodies(
     for index, setup in enumerate(problem.setups):
         for name, pieces in _groups(setup, places[index]).items():
             path = next(
-                (p for p, (known, _) in sets.items() if p.startswith(name) and _same(known, pieces)), ""
+                (p for p, (known, _) in sets.items() if p.startswith(name) and _same_looks(known, pieces)), ""
             )
             path = path or f"{name}/{index}"
             seen = sets.setdefault(path, (pieces, np.zeros(len(run.time), dtype=bool)))[1]
@@ -367,7 +367,7 @@ def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
     return out
 
 
-def _same(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
+def _same_looks(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
     """Whether two groups look the same."""
     return len(one) == len(other) and all(
         a.body == b.body
@@ -399,7 +399,7 @@ def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> Non
     points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, WIRE_LINKS + 1).round().astype(int))]
     step = np.diff(points, axis=1)
     length = np.linalg.norm(step, axis=-1)
-    poses = _along(0.5 * (points[:, 1:] + points[:, :-1]), step)
+    poses = _poses_along(0.5 * (points[:, 1:] + points[:, :-1]), step)
     for k in range(step.shape[1]):
         path = f"/wire/{k}"
         shape = Capsule(max(radius, scenes.LEAST_WIRE_RADIUS_M), float(np.median(length[shown, k])))
@@ -408,7 +408,7 @@ def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> Non
     film.show("/wire", shown)
 
 
-def _along(middle: FloatArray, direction: FloatArray) -> FloatArray:
+def _poses_along(middle: FloatArray, direction: FloatArray) -> FloatArray:
     """Poses (..., 4, 4) at ``middle`` with z along ``direction``."""
     z = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
     aside = np.where(np.abs(z[..., 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))

@@ -86,10 +86,10 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     for index, operation in enumerate(plan.operations):
         setup = setups[scene.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
-            _change(rows, setup, index, here)
-        here = _alone(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
-        here = _work(rows, setup, plan, index, operation, here)
-        here = _alone(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
+            _setup_pause(rows, setup, index, here)
+        here = _own_ways(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
+        here = _operation_rows(rows, setup, plan, index, operation, here)
+        here = _own_ways(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
     if not rows.time:
         _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
@@ -97,7 +97,7 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     return _sampled(rows, time, pick, problem, plan)
 
 
-def _change(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray]) -> None:
+def _setup_pause(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray]) -> None:
     """A pause at home while the operator changes the setup; what changes does so in its middle."""
     start = rows.end()
     q = {arm: v[None] for arm, v in here.items()}
@@ -110,7 +110,7 @@ def _change(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray
     _append(rows, index, np.array([start, middle + 0.5 * SETUP_PAUSE_S]), q, None, (SETUP_SEGMENT,) * 2)
 
 
-def _alone(
+def _own_ways(
     rows: _Rows,
     problem: Problem,
     index: int,
@@ -134,7 +134,7 @@ def _alone(
     return here
 
 
-def _work(
+def _operation_rows(
     rows: _Rows,
     setup: Setup,
     plan: Plan,

@@ -43,7 +43,7 @@ from planner.service.models import (
 from planner.service.security import LOCAL, SESSION_S, RefusedError, unauthorised, unknown_job
 from planner.service.service import Service
 from planner.service.storage import Blob
-from planner.service.upload import documented, take
+from planner.service.upload import documented, take_upload
 
 COOKIE: Final = "tandem_session"
 """Name of the cookie of a session."""
@@ -318,7 +318,7 @@ async def create(
 ) -> JobOut:
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     return await here.in_turn(
         request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
     )
@@ -334,7 +334,7 @@ async def check(
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
 ) -> CheckOut:
     """Read a problem and say what is in its way; a file that cannot be read is 422."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
     return CheckOut(
         ok=not has_errors(read.issues),

@@ -29,12 +29,12 @@ from planner.service.jobs import (
     answer_from_store,
     issues_json,
     job_files,
-    note,
     put_files,
+    record_event,
     remove,
 )
 from planner.service.models import OPEN, State
-from planner.service.security import plain
+from planner.service.security import issue_json
 from planner.service.storage import Blob, Files
 
 MOST_ATTEMPTS: Final = 3
@@ -91,7 +91,7 @@ class Work:
                         fraction=0.0,
                     )
                 )
-                note(db, job, "state", {"state": "running", "attempt": attempt})
+                record_event(db, job, "state", {"state": "running", "attempt": attempt})
                 files = job_files(db, job)
                 return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
@@ -153,11 +153,11 @@ class Work:
         values = {"state": state, "host": None, "lease": None, "stage": "", "fraction": 0.0}
         if issues:
             values["issues"] = issues_json(issues)
-            note(db, job, "issues", {"issues": [plain(issue) for issue in issues]})
+            record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
         if state != "queued":
             values["finished"] = time.time()
         db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
-        note(db, job, "state", {"state": state})
+        record_event(db, job, "state", {"state": state})
 
     def cancelled(self) -> set[str]:
         """This host's jobs that are to stop."""
@@ -171,13 +171,13 @@ class Work:
             if self._held(db, claimed):
                 values = {"stage": stage[:64], "fraction": fraction}
                 db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(**values))
-                note(db, claimed.id, "progress", {"stage": stage, "fraction": round(fraction, 4)})
+                record_event(db, claimed.id, "progress", {"stage": stage, "fraction": round(fraction, 4)})
 
     def found(self, claimed: Claimed, issues: Collection[Issue]) -> None:
         """Tell of issues as they appear."""
         with self._database.write() as db:
             if issues and self._held(db, claimed):
-                note(db, claimed.id, "issues", {"issues": [plain(issue) for issue in issues]})
+                record_event(db, claimed.id, "issues", {"issues": [issue_json(issue) for issue in issues]})
 
     def finish(
         self,
@@ -208,9 +208,9 @@ class Work:
             put_files(db, claimed.id, files)
             db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(**values))
             if issues:
-                content = {"issues": [plain(issue) for issue in issues], "all": True}
-                note(db, claimed.id, "issues", content)
-            note(db, claimed.id, "state", {"state": state})
+                content = {"issues": [issue_json(issue) for issue in issues], "all": True}
+                record_event(db, claimed.id, "issues", content)
+            record_event(db, claimed.id, "state", {"state": state})
             return True
 
     def forget(self, older_s: float | None) -> None:

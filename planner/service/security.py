@@ -70,10 +70,10 @@ class RefusedError(Exception):
     @property
     def body(self) -> dict[str, Any]:
         """The answer as JSON."""
-        return {"issues": [plain(issue) for issue in self.issues]}
+        return {"issues": [issue_json(issue) for issue in self.issues]}
 
 
-def plain(issue: Issue) -> dict[str, Any]:
+def issue_json(issue: Issue) -> dict[str, Any]:
     """The issue as JSON has it: numbers that are not finite are left out."""
     data = issue.to_dict()
     return {k: v for k, v in data.items() if not isinstance(v, float) or math.isfinite(v)}
@@ -253,14 +253,14 @@ class Guard:
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
         host = headers.get("host", "")
         if self._open_hosts is not None:
-            if _name(host) not in self._open_hosts:
+            if _host_name(host) not in self._open_hosts:
                 raise _foreign(f"the host is {host[:80]!r}; without tokens only this machine may ask")
             if any(name in headers for name in FORWARDING_HEADERS):
                 raise _foreign("a proxy passed this on; start the service with --require-token behind one")
         if scope["method"] not in SAFE_METHODS:
             origin = headers.get("origin")
             if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") or (
-                origin is not None and _place(origin) != host.lower()
+                origin is not None and _host_and_port(origin) != host.lower()
             ):
                 raise _foreign("another site sent this request through a browser; use the service's own page")
 
@@ -283,14 +283,14 @@ class Guard:
         return counted
 
 
-def _place(origin: str) -> str:
+def _host_and_port(origin: str) -> str:
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
         return ""
 
 
-def _name(host: str) -> str:
+def _host_name(host: str) -> str:
     """The host without its port."""
     if host.startswith("["):
         return host[1:].split("]")[0].lower()

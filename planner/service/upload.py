@@ -37,7 +37,7 @@ class Upload:
     files: Mapping[str, Blob]
 
 
-async def take(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
+async def take_upload(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
     """The upload of a request: ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone
     as JSON or YAML.
 

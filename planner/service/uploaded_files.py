@@ -96,7 +96,7 @@ class Uploaded:
         suffix = Path(base_name(found[0])).suffix
         laid = f"files/{source.name[:16]}{suffix.lower() if _SUFFIX.fullmatch(suffix) else ''}"
         if not (self._folder / laid).exists():
-            _lay(source, self._folder / laid)
+            _link_or_copy(source, self._folder / laid)
         self._names[str(self._folder / laid)] = found[0]
         return laid
 
@@ -120,7 +120,7 @@ def base_name(name: str) -> str:
     return re.split(r"[/\\]", name)[-1]
 
 
-def _lay(source: Path, target: Path) -> None:
+def _link_or_copy(source: Path, target: Path) -> None:
     try:
         target.hardlink_to(source)
     except OSError:  # on another disk

@@ -22,8 +22,8 @@ from planner.catalogue.robots import data_dir
 from planner.files import is_file
 from planner.issues import Issue, has_errors
 from planner.service.routes import Caller, Here
-from planner.service.security import RefusedError, plain
-from planner.service.upload import take
+from planner.service.security import RefusedError, issue_json
+from planner.service.upload import take_upload
 
 _NO_EXAMPLES: Final = ("cells",)
 """Folders of bundled files that hold no problems."""
@@ -241,7 +241,7 @@ def example_file(
 async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
     """What is known of an upload without planning it, with the shapes that the page draws; 422 as for a
     job."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     read = await here.in_turn(
         request, owner, lambda reading: here.examine(upload, draw=True, reading=reading)
     )
@@ -252,7 +252,7 @@ async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
             "digest": read.digest,
             "processes": list(read.processes),
             "summary": dict(read.summary),
-            "issues": [plain(issue) for issue in read.issues],
+            "issues": [issue_json(issue) for issue in read.issues],
             "shapes": list(read.shapes),
         }
     )
