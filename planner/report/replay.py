@@ -12,7 +12,6 @@ import dataclasses
 import html
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +20,6 @@ from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, 
 
 from planner.cell.plant import CellModel, rigid
 from planner.claims.segments import Segment
-from planner.files import write_whole
 from planner.geometry.arrays import BoolArray, FloatArray
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
@@ -236,11 +234,6 @@ _BLOCK_COLOUR: Final = Rgba(0.97, 0.91, 0.66, 0.42)
 """Colour of the block, which is seen through."""
 _PART_COLOUR: Final = Rgba(0.16, 0.56, 0.62, 1.0)
 """Colour of the wanted part."""
-
-
-def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
-    """Writes the replay to ``path``, whole or not at all. Raises as :func:`document`."""
-    write_whole(path, document(model, problem, plan))
 
 
 def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:

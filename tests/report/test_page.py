@@ -108,6 +108,22 @@ def test_report_is_whole_offline_and_has_every_part(files: dict[str, str]) -> No
     assert len(files["report.html"]) < 3_000_000
 
 
+def test_contents_lead_to_the_sections_that_have_something_in_them() -> None:
+    full = markup.Section("a", "First & best", (markup.Paragraph("1 < 2"),))
+    empty = markup.Section("b", "Nothing", ())
+    text = markup.page(markup.Page("title", "name", (("ok", "good"),), None, (), (full, empty)))
+    _checked(text)
+    assert '<nav><a href="#a">First &amp; best</a></nav>' in text and "Nothing" not in text
+
+
+def test_a_photo_is_found_again_in_a_page() -> None:
+    address = markup.png(np.zeros((2, 3, 3)))
+    text = markup.render(markup.Group((markup.Paragraph("x"), markup.Photo(address, "a & b"))))
+    found = markup.photo(text, "a & b")
+    assert found is not None and found.startswith(b"\x89PNG")
+    assert markup.photo(text, "another") is None
+
+
 def test_same_plan_same_page(problem: Problem, plan: Plan, proof: Proof) -> None:
     assert output.render(problem, plan, proof) == output.render(problem, plan, proof)
 
