@@ -155,9 +155,9 @@ def compare(folder: Path, data: Any) -> list[Issue]:
 
 def use_key(folder: Path, data: Any) -> list[Issue]:
     """A key of a file, to ``sign`` or to check with; ``line``: of a file of allowed signers."""
-    raw, kind = bytes(range(32)), statement.KIND.encode()
+    raw, kind = bytes(range(32)), statement.KEY_KIND.encode()
     public = base64.b64encode(struct.pack(">I", len(kind)) + kind + struct.pack(">I", 32) + raw).decode()
-    (folder / "KEY.pub").write_text(f"{statement.KIND} {public}\n")
+    (folder / "KEY.pub").write_text(f"{statement.KEY_KIND} {public}\n")
     if data["sign"]:
         private = pytest.importorskip("cryptography.hazmat.primitives.asymmetric.ed25519").Ed25519PrivateKey
         words = pytest.importorskip("cryptography.hazmat.primitives.serialization")
@@ -166,7 +166,8 @@ def use_key(folder: Path, data: Any) -> list[Issue]:
     else:
         (folder / "KEY").write_text("-----BEGIN OPENSSH PRIVATE KEY-----\n")
     if "line" in data:
-        (folder / data["key"]).write_text(data["line"].replace("PUBLIC", f"{statement.KIND} {public}") + "\n")
+        line = data["line"].replace("PUBLIC", f"{statement.KEY_KIND} {public}")
+        (folder / data["key"]).write_text(line + "\n")
 
     def work() -> Iterable[Issue]:
         (statement.read_private_key if data["sign"] else statement.read_public_keys)(folder / data["key"])

@@ -97,22 +97,22 @@ def test_a_bad_point_comes_with_where_the_others_put_it() -> None:
     b = np.random.default_rng(2).uniform(-0.5, 0.5, (6, 3))
     a = seen(b)
     a[4] += [0.0, 3 * MM, 0.0]
-    (issue,) = rigid_fit.judge(solve(a, b), a, b, names(6), 0.5 * MM)
+    (issue,) = rigid_fit.tolerance_issues(solve(a, b), a, b, names(6), 0.5 * MM)
     assert issue.code == "align.bad_point"
     assert issue.target == "p5"
     assert issue.value == pytest.approx(3.0, abs=1e-6)
     assert "+3.00" in issue.message
-    assert not rigid_fit.judge(solve(a, b), a, b, names(6), 4 * MM)
+    assert not rigid_fit.tolerance_issues(solve(a, b), a, b, names(6), 4 * MM)
     used = np.arange(6) != 4
     left = rigid_fit.align(a, b, names(6), ARMS, used)
     assert np.allclose(left.pose, TRUE, atol=1e-12)
-    assert not rigid_fit.judge(left, a, b, names(6), 0.5 * MM)
+    assert not rigid_fit.tolerance_issues(left, a, b, names(6), 0.5 * MM)
 
 
 def test_of_three_points_none_is_blamed() -> None:
     a = seen(FLAT[:3])
     a[1] += [0.0, 5 * MM, 0.0]
-    (issue,) = rigid_fit.judge(solve(a, FLAT[:3]), a, FLAT[:3], names(3), 0.5 * MM)
+    (issue,) = rigid_fit.tolerance_issues(solve(a, FLAT[:3]), a, FLAT[:3], names(3), 0.5 * MM)
     assert issue.code == "align.large_residual"
     assert "'p2'" in issue.message
 
@@ -120,7 +120,7 @@ def test_of_three_points_none_is_blamed() -> None:
 def test_poor_points_all_over_blame_none() -> None:
     b = np.random.default_rng(2).uniform(-0.5, 0.5, (8, 3))
     a = seen(b, 5 * MM, 4)
-    (issue,) = rigid_fit.judge(solve(a, b), a, b, names(8), 0.5 * MM)
+    (issue,) = rigid_fit.tolerance_issues(solve(a, b), a, b, names(8), 0.5 * MM)
     assert issue.code == "align.large_residual"
 
 
@@ -161,7 +161,7 @@ def test_repeated_probing_of_a_point_is_fine() -> None:
 
 def test_points_nearly_on_a_line_are_doubted() -> None:
     b = LINE + np.array([[0, 0, 0], [0, 0, 10], [0, 0, 0], [0, 0, 0]]) * MM
-    (issue,) = rigid_fit.doubts(seen(b), b, ARMS)
+    (issue,) = rigid_fit.collinearity_warnings(seen(b), b, ARMS)
     assert issue.code == "align.collinear"
     assert issue.severity is Severity.WARNING
-    assert not rigid_fit.doubts(seen(FLAT), FLAT, ARMS)
+    assert not rigid_fit.collinearity_warnings(seen(FLAT), FLAT, ARMS)

@@ -30,9 +30,11 @@ from planner.reading.strict_yaml import Document
 from planner.units import DEG, MM
 
 MAX_BYTES: Final = 1_000_000
+"""Bytes that a file of probed points may have."""
 FARTHEST: Final = 100_000.0
 """Coordinates up to this [mm] are read."""
 AXES: Final = ("x_mm", "y_mm", "z_mm")
+"""Ends of the columns of a point."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -219,7 +221,8 @@ def _too_far(arm: Arm, title: str, point: str, got: float, most: float, file: st
 
 Change = tuple[int, int, str]
 """From where to where text is replaced, and by what."""
-PARTS: Final = ("xyz_mm", "rpy_deg")
+POSE_KEYS: Final = ("xyz_mm", "rpy_deg")
+"""Keys of a base in a cell file: position and attitude."""
 
 
 def rounded(base: FloatArray) -> tuple[list[float], list[float]]:
@@ -237,7 +240,7 @@ def with_base(document: Document, index: int, base: FloatArray) -> str:
     """
     text = document.text.decode("utf-8-sig")
     before: Any = yaml.safe_load(text)
-    values = dict(zip(PARTS, rounded(base), strict=True))
+    values = dict(zip(POSE_KEYS, rounded(base), strict=True))
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if root is None:
         raise ValueError("an empty file is no cell")
@@ -270,12 +273,12 @@ def _changes(root: yaml.Node, index: int, values: dict[str, list[float]]) -> lis
     if searched is not None and searched.value.lower() in ("true", "yes", "on"):
         changes.append(_put(searched, "false"))
     base = _find(arm, "base")
-    whole = ", ".join(f"{key}: {_listed(values[key])}" for key in PARTS)
+    whole = ", ".join(f"{key}: {_listed(values[key])}" for key in POSE_KEYS)
     if base is None:
         return [*changes, _insert(arm, f"base: {{{whole}}}")]
     if not isinstance(base, yaml.MappingNode) or not base.value:
         return [*changes, _put(base, f"{{{whole}}}")]
-    for key in PARTS:
+    for key in POSE_KEYS:
         node = _find(base, key)
         if node is None:
             changes.append(_insert(base, f"{key}: {_listed(values[key])}"))

@@ -69,7 +69,7 @@ def align(
     Raises `TandemError`: align.few_points, align.same_points, align.collinear, align.units, align.mirrored.
     """
     use = np.ones(len(a), dtype=bool) if used is None else used
-    _check(a[use], b[use], [n for n, u in zip(names, use, strict=True) if u], arms)
+    _require_points(a[use], b[use], [n for n, u in zip(names, use, strict=True) if u], arms)
     pose = rigid_fit(a, b, use.astype(np.float64))
     residual = a - (b @ pose[:3, :3].T + pose[:3, 3])
     count = int(use.sum())
@@ -86,7 +86,7 @@ def align(
     )
 
 
-def doubts(a: FloatArray, b: FloatArray, arms: tuple[str, str]) -> tuple[Issue, ...]:
+def collinearity_warnings(a: FloatArray, b: FloatArray, arms: tuple[str, str]) -> tuple[Issue, ...]:
     """Warnings (align.collinear): points nearly on one line leave the turn about it loose."""
     width, length = min((_extents(p)[1], _extents(p)[0]) for p in (a, b))
     if width >= NARROW_WIDTH_RATIO * length:
@@ -99,7 +99,7 @@ def doubts(a: FloatArray, b: FloatArray, arms: tuple[str, str]) -> tuple[Issue, 
     return (Issue("align.collinear", text, Severity.WARNING, value=width / MM, unit="mm", hint=hint),)
 
 
-def judge(
+def tolerance_issues(
     found: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
 ) -> list[Issue]:
     """Errors where points are farther than ``tolerance`` [m] from their fit: align.bad_point for each of the
@@ -109,7 +109,7 @@ def judge(
         return []
     bad = bad_points(a[use], b[use], tolerance)
     if bad is None:
-        return [_unexplained(found, a[use], b[use], [names[k] for k in use.tolist()], tolerance)]
+        return [_disagreeing_pair(found, a[use], b[use], [names[k] for k in use.tolist()], tolerance)]
     good = use[~np.isin(np.arange(len(use)), bad)]
     pose = rigid_fit(a[good], b[good], np.ones(len(good)))
     issues = []
@@ -142,7 +142,7 @@ def bad_points(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | No
     count = len(a)
     for size in range(1, count - 2):
         if math.comb(count, size) > MOST_LEFT_OUT_SETS:
-            return _one_by_one(a, b, tolerance)
+            return _left_out_one_by_one(a, b, tolerance)
         sets = np.array(list(itertools.combinations(range(count), size)))
         weight = np.ones((len(sets), count))
         np.put_along_axis(weight, sets, 0.0, axis=1)
@@ -157,7 +157,7 @@ def bad_points(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | No
     return None
 
 
-def _one_by_one(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | None:
+def _left_out_one_by_one(a: FloatArray, b: FloatArray, tolerance: float) -> list[int] | None:
     """Leaves out the point whose absence helps most, again and again, up to a third of all."""
     weight, out = np.ones(len(a)), []
     for _ in range(len(a) // 3):
@@ -203,7 +203,7 @@ def _extents(points: FloatArray) -> FloatArray:
     return values if len(points) >= 3 else np.pad(values, (0, 3 - len(values)))
 
 
-def _check(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str]) -> None:
+def _require_points(a: FloatArray, b: FloatArray, names: Sequence[str], arms: tuple[str, str]) -> None:
     if len(a) < 3:
         what = f"{len(a)} probed point{'' if len(a) == 1 else 's'} ({', '.join(names)})"
         raise _refuse("align.few_points", f"{what}, allowed three or more", "probe four or more, far apart")
@@ -253,7 +253,7 @@ def _unit_guess(ratio: float) -> str:
     return ""
 
 
-def _unexplained(
+def _disagreeing_pair(
     found: Alignment, a: FloatArray, b: FloatArray, names: Sequence[str], tolerance: float
 ) -> Issue:
     """No point is to blame alone: name the two points whose distance the robots disagree on most."""

@@ -30,8 +30,10 @@ from planner.reading.strict_yaml import Document, FileName, changed_field
 
 BATCH: Final = "batch"
 """The key that every batch file begins with."""
-MOST: Final = 100_000
-MAX_CSV = 20_000_000
+MAX_JOBS: Final = 100_000
+"""Jobs that one batch file may make, and values that one range may have."""
+MAX_CSV_BYTES = 20_000_000
+"""Bytes that a table of varied values may have."""
 
 Plain = str | float | int | bool | None
 Value = Plain | list[Any] | dict[str, Any]
@@ -44,15 +46,15 @@ class RangeFile(BaseModel):
 
     start: Annotated[float, Field(alias="from", description="first value")]
     to: Annotated[float, Field(description="last value, or beyond it where a step does not divide the range")]
-    count: Annotated[int | None, Field(ge=2, le=MOST, description="so many values, or")] = None
+    count: Annotated[int | None, Field(ge=2, le=MAX_JOBS, description="so many values, or")] = None
     step: Annotated[float | None, Field(gt=0, description="one every so much; give one of the two")] = None
 
     @model_validator(mode="after")
     def _one_spacing(self) -> Self:
         if (self.count is None) == (self.step is None):
             raise ValueError("a range has a count or a step, one of them")
-        if self.step is not None and abs(self.to - self.start) / self.step > MOST:
-            raise ValueError(f"a range of over {MOST} values; make the step larger")
+        if self.step is not None and abs(self.to - self.start) / self.step > MAX_JOBS:
+            raise ValueError(f"a range of over {MAX_JOBS} values; make the step larger")
         return self
 
     def values(self) -> list[float]:
@@ -91,8 +93,8 @@ class BatchFile(BaseModel):
             raise ValueError("nothing varies: give vary or csv, or plan the problem itself")
         counts = {path: len(self.listed(path)) for path in self.vary}
         if self.combine == "zip" and len(set(counts.values())) > 1:
-            told = ", ".join(f"{path} has {count}" for path, count in counts.items())
-            raise ValueError(f"combine: zip takes as many values of each field; {told}")
+            found = ", ".join(f"{path} has {count}" for path, count in counts.items())
+            raise ValueError(f"combine: zip takes as many values of each field; {found}")
         return self
 
     def listed(self, path: str) -> list[Any]:
@@ -177,8 +179,8 @@ def read_batch(path: Path) -> list[Variant]:
     if base is None or issues:
         raise TandemError(issues)
     rows = [(line, row) for line in table for row in spec.rows()]
-    if len(rows) > MOST:
-        what = f"vary: {len(rows)} jobs, at most {MOST} are taken; vary less, or in several batch files"
+    if len(rows) > MAX_JOBS:
+        what = f"vary: {len(rows)} jobs, at most {MAX_JOBS} are taken; vary less, or in several batch files"
         raise TandemError(Issue("batch.field", what, file=str(path), line=document.line(("vary",))))
     width = max(3, len(str(len(rows))))
     out = []
@@ -205,8 +207,8 @@ def _base(spec: BatchFile, document: Document) -> Document:
 def _table(path: Path, document: Document) -> list[dict[str, Any]]:
     """Rows of a CSV file, values read as YAML reads them, empty cells left out."""
     try:
-        if path.stat().st_size > MAX_CSV:
-            raise _bad_table(path, f"is over {MAX_CSV // 1_000_000} MB; split it", document)
+        if path.stat().st_size > MAX_CSV_BYTES:
+            raise _bad_table(path, f"is over {MAX_CSV_BYTES // 1_000_000} MB; split it", document)
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise _bad_table(path, f"cannot be read ({error}); check the path", document) from error

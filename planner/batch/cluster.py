@@ -36,12 +36,15 @@ from planner.batch.workers import MODULE
 from planner.issues import Issue, TandemError
 
 CONNECT_S: Final = 20.0
+"""Time [s] in which the scheduler of the cluster must answer."""
 WORKERS_S: Final = 120.0
 """So long [s] is waited for a first worker."""
 LEAST_AHEAD: Final = 4
+"""Jobs at hand at least, however few threads the cluster has."""
 AHEAD: Final = 2
 """Jobs at hand for each thread of the cluster."""
 INSTALL: Final = "pip install 'tandem-planner[cluster]'"
+"""What installs the extra that a cluster needs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Cluster:
             raise TandemError(Issue("batch.field", what, field="--cluster"))
         self._memory_mb, self._module = memory_mb, module
         self._sent: dict[str, _Sent] = {}
-        self._heard: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._topic = f"tandem-{uuid.uuid4().hex}"
         self._open = contextlib.ExitStack()
         self._versions = all_versions()
@@ -112,7 +115,7 @@ class Cluster:
             what = f"cluster {address}: cannot be reached, or has no workers ({error})"
             hint = "start `dask scheduler` and `dask worker`, and give the scheduler's address"
             raise TandemError(Issue("batch.cluster", what, hint=hint)) from error
-        client.subscribe_topic(self._topic, lambda event: self._heard.put(("event", event)))
+        client.subscribe_topic(self._topic, lambda event: self._messages.put(("event", event)))
         return client
 
     def __enter__(self) -> Self:
@@ -152,7 +155,7 @@ class Cluster:
         arguments = (token, self._topic, dict(job.files), more, self._versions)
         future = self._client.submit(cluster_worker.plan, *arguments, key=token, pure=False)
         self._sent[job.name] = _Sent(job, place, future, token, time.monotonic())
-        future.add_done_callback(lambda _: self._heard.put(("ended", (job.name, token))))
+        future.add_done_callback(lambda _: self._messages.put(("ended", (job.name, token))))
 
     def cancel(self, name: str) -> bool:
         """As of `planner.batch.workers.Workers`."""
@@ -165,7 +168,7 @@ class Cluster:
             self._client.run(cluster_worker.cancel, sent.token, on_error="ignore")
         sent.future.cancel(force=True)
         done = Done(name, "cancelled", (cancelled(name),), {}, time.monotonic() - sent.since)
-        self._heard.put(("told", Finished(name, done)))
+        self._messages.put(("cancelled", Finished(name, done)))
         return True
 
     def events(self, timeout_s: float) -> Iterator[Event]:
@@ -174,10 +177,10 @@ class Cluster:
         wait_until = time.monotonic() + timeout_s
         while True:
             try:
-                kind, content = self._heard.get(timeout=max(0.0, wait_until - time.monotonic()))
+                kind, content = self._messages.get(timeout=max(0.0, wait_until - time.monotonic()))
             except queue.Empty:
                 return
-            for event in self._told(kind, content):
+            for event in self._events_in(kind, content):
                 yield event
                 wait_until = time.monotonic()  # what more is at hand, and no more waiting
 
@@ -189,8 +192,8 @@ class Cluster:
             warnings.simplefilter("ignore")
             self._open.close()
 
-    def _told(self, kind: str, content: Any) -> Iterator[Event]:
-        if kind == "told":
+    def _events_in(self, kind: str, content: Any) -> Iterator[Event]:
+        if kind == "cancelled":
             yield content
         elif kind == "event":
             message = json.loads(content[1])
@@ -252,10 +255,10 @@ class Cluster:
     def _other_versions(self, answer: dict[str, Any]) -> Issue:
         theirs = answer["versions"]
         names = sorted({*theirs, *self._versions})
-        told = ", ".join(
+        differing = ", ".join(
             f"{name} {theirs.get(name, 'none')} instead of {self._versions.get(name, 'none')}"
             for name in names
             if theirs.get(name) != self._versions.get(name)
         )
-        what = f"worker {answer['worker']} has {told}; results would differ"
+        what = f"worker {answer['worker']} has {differing}; results would differ"
         return Issue("batch.versions", what, hint="install the same versions on all machines")

@@ -20,8 +20,8 @@ from distributed import get_worker
 from planner.batch.job import Event, Finished, Found, Job, Progress, all_versions
 from planner.batch.workers import Workers
 
-TELL_S: Final = 0.5
-"""Progress within a stage is told so often."""
+PROGRESS_EVERY_S: Final = 0.5
+"""Progress within a stage is published so often."""
 NANNYS: Final = ("MALLOC_TRIM_THRESHOLD_",)
 """Dask's nanny sets it for its workers, so that what they free is given back at once. A planner asks for the
 same memory again all the time, and would take 1.4 times as long."""
@@ -57,17 +57,17 @@ def cancel(token: str) -> None:
 def _finished(token: str, topic: str, job: Job, result: Path, module: str) -> Finished:
     team = _team(module)
     team.start(job, result)
-    told: tuple[str, float] = ("", 0.0)
+    published: tuple[str, float] = ("", 0.0)
     try:
         while True:
             for event in team.events(0.2):
                 if isinstance(event, Finished):
                     return event
                 if isinstance(event, Progress):
-                    if event.stage == told[0] and time.monotonic() - told[1] < TELL_S:
+                    if event.stage == published[0] and time.monotonic() - published[1] < PROGRESS_EVERY_S:
                         continue
-                    told = event.stage, time.monotonic()
-                _tell(topic, event)
+                    published = event.stage, time.monotonic()
+                _publish(topic, event)
             if token in _cancelled:
                 team.cancel(job.name)
     except BaseException:
@@ -92,7 +92,7 @@ def _drop_team() -> None:
     _mine.__dict__.clear()
 
 
-def _tell(topic: str, event: Event) -> None:
+def _publish(topic: str, event: Event) -> None:
     """Send an event to who asked for the job, as JSON: Dask takes no more than the plainest data."""
     if isinstance(event, Progress):
         get_worker().log_event(topic, json.dumps({"progress": dataclasses.astuple(event)}))

@@ -13,7 +13,6 @@ import dataclasses
 import html
 import io
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,8 +27,8 @@ from planner.batch.run import RECORDS, Row
 from planner.batch.solve import figures
 from planner.issues import Issue, Severity, TandemError, accepted, aggregate
 from planner.plans import OperationPlan, Plan
-from planner.report import markup
-from planner.report.markup import CSS, Raw
+from planner.report import markup, page_sections
+from planner.report.markup import CSS
 from planner.units import MM
 from planner.verify.result import RuleResult
 
@@ -68,7 +67,7 @@ def _proof(path: Path) -> tuple[bool | None, tuple[RuleResult, ...], tuple[Issue
         ) from error
 
 
-SAME_S = 1e-9
+EQUAL_WITHIN = 1e-9
 """Times that differ by less [s] are the same; so are angles [rad] and lengths [m]."""
 
 
@@ -246,7 +245,7 @@ def _change(
         default=0.0,
     )
     later = abs((seconds[0] or 0.0) - (seconds[1] or 0.0))
-    if max(joints, poses, later) <= SAME_S and set(first.q) == set(second.q):
+    if max(joints, poses, later) <= EQUAL_WITHIN and set(first.q) == set(second.q):
         return None
     return SegmentChange(name, label, counts, seconds, float(np.rad2deg(joints)), poses / MM)
 
@@ -287,9 +286,10 @@ STATES: Final[dict[str, str]] = {
     "memory": "memory",
     "cancelled": "cancelled",
 }
+"""What the states of jobs are called, in the order in which they are counted."""
 
 
-def varied(rows: Iterable[Row]) -> list[str]:
+def varied_fields(rows: Iterable[Row]) -> list[str]:
     """Paths of all fields that batch files varied, in order of first appearance."""
     return list(dict.fromkeys(path for row in rows for path in row.item.varied))
 
@@ -299,7 +299,7 @@ def value_text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 
-def worst(done: Done) -> Issue | None:
+def gravest_issue(done: Done) -> Issue | None:
     """The issue that says most about a job: the first error, else the first warning."""
     for severity in (Severity.ERROR, Severity.WARNING):
         for issue in done.issues:
@@ -308,17 +308,17 @@ def worst(done: Done) -> Issue | None:
     return None
 
 
-def counted(row: Row) -> str:
+def issue_counts(row: Row) -> str:
     """How many errors, warnings and notes a job has (``1 error, 2 warnings``), and what its problem
     accepts."""
-    told = []
+    parts = []
     for severity in Severity:
         count = sum(issue.severity is severity for issue in row.done.issues)
         if count:
-            told.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
+            parts.append(f"{count} {severity.value}{'s' if count > 1 else ''}")
     taken = accepted(row.done.issues)
-    told += [f"accepted: {' '.join(taken)}"] if taken else []
-    return ", ".join(told)
+    parts += [f"accepted: {' '.join(taken)}"] if taken else []
+    return ", ".join(parts)
 
 
 def figure_text(name: str, value: float | None) -> str:
@@ -328,10 +328,10 @@ def figure_text(name: str, value: float | None) -> str:
     return f"{value:.0f}" if name == "targets" else f"{value:.4g}"
 
 
-def table(rows: Sequence[Row]) -> str:
+def csv_table(rows: Sequence[Row]) -> str:
     """The summary as CSV (RFC 4180), figures in full: name, origin, state, issue codes, those that the
     problem accepts, varied fields, figures, planning time [s], first error or warning."""
-    paths = varied(rows)
+    paths = varied_fields(rows)
     stream = io.StringIO()
     writer = csv.writer(stream)
     heads = ["name", "origin", "state", "issues", "accepted", *paths, *FIGURES, "planning_s", "message"]
@@ -340,7 +340,7 @@ def table(rows: Sequence[Row]) -> str:
         codes = " ".join(dict.fromkeys(issue.code for issue in row.done.issues))
         values = [value_text(row.item.varied[p]) if p in row.item.varied else "" for p in paths]
         figures = [_full(row.done.metrics.get(name)) for name in FIGURES]
-        said = worst(row.done)
+        said = gravest_issue(row.done)
         message = said.message if said is not None else ""
         taken = " ".join(accepted(row.done.issues))
         cells = [row.item.name, row.item.origin, row.done.state, codes, taken, *values, *figures]
@@ -363,24 +363,27 @@ def _harmless(cell: str) -> str:
 
 THUMBNAIL: Final = (200, 120)
 """Largest width and height of a thumbnail [pixels]."""
-MAX_REPORT: Final = 50_000_000
+MAX_REPORT_BYTES: Final = 50_000_000
+"""Bytes of a report beyond which its picture is not looked for."""
 MAX_PIXELS: Final = 40_000_000
-_PICTURE = re.compile(r'<img alt="the cell" src="data:image/png;base64,([A-Za-z0-9+/=]+)"')
-KIND: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
-OWN: Final = (
+"""Pixels of a picture beyond which no thumbnail is made of it."""
+TAG_OF_STATE: Final = {"verified": "ok", "unproven": "bad", "infeasible": "warning", "bad_input": "warning"}
+"""Kind of the tag that shows a state; `bad` for all others."""
+SUMMARY_CSS: Final = (
     "main{max-width:1500px}td img{display:block;width:128px;border-radius:6px;background:#fff}"
     "td a{color:var(--accent)}td:first-child{width:140px}td .soft{font-size:12px;overflow-wrap:anywhere}"
     "tr.has>td{border-bottom:0}tr.said>td{padding-top:0}"
 )
+"""Style of the summary besides that of every page."""
 
 
-def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
+def summary_page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
     """The page; ``out`` is the folder of the results, which links and thumbnails come from, and ``seconds``
     [s] what the whole batch took this time."""
-    paths = varied(rows)
+    paths = varied_fields(rows)
     known = [name for name in FIGURES if any(name in row.done.metrics for row in rows)]
-    varied_heads = [Raw(html.escape(path).replace(".", ".<wbr>")) for path in paths]
-    figure_heads = [FIGURES[name] for name in known]
+    varied_heads = [html.escape(path).replace(".", ".<wbr>") for path in paths]
+    figure_heads = [html.escape(FIGURES[name]) for name in known]
     heads = ["", "name", "status", *varied_heads, *figure_heads, "planned in s"]
     body = "".join(_lines(row, paths, known, out, len(heads)) for row in rows)
     counts: Counter[str] = Counter(row.done.state for row in rows)
@@ -390,12 +393,16 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
         if counts[state]
     )
     kept = sum(row.kept for row in rows)
-    told = f"{len(rows)} problems in {seconds:.0f} s" + (f", {kept} kept from earlier runs" if kept else "")
-    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{told}</p>"
-    inner = f'{head}<div class="tiles">{tiles}</div>{markup.section("jobs", "Results", _table(heads, body))}'
+    summary = f"{len(rows)} problems in {seconds:.0f} s" + (
+        f", {kept} kept from earlier runs" if kept else ""
+    )
+    head = f"<header><h1>{html.escape(title)}</h1></header><p class='soft'>{summary}</p>"
+    results = markup.section(markup.Section("jobs", "Results", (_table(heads, body),)))
+    inner = f'{head}<div class="tiles">{tiles}</div>{results}'
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{CSS}{OWN}</style></head>'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<style>{CSS}{SUMMARY_CSS}</style></head>"
         f"<body><main>{inner}</main></body></html>\n"
     )
 
@@ -403,12 +410,12 @@ def page(title: str, rows: Sequence[Row], out: Path, seconds: float) -> str:
 def thumbnail(report: Path) -> bytes | None:
     """The cell's picture in a report as a small PNG; None where it has none that can be read."""
     try:
-        if report.stat().st_size > MAX_REPORT:
+        if report.stat().st_size > MAX_REPORT_BYTES:
             return None
-        found = _PICTURE.search(report.read_text("utf-8"))
+        found = markup.photo(report.read_text("utf-8"), page_sections.CELL)
         if found is None:
             return None
-        with Image.open(io.BytesIO(base64.b64decode(found[1])), formats=["PNG"]) as picture:
+        with Image.open(io.BytesIO(found), formats=["PNG"]) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 return None
             small = picture.convert("RGBA")
@@ -429,19 +436,20 @@ def _lines(row: Row, paths: Sequence[str], known: Sequence[str], out: Path, widt
         data = base64.b64encode(small).decode()
         shown = f'<a href="{report}"><img alt="" src="data:image/png;base64,{data}"></a>'
     state = row.done.state
-    tag = f'<span class="tag {KIND.get(state, "bad")}">{STATES[state]}</span>'
+    tag = markup.text(markup.Tag(TAG_OF_STATE.get(state, "bad"), STATES[state]))
     linked = (out / report).is_file()
     name = f'<a href="{report}">{row.item.name}</a>' if linked else row.item.name
     name += f'<br><span class="soft">{html.escape(row.item.origin)}</span>'
     values = [value_text(row.item.varied[path]) if path in row.item.varied else "" for path in paths]
     figures = [_figure_cell(figure, row.done.metrics.get(figure)) for figure in known]
-    cells = [Raw(shown), Raw(name), Raw(tag), *values, *figures, row.done.seconds]
+    marked = "".join(f"<td>{cell}</td>" for cell in (shown, name, tag))
+    cells = "".join(_cell(cell) for cell in (*values, *figures, row.done.seconds))
     kind = ' class="has"' if row.done.issues else ""
-    line = f"<tr{kind}>{''.join(_cell(cell) for cell in cells)}</tr>"
-    said = worst(row.done)
+    line = f"<tr{kind}>{marked}{cells}</tr>"
+    said = gravest_issue(row.done)
     if not row.done.issues:
         return line
-    text = html.escape(counted(row))
+    text = html.escape(issue_counts(row))
     if said is not None:
         text += f": <code>{said.code}</code> {html.escape(said.message)}"
     return f'{line}<tr class="said"><td></td><td colspan="{width - 1}">{text}</td></tr>'
@@ -456,10 +464,11 @@ def _cell(cell: object) -> str:
     return f"<td{kind}>{markup.text(cell)}</td>"
 
 
-def _table(heads: Sequence[str], body: str) -> Raw:
-    head = "".join(f"<th>{markup.text(name)}</th>" for name in heads)
+def _table(heads: Sequence[str], body: str) -> markup.Drawing:
+    """The table of ``heads`` and rows, both HTML: its rows have pictures, links and a line for issues."""
+    head = "".join(f"<th>{name}</th>" for name in heads)
     inner = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return Raw(f'<div class="scroll"><table>{inner}</table></div>')
+    return markup.Drawing(f'<div class="scroll"><table>{inner}</table></div>')
 
 
 def _tile(figure: str, name: str, bad: bool) -> str:

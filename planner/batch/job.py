@@ -23,9 +23,11 @@ State = Literal[
     "verified", "infeasible", "bad_input", "unproven", "crashed", "timeout", "memory", "cancelled"
 ]
 STATES: tuple[State, ...] = get_args(State)
+"""How a job may end."""
 PROBLEM = "problem.yaml"
 """The problem file among a job's files."""
 MAX_NAME = 100
+"""Characters that the name of a job may have."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,6 +30,7 @@ from planner.reading import problem as problem_file
 from planner.reading import strict_yaml
 
 SUFFIXES = (".yaml", ".yml")
+"""Endings of problem and batch files."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +67,7 @@ def collect(given: Sequence[Path], leave_out: Path) -> list[Item]:
 def _items(path: Path, leave_out: Path) -> list[Item]:
     if path.is_dir():
         files = [file for file in _files(path) if not file.resolve().is_relative_to(leave_out)]
-        items = [item for file in files for item in _in_file(file, path) if _kind(file) is not None]
+        items = [item for file in files for item in _in_file(file, path) if _file_kind(file) is not None]
         if not items:
             what = f"{path}: no problem file in this folder; a problem file is YAML with 'tandem: 1'"
             raise TandemError(Issue("problem.missing_file", what, file=str(path)))
@@ -85,11 +86,11 @@ def _files(folder: Path) -> Iterator[Path]:
             continue
         if path.is_dir() and not path.is_symlink():
             yield from _files(path)
-        elif path.suffix.lower() in SUFFIXES and path.is_file() and _kind(path) is not None:
+        elif path.suffix.lower() in SUFFIXES and path.is_file() and _file_kind(path) is not None:
             yield path
 
 
-def _kind(path: Path) -> str | None:
+def _file_kind(path: Path) -> str | None:
     """``tandem`` for a problem file, ``batch`` for a batch file, by a top-level key; None for others.
 
     What cannot be read counts as a problem file: nobody can say that it is none, and its row says what is
@@ -104,7 +105,7 @@ def _kind(path: Path) -> str | None:
 
 def _in_file(path: Path, root: Path) -> list[Item]:
     name = _name(path, root)
-    if _kind(path) == BATCH:
+    if _file_kind(path) == BATCH:
         return [Item(f"{name}-{v.name}", f"{path} {v.name}", v.read, v.values) for v in read_batch(path)]
     return [Item(name, str(path), lambda: pipeline.load(path))]
 
@@ -183,15 +184,18 @@ class Settings:
     resume: bool = False
 
 
-Tell = Callable[[Event], None]
+OnEvent = Callable[[Event], None]
 
 
-def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings, tell: Tell) -> list[Row]:
+def run(
+    items: Sequence[Item], out: Path, planners: Planners, settings: Settings, on_event: OnEvent
+) -> list[Row]:
     """Plan all items into ``out``; the rows in the order of the items, as far as it came when interrupted
     nothing is lost but what was under way.
 
-    ``tell`` hears every event, a :class:`Finished` of what was kept too. Raises ``TandemError`` where nothing
-    can be written or planned (``output.folder``, ``batch.worker``, ``batch.cluster``, ``batch.versions``).
+    ``on_event`` gets every event, a :class:`Finished` of what was kept too. Raises ``TandemError`` where
+    nothing can be written or planned (``output.folder``, ``batch.worker``, ``batch.cluster``,
+    ``batch.versions``).
     """
     rows: dict[str, Row] = {}
     waiting = collections.deque(items)
@@ -202,7 +206,7 @@ def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings
     def ended(row: Row) -> None:
         rows[row.item.name] = row
         under_way.pop(row.item.name, None)
-        tell(Finished(row.item.name, row.done))
+        on_event(Finished(row.item.name, row.done))
 
     while waiting or planners.busy:
         while waiting and len(under_way) < planners.ahead:
@@ -216,7 +220,7 @@ def run(items: Sequence[Item], out: Path, planners: Planners, settings: Settings
             if isinstance(event, Finished):
                 ended(Row(known[event.name], event.done))
             else:
-                tell(event)
+                on_event(event)
     return [rows[item.name] for item in items]
 
 
@@ -225,20 +229,21 @@ def plan_all(
     out: str | Path,
     workers: int = 2,
     settings: Settings | None = None,
-    tell: Tell | None = None,
+    on_event: Callable[[Event], None] | None = None,
 ) -> dict[str, Done]:
     """Plan problems of Python by name, as ``tandem batch`` plans files: ``workers`` processes side by side,
     each result in a folder of that name in ``out``. How each ended, a refused or crashed one too, by name.
 
-    Raises ``ValueError`` for ``workers`` below 1, and ``TandemError`` as :func:`run` and :func:`claimed`.
+    Raises ``ValueError`` for ``workers`` below 1, and ``TandemError`` as :func:`run` and
+    :func:`claimed_folder`.
     """
     folder, names = Path(out), safe_names(problems)
     items = [
         Item(name, given, functools.partial(_built, problem))
         for name, (given, problem) in zip(names, problems.items(), strict=True)
     ]
-    with claimed(folder), Workers(workers) as planners:
-        rows = run(items, folder, planners, settings or Settings(), tell or _silent)
+    with claimed_folder(folder), Workers(workers) as planners:
+        rows = run(items, folder, planners, settings or Settings(), on_event or _silent)
     return {row.item.origin: row.done for row in rows}
 
 
@@ -251,7 +256,7 @@ def _silent(event: Event) -> None:
 
 
 @contextmanager
-def claimed(out: Path) -> Iterator[None]:
+def claimed_folder(out: Path) -> Iterator[None]:
     """``out`` is this batch's own while the block runs: it can be written, and no other batch writes to it.
 
     Raises ``TandemError`` (``output.folder``, ``batch.in_use``).

@@ -51,7 +51,7 @@ def figures(plan: Plan, rules: Iterable[RuleResult]) -> dict[str, float]:
     return {name: value for name, value in out.items() if math.isfinite(value)}
 
 
-Hear = Callable[[Sequence[Issue]], None]
+OnIssues = Callable[[Sequence[Issue]], None]
 
 
 def solve(
@@ -59,13 +59,13 @@ def solve(
     source: Path,
     result: Path,
     origins: Mapping[str, str],
-    tell: pipeline.Progress,
-    hear: Hear,
+    on_progress: pipeline.Progress,
+    on_issues: OnIssues,
 ) -> Done:
     """Plan the bundle in ``source`` and write its result folder to ``result``, which is there for every state
     but ``crashed``.
 
-    ``origins`` as in :class:`planner.batch.job.Job`; ``hear`` gets issues as they are known.
+    ``origins`` as in :class:`planner.batch.job.Job`; ``on_issues`` gets issues as they are known.
     """
     start = time.perf_counter()
     called = Names(source, origins)
@@ -76,13 +76,13 @@ def solve(
     problem = None
     try:
         problem = pipeline.load(source / PROBLEM)
-        hear(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
-        outcome = called.outcome(pipeline.plan(problem, tell))
-        hear(outcome.issues)
-        outcome.save(result, tell)
+        on_issues(called.issues((*(problem.part.notes if problem.part is not None else ()), *problem.notes)))
+        outcome = called.outcome(pipeline.plan(problem, on_progress))
+        on_issues(outcome.issues)
+        outcome.save(result, on_progress)
     except TandemError as error:
         issues = called.issues(error.issues)
-        hear(issues)
+        on_issues(issues)
         pipeline.save_failure(problem, issues, result)
         return done("bad_input" if problem is None or given_wrong(issues) else "infeasible", issues, {})
     except Exception as error:  # what planning should never do; the job's state says so

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from planner.batch.job import Done
     from planner.issues import Issue
 
-    Tell = Callable[[str, float], None]
-    Hear = Callable[[Sequence[Issue]], None]
-    Solve = Callable[[str, Path, Path, Mapping[str, str], Tell, Hear], Done]
+    OnProgress = Callable[[str, float], None]
+    OnIssues = Callable[[Sequence[Issue]], None]
+    Solve = Callable[[str, Path, Path, Mapping[str, str], OnProgress, OnIssues], Done]
 
 PR_SET_PDEATHSIG = 1
 """prctl(2): the signal that this process gets when its parent ends."""
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> in
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)
         solve = (get or _planning)()
-        _say(answers, "ready", True)
+        _answer(answers, "ready", True)
         for line in sys.stdin:
             _work(json.loads(line), answers, solve)
             _tidy()
@@ -46,19 +46,19 @@ def main(arguments: Sequence[str], get: Callable[[], Solve] | None = None) -> in
 
 
 def _work(order: dict[str, Any], answers: TextIO, solve: Solve) -> None:
-    def tell(stage: str, fraction: float) -> None:
-        _say(answers, "progress", [stage, float(fraction)])
+    def on_progress(stage: str, fraction: float) -> None:
+        _answer(answers, "progress", [stage, float(fraction)])
 
-    def hear(issues: Sequence[Issue]) -> None:
+    def on_issues(issues: Sequence[Issue]) -> None:
         if issues:
-            _say(answers, "found", [issue.to_dict() for issue in issues])
+            _answer(answers, "found", [issue.to_dict() for issue in issues])
 
     source, result = Path(order["source"]), Path(order["result"])
-    done = solve(order["name"], source, result, order["origins"], tell, hear)
-    _say(answers, "done", done.to_dict())
+    done = solve(order["name"], source, result, order["origins"], on_progress, on_issues)
+    _answer(answers, "done", done.to_dict())
 
 
-def _say(answers: TextIO, kind: str, content: object) -> None:
+def _answer(answers: TextIO, kind: str, content: object) -> None:
     answers.write(json.dumps({kind: content}) + "\n")
     answers.flush()
 
@@ -71,10 +71,15 @@ def _planning() -> Solve:
     models = plant.keep_models()
 
     def with_kept_models(
-        name: str, source: Path, result: Path, origins: Mapping[str, str], tell: Tell, hear: Hear
+        name: str,
+        source: Path,
+        result: Path,
+        origins: Mapping[str, str],
+        on_progress: OnProgress,
+        on_issues: OnIssues,
     ) -> Done:
         models.next_job()
-        return solve(name, source, result, origins, tell, hear)
+        return solve(name, source, result, origins, on_progress, on_issues)
 
     logging.getLogger("drake").setLevel(logging.WARNING)
     return with_kept_models

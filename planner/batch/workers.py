@@ -32,9 +32,13 @@ from planner.issues import Issue, TandemError
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Threads of the linear algebra: one of each, as for ``tandem plan``, unless the environment says more."""
 MODULE = "planner.batch.worker"
-CHUNK = 1 << 16
-PAGE = os.sysconf("SC_PAGE_SIZE")
-LAST_WORDS = 4000
+"""What a worker process runs."""
+CHUNK_BYTES = 1 << 16
+"""Bytes of a worker's words that are read at once."""
+PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+"""Bytes of a page of memory."""
+LAST_WORDS_BYTES = 4000
+"""Bytes at the end of a worker's error output that are looked at when it died."""
 
 
 class Process:
@@ -82,7 +86,7 @@ class Process:
         """What it has said since, and whether it has ended."""
         ended = False
         try:
-            while chunk := os.read(self.fileno(), CHUNK):
+            while chunk := os.read(self.fileno(), CHUNK_BYTES):
                 self._rest += chunk
             ended = True
         except BlockingIOError:
@@ -93,7 +97,7 @@ class Process:
     def memory_mb(self) -> float:
         """Memory that it holds now [MB]; 0 when it has ended."""
         try:
-            return int(Path(f"/proc/{self.pid}/statm").read_text().split()[1]) * PAGE / 1e6
+            return int(Path(f"/proc/{self.pid}/statm").read_text().split()[1]) * PAGE_BYTES / 1e6
         except (OSError, IndexError):
             return 0.0
 
@@ -108,10 +112,10 @@ class Process:
 
     def _last_words(self) -> str:
         size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, size - LAST_WORDS))
+        self._words.seek(max(0, size - LAST_WORDS_BYTES))
         lines = [line.strip() for line in self._words.read().decode("utf-8", "replace").splitlines()]
-        told = [line for line in lines if line]
-        return told[-1][:200] if told else ""
+        said = [line for line in lines if line]
+        return said[-1][:200] if said else ""
 
     def _close(self) -> None:
         for stream in (self._process.stdin, self._process.stdout, self._words):
@@ -186,7 +190,7 @@ class Workers:
         self._starting: list[Process] = []
         self._running: dict[str, _Running] = {}
         self._queue: collections.deque[_Order] = collections.deque()
-        self._told: collections.deque[Event] = collections.deque()
+        self._events: collections.deque[Event] = collections.deque()
         self._dead_starts = 0
         self._selector = selectors.DefaultSelector()
         # the kernel ends a worker with the thread that made it, so one thread makes them all and stays
@@ -205,7 +209,7 @@ class Workers:
     @property
     def busy(self) -> bool:
         """Whether any job is queued or under way, or something of one has not been told."""
-        return bool(self._queue or self._running or self._told)
+        return bool(self._queue or self._running or self._events)
 
     @property
     def ahead(self) -> int:
@@ -243,7 +247,7 @@ class Workers:
         order = next((order for order in self._queue if order.job.name == name), None)
         if order is not None:
             self._queue.remove(order)
-            self._tell_end(order, self._issue("cancelled", order), 0.0)
+            self._report_end(order, self._issue("cancelled", order), 0.0)
             return True
         if name not in self._running:
             return False
@@ -260,13 +264,13 @@ class Workers:
         while True:
             self._fill()
             self._dispatch()
-            if not self._told:
+            if not self._events:
                 self._listen(max(0.0, min(WATCH, until - time.monotonic())))
                 self._watch()
-            told = bool(self._told)
-            while self._told:
-                yield self._told.popleft()
-            if told or time.monotonic() >= until:
+            yielded = bool(self._events)
+            while self._events:
+                yield self._events.popleft()
+            if yielded or time.monotonic() >= until:
                 return
 
     def close(self) -> None:
@@ -306,7 +310,7 @@ class Workers:
         try:
             source, result = order.place.prepare(order.job.files)
         except TandemError as error:
-            self._told.append(Finished(order.job.name, Done(order.job.name, "crashed", error.issues)))
+            self._events.append(Finished(order.job.name, Done(order.job.name, "crashed", error.issues)))
             return
         self._idle.remove(process)
         first = process.jobs == 0
@@ -327,11 +331,11 @@ class Workers:
                 raise TypeError(f"expected a worker, got {type(process).__name__}")
             answers, ended = process.answers()
             for answer in answers:
-                self._hear(process, answer)
+                self._take_answer(process, answer)
             if ended:
                 self._lost(process)
 
-    def _hear(self, process: Process, answer: dict[str, Any]) -> None:
+    def _take_answer(self, process: Process, answer: dict[str, Any]) -> None:
         if "ready" in answer:
             self._dead_starts = 0
             self._starting.remove(process)
@@ -341,14 +345,14 @@ class Workers:
         name = running.order.job.name
         if "progress" in answer:
             stage, fraction = answer["progress"]
-            self._told.append(Progress(name, stage, fraction))
+            self._events.append(Progress(name, stage, fraction))
         elif "found" in answer:
-            self._told.append(Found(name, tuple(Issue.from_dict(issue) for issue in answer["found"])))
+            self._events.append(Found(name, tuple(Issue.from_dict(issue) for issue in answer["found"])))
         else:
             done = Done.from_dict(answer["done"])
             del self._running[name]
             self._idle.append(process)
-            self._told.append(Finished(name, running.order.place.publish(done)))
+            self._events.append(Finished(name, running.order.place.publish(done)))
 
     def _lost(self, process: Process) -> None:
         """A worker has ended by itself."""
@@ -387,7 +391,7 @@ class Workers:
         """End a running job with a failure."""
         seconds = time.monotonic() - running.since
         how = self._stop(running)
-        self._tell_end(running.order, self._issue(state, running.order, how), seconds, state)
+        self._report_end(running.order, self._issue(state, running.order, how), seconds, state)
 
     def _stop(self, running: _Running) -> str:
         del self._running[running.order.job.name]
@@ -403,12 +407,12 @@ class Workers:
                 group.remove(process)
         return process.end()
 
-    def _tell_end(self, order: _Order, issue: Issue, seconds: float, state: State = "cancelled") -> None:
+    def _report_end(self, order: _Order, issue: Issue, seconds: float, state: State = "cancelled") -> None:
         done = Done(order.job.name, state, (issue,), {}, seconds)
         if state != "cancelled" and self._reports:
             done = order.place.publish(done)
-        self._told.append(Found(order.job.name, done.issues))
-        self._told.append(Finished(order.job.name, done))
+        self._events.append(Found(order.job.name, done.issues))
+        self._events.append(Finished(order.job.name, done))
 
     def _issue(self, state: State, order: _Order, how: str = "") -> Issue:
         job = order.job

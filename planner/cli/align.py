@@ -63,8 +63,10 @@ def run(request: Align) -> tuple[Issue, ...]:
     probing.require_reach(cell, (1 - index, index), points, str(request.points))
     used = probing.used_points(points, request.leave_out, str(request.points))
     found = rigid_fit.align(points.first, points.second, points.names, arms, used)
-    issues = rigid_fit.judge(found, points.first, points.second, points.names, request.tolerance_mm * MM)
-    _tell_points(found, points, {issue.target for issue in issues})
+    issues = rigid_fit.tolerance_issues(
+        found, points.first, points.second, points.names, request.tolerance_mm * MM
+    )
+    _print_points(found, points, {issue.target for issue in issues})
     if issues:
         raise TandemError([dataclasses.replace(i, file=str(request.points)) for i in issues])
     base = fixed.base @ found.pose
@@ -86,10 +88,10 @@ def run(request: Align) -> tuple[Issue, ...]:
         f"{found.turn_sigma / DEG:.3f} deg (one standard deviation, worst direction)"
     )
     out.print(f"written to {request.output}")
-    return rigid_fit.doubts(points.first[used], points.second[used], arms)
+    return rigid_fit.collinearity_warnings(points.first[used], points.second[used], arms)
 
 
-def _tell_points(found: Alignment, points: ProbedPoints, bad: set[str | None]) -> None:
+def _print_points(found: Alignment, points: ProbedPoints, bad: set[str | None]) -> None:
     table = Table("point", "off mm", "x mm", "y mm", "z mm", "")
     for k, name in enumerate(points.names):
         remark = "left out" if not found.used[k] else "BAD" if name in bad else ""

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 out = Console(highlight=False)
 err = Console(stderr=True)
-STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow"}
+STATE_STYLE = {"verified": "green", "infeasible": "yellow", "bad_input": "yellow"}
+"""Colours of states in the terminal; red for all others."""
 TABLE_FIGURES = ("targets", "cycle_s", "clearance_mm")
 """Figures that the table has room for; ``summary.csv`` and ``summary.html`` have them all."""
 
@@ -60,20 +61,20 @@ def run(request: Batch) -> int:
     _check(request)
     start = time.perf_counter()
     rows: dict[str, Row] = {}
-    with batch.claimed(request.output):
+    with batch.claimed_folder(request.output):
         items = collect(request.problems, request.output)
         count = min(request.workers or len(os.sched_getaffinity(0)), len(items))
         settings = batch.Settings(request.timeout, request.memory, request.resume)
         known = {item.name: item for item in items}
         with _planners(request, count) as planners, _progress(items) as shown:
 
-            def tell(event: Event) -> None:
+            def on_event(event: Event) -> None:
                 if isinstance(event, Finished):
                     rows[event.name] = batch.Row(known[event.name], event.done)
-                shown.hear(event)
+                shown.show(event)
 
             try:
-                done = batch.run(items, request.output, planners, settings, tell)
+                done = batch.run(items, request.output, planners, settings, on_event)
             except BaseException:
                 so_far = [rows[item.name] for item in items if item.name in rows]
                 _write(request, so_far, time.perf_counter() - start)
@@ -118,7 +119,7 @@ class _Shown:
         self._all = bar.add_task("all", total=count)
         self._jobs: dict[str, TaskID] = {}
 
-    def hear(self, event: Event) -> None:
+    def show(self, event: Event) -> None:
         """Show an event."""
         from planner.batch import compare, job
 
@@ -127,7 +128,7 @@ class _Shown:
                 self._bar.remove_task(self._jobs.pop(event.name))
             self._bar.advance(self._all)
             if event.done.state != "verified":
-                issue = compare.worst(event.done)
+                issue = compare.gravest_issue(event.done)
                 said = f": {issue}" if issue is not None else ""
                 text = f"{event.name}: {event.done.state}{said}"
                 self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -155,8 +156,8 @@ def _write(request: Batch, rows: Sequence[Row], seconds: float) -> None:
     from planner.files import write_whole
 
     title = f"Batch {request.output.resolve().name}"
-    write_whole(request.output / "summary.csv", compare.table(rows))
-    write_whole(request.output / "summary.html", compare.page(title, rows, request.output, seconds))
+    write_whole(request.output / "summary.csv", compare.csv_table(rows))
+    write_whole(request.output / "summary.html", compare.summary_page(title, rows, request.output, seconds))
 
 
 def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
@@ -166,15 +167,15 @@ def _print(rows: Sequence[Row], folder: Path, seconds: float) -> None:
         "name", "status", *(compare.FIGURES[name] for name in TABLE_FIGURES), "planned in s", "issues"
     )
     for row in rows:
-        issue = compare.worst(row.done)
-        told = " ".join(filter(None, (compare.counted(row), issue.code if issue is not None else "")))
+        issue = compare.gravest_issue(row.done)
+        remark = " ".join(filter(None, (compare.issue_counts(row), issue.code if issue is not None else "")))
         table.add_row(
             row.item.name,
             compare.STATES[row.done.state],
             *(compare.figure_text(name, row.done.metrics.get(name)) for name in TABLE_FIGURES),
             f"{row.done.seconds:.1f}",
-            told,
-            style=STYLE.get(row.done.state, "red"),
+            remark,
+            style=STATE_STYLE.get(row.done.state, "red"),
         )
     out.print(table)
     for row in rows:

@@ -40,9 +40,11 @@ if TYPE_CHECKING:
     from planner.verify.result import Proof
 
 DONE, FAILED, BAD_INPUT, NO_PLAN, NOT_PROVEN = 0, 1, 2, 3, 4
+"""Exit codes of the command."""
 MOST_FIELDS_SHOWN = 40
 """Fields of two problems that are listed at most."""
-STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTE: "dim"}
+"""How severities look in the terminal."""
 
 app = tyro.extras.SubcommandApp()
 out = Console()
@@ -76,9 +78,9 @@ def plan(
         pipeline.save_failure(None, error.issues, output)
         return _refused(error, BAD_INPUT)
     try:
-        with _progress() as tell:
-            outcome = pipeline.plan(loaded, tell)
-            outcome.save(output, tell)
+        with _progress() as progress:
+            outcome = pipeline.plan(loaded, progress)
+            outcome.save(output, progress)
     except TandemError as error:
         pipeline.save_failure(loaded, error.issues, output)
         return _refused(error, _infeasible_code(error))
@@ -103,7 +105,7 @@ def check(problem: tyro.conf.Positional[Path]) -> int:
     if has_errors(issues):
         return _infeasible_code(TandemError([i for i in issues if i.severity is Severity.ERROR]))
     out.print(f"{loaded.name}: nothing in the way of a plan was found")
-    _tell_accepted(accepted(issues))
+    _print_accepted(accepted(issues))
     return DONE
 
 
@@ -153,7 +155,7 @@ def verify(
     out.print(
         f"{loaded.name}: {passed} of {len(proof.rules)} rules hold; {'proven' if proof.ok else 'NOT proven'}"
     )
-    _tell_accepted(loaded.accept)
+    _print_accepted(loaded.accept)
     if key is not None and not _signed(folder, loaded, proof, key):
         return NOT_PROVEN
     return DONE if proof.ok and not has_errors(signature) else NOT_PROVEN
@@ -386,7 +388,9 @@ def _refused(error: TandemError, code: int) -> int:
 
 def _print_issues(found: tuple[Issue, ...]) -> None:
     for issue in found:
-        err.print(str(issue), style=STYLES[issue.severity], markup=False, highlight=False, soft_wrap=True)
+        err.print(
+            str(issue), style=SEVERITY_STYLE[issue.severity], markup=False, highlight=False, soft_wrap=True
+        )
 
 
 @contextmanager
@@ -395,12 +399,12 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=err, transient=True) as bar:
         tasks: dict[str, object] = {}
 
-        def tell(stage: str, fraction: float) -> None:
+        def progress(stage: str, fraction: float) -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=fraction)  # type: ignore[arg-type]
 
-        yield tell
+        yield progress
 
 
 def _summary(outcome: object, output: Path, seconds: float) -> None:
@@ -412,7 +416,7 @@ def _summary(outcome: object, output: Path, seconds: float) -> None:
     cycle = sum(float(operation.time[-1]) for operation in outcome.plan.operations)
     verdict = "verified" if outcome.verified else "NOT verified, no programs written"
     out.print(f"{outcome.problem.name}: {moves} targets, {cycle:.0f} s of motion, {verdict}")
-    _tell_accepted(outcome.accepted)
+    _print_accepted(outcome.accepted)
     stages = ", ".join(f"{name} {lap:.1f}" for name, lap in _laps(outcome.plan).items())
     spent = f" ({stages})" if stages else ""
     out.print(
@@ -420,7 +424,7 @@ def _summary(outcome: object, output: Path, seconds: float) -> None:
     )
 
 
-def _tell_accepted(codes: Sequence[str]) -> None:
+def _print_accepted(codes: Sequence[str]) -> None:
     """What a verdict leaves to the user, beside it."""
     if codes:
         out.print(f"accepted by the problem, not by Tandem: {', '.join(codes)}", highlight=False)

@@ -83,8 +83,8 @@ def _batches(found: list[JobPair]) -> None:
     for job in found:
         states = [STATES[done.state] if done is not None else "not there" for done in (job.first, job.second)]
         status = states[0] if states[0] == states[1] else f"{states[0]} to {states[1]}"
-        told = "; ".join(f"{code} {one} to {other}" for code, (one, other) in job.issues.items())
-        table.add_row(job.name, status, *(_both(job.figure(name)) for name in COMPARED_FIGURES), told)
+        codes = "; ".join(f"{code} {one} to {other}" for code, (one, other) in job.issues.items())
+        table.add_row(job.name, status, *(_both(job.figure(name)) for name in COMPARED_FIGURES), codes)
     out.print(table)
     both = [job for job in found if job.first is not None and job.second is not None]
     for name in COMPARED_FIGURES:
@@ -133,9 +133,11 @@ def _text(value: float | None) -> str:
 
 
 NOT_GIVEN: Final = "not given"
+"""What is shown for a field that one side does not have."""
 LONGEST_SHOWN: Final = 60
 """Longer values are cut for display."""
-_NONE: Final = object()
+_ABSENT: Final = object()
+"""Stands for a field that a side does not have; None is a value."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,12 +160,12 @@ def _compare(field: str, a: Any, b: Any) -> Iterator[Difference]:
         for key in dict.fromkeys([*a, *b]):
             name = f"{field}.{key}" if field else str(key)
             if key == "file":
-                yield from _files(name, a.get(key, _NONE), b.get(key, _NONE))
+                yield from _files(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
             else:
-                yield from _compare(name, a.get(key, _NONE), b.get(key, _NONE))
+                yield from _compare(name, a.get(key, _ABSENT), b.get(key, _ABSENT))
     elif isinstance(a, list) and isinstance(b, list):
         for i in range(max(len(a), len(b))):
-            own, other = (rows[i] if i < len(rows) else _NONE for rows in (a, b))
+            own, other = (rows[i] if i < len(rows) else _ABSENT for rows in (a, b))
             yield from _compare(f"{field}[{i}]", own, other)
     elif type(a) is not type(b) or a != b:
         yield Difference(field, _short_value(a), _short_value(b))
@@ -182,7 +184,7 @@ def _content(name: str) -> str:
 
 
 def _short_value(value: Any) -> str:
-    if value is _NONE:
+    if value is _ABSENT:
         return NOT_GIVEN
     text = repr(value) if isinstance(value, str) else str(value)
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."

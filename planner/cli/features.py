@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from planner.geometry.arrays import Mesh
 
 out = Console(highlight=False, soft_wrap=True)
-WRITTEN = (".html", ".svg", ".json")
+OUTPUT_SUFFIXES = (".html", ".svg", ".json")
+"""Endings of files that drawings or the table are written to."""
 LEVEL_ANGLE = 0.5 * DEG
 """What leans less is no wall."""
 
@@ -56,7 +57,7 @@ def run(request: Features) -> tuple[Issue, ...]:
     from planner.geometry.mesh import read_mesh
     from planner.reading.sheet import smooth_face
 
-    if request.output is not None and request.output.suffix.lower() not in WRITTEN:
+    if request.output is not None and request.output.suffix.lower() not in OUTPUT_SUFFIXES:
         what = f"{request.output.name}: a drawing is .html or .svg, a table .json; name it so"
         raise TandemError(Issue("output.folder", what, field="output"))
     path = bundled(request.part)

@@ -110,10 +110,10 @@ def run(action: Fit | Width | Speed | Power) -> None:
     if isinstance(action, Fit):
         _fit(action)
     else:
-        _answer(action)
+        _width_at(action)
 
 
-def _answer(question: Width | Speed | Power) -> None:
+def _width_at(question: Width | Speed | Power) -> None:
     from planner.hotwire.kerf import width as kerf
 
     foam = _foam(question.foam)
@@ -170,7 +170,7 @@ def _fit(request: Fit) -> None:
     today = dt.date.today().isoformat()
     source = f"{report.fit.count} of {len(read.cuts)} test cuts in {request.tests.name}, fitted {today}"
     material_file.write_foam(request.output, dataclasses.replace(foam, kerf=report.fit), source)
-    _tell(report, read, request.output)
+    _print_fit(report, read, request.output)
 
 
 def _metres(name: str, value_mm: float) -> float:
@@ -180,7 +180,7 @@ def _metres(name: str, value_mm: float) -> float:
     return value_mm * MM
 
 
-def _tell(report: FitReport, read: CutFile, path: Path) -> None:
+def _print_fit(report: FitReport, read: CutFile, path: Path) -> None:
     from planner.hotwire.kerf import models as kerf_models
 
     fit, size = report.fit, abs(report.residuals[report.kept]) / MM

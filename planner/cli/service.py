@@ -17,8 +17,10 @@ from planner.issues import Issue, TandemError
 if TYPE_CHECKING:
     from planner.service.security import Auth
 
-DATA: Final = Path("tandem-data")
+DATA_FOLDER: Final = Path("tandem-data")
+"""Where the service keeps its data, unless told otherwise."""
 INSTALL: Final = "pip install 'tandem-planner[service]'"
+"""What installs the extra that the service needs."""
 out: Final = Console()
 
 
@@ -30,7 +32,7 @@ class Serve:
     """address to listen at; anything but loopback needs tokens"""
     port: int = 8000
     """port to listen at"""
-    data: Path = DATA
+    data: Path = DATA_FOLDER
     """folder for files and, without --database, the database"""
     workers: int = 1
     """processes that plan, one job each at a time"""
@@ -76,7 +78,7 @@ class Add:
 
     name: tyro.conf.Positional[str]
     """whose it is"""
-    data: Path = DATA
+    data: Path = DATA_FOLDER
     """data folder of the service"""
     database: str | None = None
     """database of the service, if it is not in the data folder"""
@@ -86,7 +88,7 @@ class Add:
 class List:
     """List the tokens, without their secrets."""
 
-    data: Path = DATA
+    data: Path = DATA_FOLDER
     """data folder of the service"""
     database: str | None = None
     """database of the service, if it is not in the data folder"""
@@ -98,7 +100,7 @@ class Revoke:
 
     name: tyro.conf.Positional[str]
     """whose it is"""
-    data: Path = DATA
+    data: Path = DATA_FOLDER
     """data folder of the service"""
     database: str | None = None
     """database of the service, if it is not in the data folder"""

@@ -33,15 +33,23 @@ if TYPE_CHECKING:
     from planner.verify.result import Proof
 
 SIGN_INSTALL: Final = "pip install 'tandem-planner[sign]'"
+"""What installs the extra that signing needs."""
 NAMESPACE: Final = "tandem"
 """What signatures are for; a signature for another purpose is none of ours."""
-KIND: Final = "ssh-ed25519"
+KEY_KIND: Final = "ssh-ed25519"
+"""The kind of keys, as OpenSSH calls it."""
 HASH: Final = "sha512"
+"""The hash that signatures are made over."""
 BEGIN: Final = "-----BEGIN SSH SIGNATURE-----"
+"""First line of an armoured signature."""
 END: Final = "-----END SSH SIGNATURE-----"
-WIDTH: Final = 70
+"""Last line of an armoured signature."""
+LINE_WIDTH: Final = 70
+"""Characters of a line of an armoured signature."""
 _MAGIC: Final = b"SSHSIG"
-_MOST_BYTES: Final = 100_000
+"""How signatures, and what they are made over, begin (PROTOCOL.sshsig of OpenSSH)."""
+_MAX_KEY_FILE_BYTES: Final = 100_000
+"""Bytes that a file of keys may have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +62,7 @@ class PublicKey:
     @property
     def blob(self) -> bytes:
         """The key as OpenSSH has it."""
-        return _string(KIND.encode()) + _string(self.raw)
+        return _string(KEY_KIND.encode()) + _string(self.raw)
 
     @property
     def fingerprint(self) -> str:
@@ -80,7 +88,7 @@ class PrivateKey:
 def read_private_key(path: Path) -> PrivateKey:
     """The Ed25519 key in an OpenSSH file; asks for its passphrase at a terminal. Raises ``TandemError`` with
     ``sign.key`` or ``sign.extra``."""
-    _needed()
+    _require_cryptography()
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_ssh_private_key
@@ -107,9 +115,9 @@ def read_public_keys(path: Path) -> tuple[PublicKey, ...]:
     out, elsewhere = [], ""
     for number, line in enumerate(_read(path).decode("utf-8", "replace").splitlines(), 1):
         words = line.split()
-        if not words or words[0].startswith("#") or KIND not in words:
+        if not words or words[0].startswith("#") or KEY_KIND not in words:
             continue
-        at = words.index(KIND)
+        at = words.index(KEY_KIND)
         who, options = (words[0], words[1:at]) if at else (" ".join(words[2:]), [])
         spaces = [word for word in options if word.lower().startswith("namespaces=")]
         if len(spaces) < len(options):
@@ -122,43 +130,43 @@ def read_public_keys(path: Path) -> tuple[PublicKey, ...]:
             kind, raw, *rest = _strings(base64.b64decode(words[at + 1], validate=True))
         except (IndexError, ValueError, struct.error) as error:
             raise _bad_key(path, f"line {number} holds no key ({error})") from error
-        if kind != KIND.encode() or len(raw) != 32 or rest:
+        if kind != KEY_KIND.encode() or len(raw) != 32 or rest:
             raise _bad_key(path, f"line {number} holds no Ed25519 key")
         out.append(PublicKey(raw, who))
     if not out:
-        raise _bad_key(path, f"holds no {KIND} key for the namespace {NAMESPACE}{elsewhere}")
+        raise _bad_key(path, f"holds no {KEY_KIND} key for the namespace {NAMESPACE}{elsewhere}")
     return tuple(out)
 
 
 def sign_message(message: bytes, key: PrivateKey) -> str:
     """The signature of a message, armoured."""
-    signature = key.key.sign(_asked(message, HASH))
+    signature = key.key.sign(_signed_bytes(message, HASH))
     parts = (key.public.blob, NAMESPACE.encode(), b"", HASH.encode())
     blob = _MAGIC + struct.pack(">I", 1) + b"".join(map(_string, parts))
-    blob += _string(_string(KIND.encode()) + _string(signature))
+    blob += _string(_string(KEY_KIND.encode()) + _string(signature))
     text = base64.b64encode(blob).decode()
-    lines = [text[i : i + WIDTH] for i in range(0, len(text), WIDTH)]
+    lines = [text[i : i + LINE_WIDTH] for i in range(0, len(text), LINE_WIDTH)]
     return "\n".join([BEGIN, *lines, END, ""])
 
 
 def find_signer(message: bytes, armoured: str, known: Iterable[PublicKey]) -> PublicKey:
     """The key among those ``known`` that signed the message. Raises ``ValueError`` that says why none did,
     and ``TandemError`` with ``sign.extra``."""
-    _needed()
+    _require_cryptography()
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
     blob, namespace, hashed, kind, signature = _parsed(armoured)
     if namespace != NAMESPACE.encode():
         raise ValueError(f"it is a signature for {namespace.decode('ascii', 'replace')!r}, not {NAMESPACE!r}")
-    if hashed not in (b"sha512", b"sha256") or kind != KIND.encode() or len(signature) != 64:
+    if hashed not in (b"sha512", b"sha256") or kind != KEY_KIND.encode() or len(signature) != 64:
         raise ValueError("it is not by an Ed25519 key over SHA-512 or SHA-256")
     own = next((key for key in known if key.blob == blob), None)
     if own is None:
         by = f"SHA256:{base64.b64encode(hashlib.sha256(blob).digest()).decode().rstrip('=')}"
         raise ValueError(f"it is by the key {by}, which is none of those given")
     try:
-        Ed25519PublicKey.from_public_bytes(own.raw).verify(signature, _asked(message, hashed.decode()))
+        Ed25519PublicKey.from_public_bytes(own.raw).verify(signature, _signed_bytes(message, hashed.decode()))
     except InvalidSignature:
         raise ValueError("it does not belong to this text: the text was changed, or the signature") from None
     return own
@@ -180,7 +188,7 @@ def _parsed(armoured: str) -> tuple[bytes, bytes, bytes, bytes, bytes]:
     return key, namespace, hashed, kind, signature
 
 
-def _asked(message: bytes, hashed: str) -> bytes:
+def _signed_bytes(message: bytes, hashed: str) -> bytes:
     """What is signed for a message."""
     parts = (NAMESPACE.encode(), b"", hashed.encode(), hashlib.new(hashed, message).digest())
     return _MAGIC + b"".join(map(_string, parts))
@@ -202,7 +210,7 @@ def _strings(data: bytes) -> list[bytes]:
     return out
 
 
-def _needed() -> None:
+def _require_cryptography() -> None:
     try:
         import cryptography  # noqa: F401
     except ImportError as error:
@@ -215,7 +223,7 @@ def _read(path: Path) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise _bad_key(path, f"cannot be read ({error.strerror})") from error
-    if len(data) > _MOST_BYTES:
+    if len(data) > _MAX_KEY_FILE_BYTES:
         raise _bad_key(path, "is too large for a file of keys")
     return data
 
@@ -226,8 +234,11 @@ def _bad_key(path: Path, what: str) -> TandemError:
 
 
 FORMAT: Final = "tandem-statement"
+"""What a statement says that it is."""
 SCHEMA: Final = 1
+"""Version of a statement's form."""
 MOST_FILES_SHOWN: Final = 5
+"""Files that differ from what was signed and are named; of more the number is told."""
 
 
 def sign_result(folder: Path, problem: Problem, stored: str | None, proof: Proof, key: PrivateKey) -> str:

@@ -181,7 +181,7 @@ def changed_field(data: dict[str, Any], path: str, value: Any, folder: Path) -> 
             node[key] = {}
         node = node[key]
     last = _key(node, steps[-1], path)
-    node[last] = _rooted(copy.deepcopy(value), folder, steps[-1])
+    node[last] = _with_absolute_files(copy.deepcopy(value), folder, steps[-1])
 
 
 def _key(node: Any, step: str, path: str) -> str | int:
@@ -201,14 +201,14 @@ def _key(node: Any, step: str, path: str) -> str | int:
     return named[0]
 
 
-def _rooted(value: Any, folder: Path, key: str) -> Any:
+def _with_absolute_files(value: Any, folder: Path, key: str) -> Any:
     """The value with names of files made absolute."""
     if key == "file" and isinstance(value, str):
         return str((folder / value).resolve())
     if isinstance(value, dict):
-        return {k: _rooted(v, folder, k) for k, v in value.items()}
+        return {k: _with_absolute_files(v, folder, k) for k, v in value.items()}
     if isinstance(value, list):
-        return [_rooted(v, folder, "") for v in value]
+        return [_with_absolute_files(v, folder, "") for v in value]
     return value
 
 

@@ -17,18 +17,23 @@ from planner.geometry.arrays import FloatArray, IndexArray, Mesh
 from planner.geometry.rigid import transform
 from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
-from planner.report import cell_picture, raster, scene
+from planner.report import raster, scene
 from planner.report.raster import Camera, Solid, Thing
 from planner.report.replay import TRIMMED_DEPTH_M
 from planner.report.scene import Scene, mounted, stand
 
-WIRE: Final = (1.0, 0.30, 0.06)
-PART: Final = (0.16, 0.56, 0.62)
-BLOCK: Final = (0.86, 0.90, 0.84)
-_TRACE: Final = (1.0, 0.62, 0.35)
+HOT_WIRE_COLOUR: Final = (1.0, 0.30, 0.06)
+"""Red, green, blue in 0..1 of a hot wire."""
+PART_COLOUR: Final = (0.16, 0.56, 0.62)
+"""Red, green, blue in 0..1 of the wanted part."""
+BLOCK_COLOUR: Final = (0.86, 0.90, 0.84)
+"""Red, green, blue in 0..1 of the block, which is laid over the picture as a veil."""
+_EARLIER_WIRE_COLOUR: Final = (1.0, 0.62, 0.35)
+"""Red, green, blue in 0..1 of the wire where it was before."""
 
 
-CUT: Final = (1.0, 0.66, 0.36)
+CUT_COLOUR: Final = (1.0, 0.66, 0.36)
+"""Red, green, blue in 0..1 of what straight wires have cut."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,17 +71,17 @@ def picture(scene: Scene, moment: Moment, width: int = 900, height: int = 500) -
     for piece in pieces:
         hot = piece.body.endswith("/edge")
         if piece.body == "stock":
-            block.append(Thing(solid[id(piece)], BLOCK))
+            block.append(Thing(solid[id(piece)], BLOCK_COLOUR))
         else:
-            paint = WIRE if hot else piece.color[:3]
+            paint = HOT_WIRE_COLOUR if hot else piece.color[:3]
             opaque.append(Thing(solid[id(piece)], paint, 1.0 if hot else 0.0, piece.closed))
-    for meshes, paint in ((moment.part, PART), (moment.cut, CUT)):
+    for meshes, paint in ((moment.part, PART_COLOUR), (moment.cut, CUT_COLOUR)):
         for mesh in meshes:
             shown = raster.mesh(mesh.vertices, mesh.faces, smooth=True).moved(poses["stock"][0])
             opaque.append(Thing(shown, paint, 0.0, closed=False))
-    opaque += [Thing(raster.tube(wire, 0.0011, 6), _TRACE, 0.85) for wire in moment.earlier]
+    opaque += [Thing(raster.tube(wire, 0.0011, 6), _EARLIER_WIRE_COLOUR, 0.85) for wire in moment.earlier]
     if moment.wire is not None:
-        opaque.append(Thing(raster.tube(moment.wire, 0.0032), WIRE, 1.0))
+        opaque.append(Thing(raster.tube(moment.wire, 0.0032), HOT_WIRE_COLOUR, 1.0))
     fixed = {obstacle.name for obstacle in scene.model.cell.obstacles}
     subject = [solid[id(piece)].vertices for piece in pieces if piece.body not in fixed]
     camera = raster.frame(np.concatenate(subject), _direction(scene, moment.place), 2 * width, 2 * height)
@@ -209,12 +214,12 @@ def setup_pictures(model: CellModel, problem: Problem, plan: Plan | None) -> tup
     setups = problem.setups
     if plan is None or not plan.operations:
         shown = _standing(problem, setups[0], model.stock_pose)
-        return (("", cell_picture.picture(seen, shown)),)
+        return (("", picture(seen, shown)),)
     out = []
     for setup, place in zip(setups, plan.places, strict=True):
         names = ", ".join(plan.operations[i].name for i in setup.operations)
         title = f"Setup {setup.number}: {names}" if len(setups) > 1 else ""
-        out.append((title, cell_picture.picture(seen, _moment(problem, plan, setup, place))))
+        out.append((title, picture(seen, _moment(problem, plan, setup, place))))
     return tuple(out)
 
 
@@ -233,7 +238,7 @@ def _moment(problem: Problem, plan: Plan, setup: Setup, place: FloatArray) -> Mo
     operation = plan.operations[-minus]
     here = int(rows[int(SHOWN_CUT_SHARE * (len(rows) - 1))])
     q = {**still.q, **{arm: operation.q[arm][here] for arm in operation.q}}
-    done = _done(problem, plan, -minus, here, setup)
+    done = _cut_so_far(problem, plan, -minus, here, setup)
     edge, frame = operation.targets.edge, operation.targets.frame[operation.targets.arms[0]]
     wires: list[FloatArray] = []
     if edge is not None and frame in ("stock", "world"):
@@ -256,7 +261,7 @@ def _cuts(operation: OperationPlan) -> list[IndexArray]:
     ]
 
 
-def _done(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> list[Mesh]:
+def _cut_so_far(problem: Problem, plan: Plan, last: int, here: int, shown: Setup) -> list[Mesh]:
     """What straight wires have cut up to target ``here`` of operation ``last``, within the block as shown."""
     out = []
     for index in range(last + 1):

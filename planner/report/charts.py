@@ -17,14 +17,21 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from planner.geometry.arrays import FloatArray
-from planner.report import charts, markup
-from planner.report.markup import Raw
+from planner.report import markup
+from planner.report.markup import Drawing, Figure, Group, Paragraph, Phrase
 
 _LEFT: Final = 52.0
+"""Room [px of the drawing] left of a plot, for the numbers and the name of its y axis."""
 _RIGHT: Final = 12.0
+"""Room [px] right of a plot."""
 _TOP: Final = 10.0
+"""Room [px] above a plot."""
 _BOTTOM: Final = 34.0
+"""Room [px] below a plot, for the numbers and the name of its x axis."""
 _COLUMNS: Final = 420
+"""Columns that a longer curve is thinned to, with its least and greatest value in each."""
+_NO_DATA: Final = Paragraph("no data", "empty")
+"""What stands for a chart of nothing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,14 +99,14 @@ def chart(
     y_range: tuple[float, float] | None = None,
     size: tuple[float, float] = (540.0, 210.0),
     equal: bool = False,
-) -> str:
-    """An SVG line chart with axes, limits, tinted bands and a legend; ``equal`` gives both axes one scale.
+) -> Drawing | Paragraph:
+    """A line chart with axes, limits, tinted bands and a legend; ``equal`` gives both axes one scale.
 
     Curves of more points than the picture has columns keep the least and greatest value of each column.
     """
     finite = [line for line in lines if np.isfinite(line.y).any()]
     if not finite:
-        return '<p class="empty">no data</p>'
+        return _NO_DATA
     x_range = _span([line.x for line in finite])
     values = [*(line.y for line in finite), np.array([v.value for v in levels])]
     frame = _Frame(x_range, y_range or padded(*_span(values)), *size)
@@ -120,7 +127,8 @@ def chart(
     keys = dict.fromkeys(
         f'<span class="key c{line.color % 8}">{html.escape(line.name)}</span>' for line in finite
     )
-    return "".join(parts) + (f'<div class="legend">{"".join(keys)}</div>' if len(finite) > 1 else "")
+    legend = f'<div class="legend">{"".join(keys)}</div>' if len(finite) > 1 else ""
+    return Drawing("".join(parts) + legend)
 
 
 def _bands(frame: _Frame, bands: Sequence[Band]) -> list[str]:
@@ -248,14 +256,21 @@ def _runs(y: FloatArray) -> list[slice]:
 
 
 _COLD = np.array([0.13, 0.36, 0.70])
+"""Red, green, blue in 0..1 of a deviation far below zero: too much is cut."""
 _MILD = np.array([0.93, 0.94, 0.93])
+"""Red, green, blue in 0..1 of no deviation."""
 _WARM = np.array([0.78, 0.18, 0.13])
-_GRID = (1500, 41)
-_MISSED = np.array([0.35, 0.13, 0.45])
+"""Red, green, blue in 0..1 of a deviation far above zero: material is left standing."""
+_UNROLLED_GRID = (1500, 41)
+"""Points along and across a ruled surface that is laid flat."""
+_MISSED_COLOUR = np.array([0.35, 0.13, 0.45])
+"""Red, green, blue in 0..1 of places that the tool did not pass."""
 CUT_WORDS: Final = ("too much cut", "left standing", "the wire did not pass")
+"""What negative, positive and missing deviations of a cut face are called."""
 FORMED_WORDS: Final = ("pressed too far", "not pressed so far", "the ball did not pass")
+"""The same of a formed face."""
 MILLED_WORDS: Final = ("too much cut", "left standing", "the cutter did not pass")
-"""What negative, positive and missing deviations of a cut, a formed and a milled face are called."""
+"""The same of a milled face."""
 
 
 def view(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -333,13 +348,13 @@ def unrolled(points: FloatArray, start: FloatArray, end: FloatArray) -> tuple[Fl
     Each point takes the place of the nearest one of a dense grid on the surface.
     """
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(0.5 * (start + end), axis=0), axis=1))])
-    at, share = np.linspace(0.0, way[-1], _GRID[0]), np.linspace(0.0, 1.0, _GRID[1])
+    at, share = np.linspace(0.0, way[-1], _UNROLLED_GRID[0]), np.linspace(0.0, 1.0, _UNROLLED_GRID[1])
     low, high = (
         np.stack([np.interp(at, way, side[:, c]) for c in range(3)], axis=-1) for side in (start, end)
     )
     grid = low[:, None] + share[:, None] * (high - low)[:, None]
     _, nearest = cKDTree(grid.reshape(-1, 3)).query(points)
-    row, column = np.divmod(nearest, _GRID[1])
+    row, column = np.divmod(nearest, _UNROLLED_GRID[1])
     length = float(np.linalg.norm(end - start, axis=1).mean())
     words = "laid flat: along the cut to the right, along the wire up; mm"
     return np.stack([at[row], length * share[column]], axis=1), words
@@ -356,10 +371,10 @@ def deviation_map(
     points: FloatArray,
     deviation: FloatArray,
     tolerance: float,
-    title: str,
+    title: Phrase,
     rulings: tuple[FloatArray, FloatArray] | None = None,
     signs: tuple[str, str, str] = CUT_WORDS,
-) -> Raw:
+) -> Figure:
     """A heat map [mm] of deviations (M,) [m] at points (M, 3) [m]; NaN marks where the edge did not pass.
 
     ``signs``: what negative, positive and missing deviations are called.
@@ -371,10 +386,10 @@ def deviation_map(
     grid, extent = binned(uv, deviation)
     missed = np.isnan(grid)
     color = diverging(np.where(np.isfinite(grid), grid, 0.0), span)
-    color[missed] = _MISSED
+    color[missed] = _MISSED_COLOUR
     alpha = np.where(np.isposinf(grid), 0.0, 1.0)
-    body = _field(markup.png(color, alpha), extent) + _scale_bar(span, tolerance, bool(missed.any()), signs)
-    return markup.figure(title, body, words)
+    field = _field(markup.png(color, alpha), extent)
+    return Figure(title, Group((field, _scale_bar(span, tolerance, bool(missed.any()), signs))), words)
 
 
 def _axis(direction: FloatArray) -> str:
@@ -382,18 +397,18 @@ def _axis(direction: FloatArray) -> str:
     return ("+" if direction[k] > 0 else "−") + "xyz"[k]
 
 
-def histogram(deviation: FloatArray, tolerance: float) -> str:
+def histogram(deviation: FloatArray, tolerance: float) -> Drawing | Paragraph:
     """Share of the face over the deviation [mm], with the tolerance marked."""
     finite = deviation[np.isfinite(deviation)] * 1e3
     if not len(finite):
-        return '<p class="empty">no data</p>'
+        return _NO_DATA
     span = 1e3 * span_of(deviation, tolerance)
     counts, edges = np.histogram(np.clip(finite, -span, span), bins=60, range=(-span, span))
     share = 100.0 * counts / max(len(deviation), 1)
     x, y = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
-    inside = charts.Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
-    return charts.chart(
-        [charts.Line("share", x, y, 0)],
+    inside = Band(-tolerance * 1e3, tolerance * 1e3, "within tolerance", "link")
+    return chart(
+        [Line("share", x, y, 0)],
         x_label="deviation [mm]",
         y_label="share [%]",
         bands=[inside],
@@ -401,7 +416,7 @@ def histogram(deviation: FloatArray, tolerance: float) -> str:
     )
 
 
-def _field(image: str, extent: tuple[float, float, float, float]) -> str:
+def _field(image: str, extent: tuple[float, float, float, float]) -> Drawing:
     """A picture with ruled edges in mm, one scale for both axes."""
     u0, u1, v0, v1 = (e * 1e3 for e in extent)
     width = 440.0
@@ -413,19 +428,19 @@ def _field(image: str, extent: tuple[float, float, float, float]) -> str:
         f'<image href="{image}" x="{left:.1f}" y="6" width="{w:.1f}" height="{h:.1f}" '
         'preserveAspectRatio="none"/>'
     ]
-    for value in charts.ticks(u0, u1, int(np.clip(w / 60.0, 1, 7))):
+    for value in ticks(u0, u1, int(np.clip(w / 60.0, 1, 7))):
         x = left + (value - u0) * scale
         parts.append(f'<text class="xtick" x="{x:.1f}" y="{h + 21:.1f}">{markup.number(float(value))}</text>')
-    for value in charts.ticks(v0, v1, int(np.clip(h / 40.0, 1, 6))):
+    for value in ticks(v0, v1, int(np.clip(h / 40.0, 1, 6))):
         y = 6 + (v1 - value) * scale
         parts.append(
             f'<text class="ytick" x="{left - 6:.1f}" y="{y + 4:.1f}">{markup.number(float(value))}</text>'
         )
     parts.append("</svg>")
-    return "".join(parts)
+    return Drawing("".join(parts))
 
 
-def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> str:
+def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, str, str]) -> Drawing:
     values = np.linspace(-span, span, 200)
     image = markup.png(np.tile(diverging(values, span)[None], (2, 1, 1)))
     left, width = 60.0, 320.0
@@ -447,10 +462,10 @@ def _scale_bar(span: float, tolerance: float, missed: bool, signs: tuple[str, st
         tolerance > span
     )
     keys = "".join(f'<span class="swatch" style="--s:{color}">{name}</span>' for color, name in words)
-    return "".join(parts) + f'<div class="legend">{keys}</div>'
+    return Drawing("".join(parts) + f'<div class="legend">{keys}</div>')
 
 
-def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> str:
+def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: str) -> Group:
     """A heat map of any value (M,) at points (M, 3) [m]: about 0 with ``limit``, else from least to most."""
     if points.shape != (len(value), 3):
         raise ValueError(f"points {points.shape} and value {value.shape} do not belong together")
@@ -467,9 +482,9 @@ def value_map(points: FloatArray, value: FloatArray, limit: float | None, unit: 
         color = sequential((np.where(inside, grid, low) - low) / max(high - low, 1e-12))
         bar = sequential(np.linspace(0.0, 1.0, 200))
     image = markup.png(np.tile(bar[None], (2, 1, 1)))
-    key = (
+    key = Drawing(
         f'<svg class="plot" viewBox="0 0 440 24"><image href="{image}" x="90" y="6" width="260" height="9" '
         f'preserveAspectRatio="none"/><text class="ytick" x="84" y="14">{markup.number(low, 3)}</text>'
         f'<text x="356" y="14">{markup.number(high, 3)} {markup.text(unit)}</text></svg>'
     )
-    return _field(markup.png(color, inside.astype(np.float64)), extent) + key
+    return Group((_field(markup.png(color, inside.astype(np.float64)), extent), key))

@@ -34,13 +34,14 @@ import numpy as np
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue, Severity
 from planner.report import charts, markup, raster
-from planner.report.markup import Raw
+from planner.report.markup import Block, Drawing, Phrase
 
-_MOST = 60
+_MOST_CURVES = 60
+"""Curves of one exhibit that are drawn, evenly chosen where there are more."""
 
 
-def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> str:
-    """An SVG of curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
+def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray) -> Drawing:
+    """Curves (P, 3) [m] in a parallel view with the edges of the block, whose lowest and highest
     corner are ``block`` (2, 3)."""
     size = block[1] - block[0]
     toward = np.array([-0.62, 1.0, -0.55]) if size[1] <= size[0] else np.array([-1.0, 0.62, -0.55])
@@ -68,15 +69,15 @@ def in_space(curves: Sequence[FloatArray], value: FloatArray, block: FloatArray)
                     f'x2="{q[0]:.1f}" y2="{q[1]:.1f}"/>'
                 )
     colors = _colours(value)
-    for i in _thin(len(curves)):
+    for i in _evenly_chosen(len(curves)):
         points = " ".join(f"{u:.1f},{v:.1f}" for u, v in (flat[i] - low) * scale + 12.0)
         parts.append(f'<polyline class="thin" style="stroke:{colors[i]}" points="{points}"/>')
     parts.append("</svg>")
-    return "".join(parts)
+    return Drawing("".join(parts))
 
 
-def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: FloatArray) -> str:
-    """An SVG of the curves in their own planes [mm], chord along x, middle of the chord at 0.
+def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: FloatArray) -> Drawing:
+    """The curves in their own planes [mm], chord along x, middle of the chord at 0.
 
     A curve's plane holds its chord and lies across the way from section to section.
     """
@@ -93,7 +94,7 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
     stretch = np.array([1e3, 1e3 * times])
     drawn: list[tuple[FloatArray, str]] = []
     colors = _colours(value)
-    for i in _thin(len(curves)):
+    for i in _evenly_chosen(len(curves)):
         origin, axes = frames[i]
         drawn.append((((curves[i] - origin) @ axes) * stretch, f"stroke:{colors[i]}"))
         if len(wanted) == len(curves):
@@ -123,16 +124,16 @@ def in_plane(curves: Sequence[FloatArray], wanted: Sequence[FloatArray], value: 
         parts.append(f'<polyline class="thin" style="{style}" points="{points}"/>')
     parts.append(
         f'<text class="mid" x="{52 + 0.5 * (high[0] - low[0]) * scale:.0f}" '
-        f'y="{height + 36:.0f}">{words}</text>'
+        f'y="{height + 36:.0f}">{words}</text></svg>'
     )
-    return "".join(parts) + "</svg>"
+    return Drawing("".join(parts))
 
 
-def colour_key(value: FloatArray, name: str) -> str:
+def colour_key(value: FloatArray, name: str) -> Drawing:
     """A bar that says which colour stands for which value."""
     image = markup.png(np.tile(charts.sequential(np.linspace(0.18, 0.92, 160))[None], (2, 1, 1)))
     low, high = (markup.number(float(v), 3) for v in (value.min(), value.max()))
-    return (
+    return Drawing(
         '<svg class="plot" viewBox="0 0 540 22"><text class="ytick" x="150" y="12">'
         f'{low}</text><image href="{image}" x="158" y="4" width="224" height="8" preserveAspectRatio="none"/>'
         f'<text x="390" y="12">{high} · {markup.text(name)}</text></svg>'
@@ -154,8 +155,8 @@ def _plane(curve: FloatArray, sweep: FloatArray) -> tuple[FloatArray, FloatArray
     return 0.5 * (curve[0] + curve[-1]), np.stack([x, y], axis=1)
 
 
-def _thin(count: int) -> list[int]:
-    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST))})
+def _evenly_chosen(count: int) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, _MOST_CURVES))})
 
 
 def _colours(value: FloatArray) -> list[str]:
@@ -164,16 +165,17 @@ def _colours(value: FloatArray) -> list[str]:
     return [f"rgb({r:.0f} {g:.0f} {b:.0f})" for r, g, b in rgb]
 
 
-_HALF = 6
+_HALF_WIDTH_COLUMNS = 6
 """Tables of more columns than this take the whole width."""
 
 
-def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Raw], list[Issue]]:
+def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Block], list[Issue]]:
     """Figures of all exhibits but those of the setup sheet, and issues for those that cannot be drawn.
 
     ``block`` (2, 3) [m] are the lowest and the highest corner of the block as the operation finds it.
     """
-    figures, issues = [], []
+    figures: list[Block] = []
+    issues: list[Issue] = []
     for name, exhibit in exhibits.items():
         kind = exhibit.get("kind") if isinstance(exhibit, Mapping) else None
         try:
@@ -186,9 +188,9 @@ def draw(exhibits: Mapping[str, Any], block: FloatArray) -> tuple[list[Raw], lis
     return figures, issues
 
 
-def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Any, Any]]:
+def setup_items(exhibits: Mapping[str, Any]) -> list[tuple[Phrase, Phrase]]:
     """Names and values of all exhibits of kind ``setup``."""
-    out: list[tuple[Any, Any]] = []
+    out: list[tuple[Phrase, Phrase]] = []
     for exhibit in exhibits.values():
         if isinstance(exhibit, Mapping) and exhibit.get("kind") == "setup":
             with contextlib.suppress(KeyError, TypeError, ValueError):  # draw() has said so
@@ -206,23 +208,26 @@ def _refused(name: str, kind: Any, error: Exception) -> Issue:
     )
 
 
-def _items(items: Sequence[Any]) -> list[tuple[Any, Any]]:
+def _items(items: Sequence[Any]) -> list[tuple[Phrase, Phrase]]:
     out = []
     for item in items:
         name, value, unit = (*item, "")[:3]
-        shown = markup.text(value)
-        out.append((name, Raw(f"{shown} {markup.text(unit)}" if unit else shown)))
+        out.append((name, markup.Joined((value, " ", unit)) if unit else value))
     return out
 
 
-def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _figure(exhibit: Mapping[str, Any], content: Block) -> markup.Figure:
+    """What an exhibit is drawn as, under its own title and with its note."""
+    return markup.Figure(exhibit["title"], content, exhibit.get("note", ""))
+
+
+def _paths(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
     order = np.arange(len(curves), dtype=np.float64)
-    drawn = in_space(curves, order, block) + colour_key(order, "in order")
-    return markup.figure(exhibit["title"], drawn, exhibit.get("note", ""))
+    return _figure(exhibit, markup.Group((in_space(curves, order, block), colour_key(order, "in order"))))
 
 
-def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     curves = [np.asarray(c, dtype=np.float64) for c in exhibit["curves"]]
     wanted = [np.asarray(c, dtype=np.float64) for c in exhibit.get("wanted", ())]
     value = exhibit.get("value")
@@ -231,14 +236,12 @@ def _sections(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
     space = in_space(curves, value, block)
     plane = in_plane(curves, wanted, value)
     key = colour_key(value, name)
-    note = exhibit.get("note", "")
-    pair = markup.grid(
-        [markup.figure(exhibit["title"], space + key), markup.figure("In their planes", plane, note)]
-    )
-    return Raw(f'<div class="wide">{pair}</div>')
+    left = markup.Figure(exhibit["title"], markup.Group((space, key)))
+    right = markup.Figure("In their planes", plane, exhibit.get("note", ""))
+    return markup.Wide(markup.Grid((left, right)))
 
 
-def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     x = exhibit.get("x")
     lines = [
@@ -258,62 +261,60 @@ def _curve(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
         levels=levels,
         equal=bool(exhibit.get("equal", False)),
     )
-    return markup.figure(exhibit["title"], body, exhibit.get("note", ""))
+    return _figure(exhibit, body)
 
 
-def _table(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _table(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     columns = tuple(exhibit["columns"])
-    drawn = markup.figure(exhibit["title"], markup.table(columns, exhibit["rows"]), exhibit.get("note", ""))
-    return Raw(f'<div class="wide">{drawn}</div>') if len(columns) > _HALF else drawn
+    drawn = _figure(exhibit, markup.table(columns, exhibit["rows"]))
+    return markup.Wide(drawn) if len(columns) > _HALF_WIDTH_COLUMNS else drawn
 
 
-def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _facts(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
-    return markup.figure(exhibit["title"], markup.facts(_items(exhibit["items"])), exhibit.get("note", ""))
+    return _figure(exhibit, markup.Facts(tuple(_items(exhibit["items"]))))
 
 
-def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _heatmap(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     points, value = np.asarray(exhibit["points"]), np.asarray(exhibit["value"], dtype=np.float64)
     body = charts.value_map(points, value, exhibit.get("limit"), str(exhibit.get("unit", "")))
-    return markup.figure(exhibit["title"], body, exhibit.get("note", ""))
+    return _figure(exhibit, body)
 
 
-def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _mesh(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     vertices = np.asarray(exhibit["vertices"], dtype=np.float64)
     solid = raster.mesh(vertices, np.asarray(exhibit["faces"], dtype=np.int64), smooth=True)
     camera = raster.frame(vertices, np.array([-0.55, 1.0, -0.55]), 1000, 640)
     image = raster.rendered(camera, [raster.Thing(solid, (0.55, 0.68, 0.74), 0.0, closed=False)])
     address = markup.png(image.color, np.isfinite(image.depth).astype(np.float64))
-    picture = f'<div class="picture"><img alt="{markup.text(exhibit["title"])}" src="{address}"></div>'
-    return markup.figure(exhibit["title"], picture, exhibit.get("note", ""))
+    return _figure(exhibit, markup.Photo(address, str(exhibit["title"])))
 
 
-def _tree(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _tree(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
     parents = [int(p) for p in exhibit["parent"]]
     names = list(exhibit["nodes"])
     if len(names) != len(parents):
         raise ValueError(f"{len(names)} nodes but {len(parents)} parents")
 
-    def below(parent: int, depth: int) -> str:
+    def below(parent: int, depth: int) -> markup.Tree:
         if depth > 64:
             raise ValueError("the tree goes in a circle or is deeper than 64")
         found = [i for i, p in enumerate(parents) if p == parent]
-        rows = "".join(f"<li>{markup.text(names[i])}{below(i, depth + 1)}</li>" for i in found)
-        return f"<ul>{rows}</ul>" if rows else ""
+        return markup.Tree(tuple((names[i], below(i, depth + 1)) for i in found))
 
-    return markup.figure(exhibit["title"], below(-1, 0), exhibit.get("note", ""))
+    return _figure(exhibit, below(-1, 0))
 
 
-def _text(exhibit: Mapping[str, Any], block: FloatArray) -> Raw:
+def _text(exhibit: Mapping[str, Any], block: FloatArray) -> Block:
     del block
-    return markup.figure(exhibit["title"], f"<p>{markup.text(exhibit['text'])}</p>", exhibit.get("note", ""))
+    return _figure(exhibit, markup.Paragraph(exhibit["text"]))
 
 
-_KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Raw]]] = {
+_KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Block]]] = {
     "paths": _paths,
     "sections": _sections,
     "curve": _curve,
@@ -324,3 +325,4 @@ _KINDS: Final[Mapping[str, Callable[[Mapping[str, Any], FloatArray], Raw]]] = {
     "tree": _tree,
     "text": _text,
 }
+"""What draws each kind of exhibit in the block of an operation."""

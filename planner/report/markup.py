@@ -1,40 +1,265 @@
-"""Pieces of HTML: escaped text, numbers, tables, figures, pictures; the page's style and script.
+"""What a page is made of, as values, and the one way from them to HTML; the page's style and script.
 
-One style sheet for screen (light and dark) and paper, one small script.
+Sections hold blocks (tables, facts, figures, drawings ...), and blocks hold phrases (text, numbers, marked
+words). Whoever builds a page builds these values; :func:`page`, :func:`section` and :func:`render` alone
+write HTML of them. One style sheet for screen (light and dark) and paper, one small script.
 """
 
 from __future__ import annotations
 
 import base64
+import dataclasses
 import html
 import io
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, Final
+from collections.abc import Iterable
+from typing import Final
 
 import numpy as np
-from PIL import Image
+from PIL import Image as PillowImage
 
 from planner.geometry.arrays import FloatArray
 
-
-class Raw(str):
-    """Text that is HTML already."""
-
-    __slots__ = ()
+_PNG: Final = "data:image/png;base64,"
+"""How the address of a PNG begins that lies in the page itself."""
 
 
-def text(value: Any) -> str:
-    """A value as escaped HTML: numbers to four digits, None as a dash, :class:`Raw` as it is."""
-    if isinstance(value, Raw):
-        return str(value)
-    if value is None:
-        return "–"
-    if isinstance(value, bool | np.bool_):
-        return "yes" if value else "no"
-    if isinstance(value, float | np.floating):
-        return number(float(value))
-    return html.escape(str(value))
+@dataclasses.dataclass(frozen=True)
+class Code:
+    """A phrase in a fixed-width font: a code, a signal, a digest."""
+
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Bold:
+    """A phrase that stands out."""
+
+    content: Phrase
+
+
+@dataclasses.dataclass(frozen=True)
+class Soft:
+    """A phrase that stands back."""
+
+    content: Phrase
+
+
+@dataclasses.dataclass(frozen=True)
+class Tag:
+    """A word on a ground of its own; ``kind``: ``ok``, ``bad``, ``off`` or a severity."""
+
+    kind: str
+    word: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Blank:
+    """Room to write something in by hand."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Joined:
+    """Phrases one after the other, with nothing between them."""
+
+    parts: tuple[Phrase, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lines:
+    """Phrases below one another."""
+
+    parts: tuple[Phrase, ...]
+
+
+Phrase = object
+"""A marked phrase (``Code``, ``Bold``, ``Soft``, ``Tag``, ``Blank``, ``Joined``, ``Lines``), or any other
+value, which is shown as :func:`text` says."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Paragraph:
+    """A paragraph; ``kind``: ``soft`` or ``note`` for one that stands back."""
+
+    content: Phrase
+    kind: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    title: Phrase
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A table; cells that are numbers are set right."""
+
+    columns: tuple[Phrase, ...]
+    rows: tuple[tuple[Phrase, ...], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Facts:
+    """Names and values in two columns."""
+
+    items: tuple[tuple[Phrase, Phrase], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Steps:
+    """What is to be done, numbered."""
+
+    items: tuple[Phrase, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Tree:
+    """Names with what belongs below each."""
+
+    nodes: tuple[tuple[Phrase, Tree], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawing:
+    """What is HTML already, since it is drawn rather than told: a chart as SVG with its legend."""
+
+    html: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Photo:
+    """A picture of pixels at a data address; ``labels``: text, x and y in 0..1 from the upper left."""
+
+    address: str
+    name: str
+    labels: tuple[tuple[str, float, float], ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Figure:
+    """A picture, chart or table with a title above and a note below."""
+
+    title: Phrase
+    content: Block
+    note: Phrase = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Blocks one after the other; ``apart``: with air below each."""
+
+    items: tuple[Block, ...]
+    apart: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Blocks side by side where there is room; ``kind`` says how many: ``two`` or ``three``."""
+
+    items: tuple[Block, ...]
+    kind: str = "two"
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Blocks below one another that fill one place of a grid."""
+
+    items: tuple[Block, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Wide:
+    """A block that takes the whole width."""
+
+    content: Block
+
+
+@dataclasses.dataclass(frozen=True)
+class Folded:
+    """A block that is seen after a click on its summary."""
+
+    summary: str
+    content: Block
+
+
+Block = (
+    Paragraph
+    | Heading
+    | Table
+    | Facts
+    | Steps
+    | Tree
+    | Drawing
+    | Photo
+    | Figure
+    | Group
+    | Grid
+    | Column
+    | Wide
+    | Folded
+)
+"""What sections hold."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """A section of a page, which its list of contents leads to; one without content is left out."""
+
+    anchor: str
+    title: str
+    content: tuple[Block, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """A figure that matters, with its name; ``bad``: it is not as it should be."""
+
+    name: str
+    value: str
+    unit: str = ""
+    bad: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """A whole page. ``verdicts``: kind (``ok``, ``bad``, ``warn`` or none) and words beside the name;
+    ``about``: what it is of."""
+
+    title: str
+    name: str
+    verdicts: tuple[tuple[str, str], ...]
+    about: Paragraph | None
+    tiles: tuple[Tile, ...]
+    sections: tuple[Section, ...]
+
+
+def text(value: Phrase) -> str:
+    """A phrase as HTML: marked ones as they say, numbers to four digits, None as a dash, the rest escaped."""
+    match value:
+        case Code(words):
+            return f"<code>{html.escape(words)}</code>"
+        case Bold(content):
+            return f"<b>{text(content)}</b>"
+        case Soft(content):
+            return f'<span class="soft">{text(content)}</span>'
+        case Tag(kind, word):
+            return f'<span class="tag {html.escape(kind)}">{html.escape(word)}</span>'
+        case Blank():
+            return '<span class="fill"></span>'
+        case Joined(parts):
+            return "".join(text(part) for part in parts)
+        case Lines(parts):
+            return "<br>".join(text(part) for part in parts)
+        case None:
+            return "–"
+        case bool() | np.bool_():
+            return "yes" if value else "no"
+        case float() | np.floating():
+            return number(float(value))
+        case _:
+            return html.escape(str(value))
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -53,46 +278,125 @@ def fixed(value: float, places: int) -> str:
     return out.lstrip("-") if float(out) == 0.0 else out.replace("-", "−")
 
 
-def table(columns: Sequence[Any], rows: Iterable[Sequence[Any]], kind: str = "") -> Raw:
-    """A table; cells that are numbers are set right."""
-    body = []
-    right: set[int] = set()
-    for row in rows:
-        right |= {i for i, cell in enumerate(row) if _number_class(cell)}
-        cells = "".join(f"<td{_number_class(cell)}>{text(cell)}</td>" for cell in row)
-        body.append(f"<tr>{cells}</tr>")
-    head = "".join(f"<th{' class=n' if i in right else ''}>{text(c)}</th>" for i, c in enumerate(columns))
-    style = f' class="{kind}"' if kind else ""
+def table(columns: Iterable[Phrase], rows: Iterable[Iterable[Phrase]]) -> Table:
+    """A table of any columns and rows."""
+    return Table(tuple(columns), tuple(tuple(row) for row in rows))
+
+
+def page(shown: Page) -> str:
+    """A page as one HTML file that needs nothing else."""
+    sections = [section for section in shown.sections if section.content]
+    links = "".join(f'<a href="#{part.anchor}">{html.escape(part.title)}</a>' for part in sections)
+    verdicts = " ".join(
+        f'<span class="verdict {kind}">{html.escape(words)}</span>' for kind, words in shown.verdicts
+    )
+    about = render(shown.about) if shown.about is not None else ""
+    tiles = "".join(_tile(tile) for tile in shown.tiles)
+    tiles = f'<div class="tiles">{tiles}</div>' if tiles else ""
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(shown.title)}</title><style>{CSS}</style></head><body><main>"
+        f"<header><h1>{html.escape(shown.name)}</h1>{verdicts}</header>{about}"
+        f"<nav>{links}</nav>{tiles}{''.join(section(part) for part in sections)}"
+        "<footer>Written by Tandem. This file needs no network.</footer></main>"
+        f"<script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def section(shown: Section) -> str:
+    """A section as HTML."""
+    inner = render(Group(shown.content))
+    return f'<section id="{shown.anchor}"><h2>{html.escape(shown.title)}</h2>{inner}</section>'
+
+
+def render(block: Block) -> str:
+    """A block as HTML."""
+    match block:
+        case Paragraph(content, kind):
+            style = f' class="{kind}"' if kind else ""
+            return f"<p{style}>{text(content)}</p>"
+        case Heading(title):
+            return f"<h3>{text(title)}</h3>"
+        case Table():
+            return _table(block)
+        case Facts(items):
+            rows = (f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in items)
+            return f'<dl class="facts">{"".join(rows)}</dl>'
+        case Steps(items):
+            return f"<ol>{''.join(f'<li>{text(item)}</li>' for item in items)}</ol>"
+        case Tree(nodes):
+            rows = (f"<li>{text(name)}{render(below)}</li>" for name, below in nodes)
+            return f"<ul>{''.join(rows)}</ul>" if nodes else ""
+        case Drawing(drawn):
+            return drawn
+        case Photo():
+            return _photo(block)
+        case Figure(title, content, note):
+            foot = render(Paragraph(note, "note")) if note else ""
+            return f"<figure><figcaption>{text(title)}</figcaption>{render(content)}{foot}</figure>"
+        case _:
+            return _arranged(block)
+
+
+def _arranged(block: Group | Grid | Column | Wide | Folded) -> str:
+    """Blocks that hold others."""
+    match block:
+        case Group(items, apart):
+            shown = [render(item) for item in items]
+            return "".join(f'<div style="margin-bottom:20px">{one}</div>' if apart else one for one in shown)
+        case Grid(items, kind):
+            inner = "".join(render(item) for item in items)
+            return f'<div class="grid {kind}">{inner}</div>' if inner else ""
+        case Column(items):
+            return f"<div>{''.join(render(item) for item in items)}</div>"
+        case Wide(content):
+            return f'<div class="wide">{render(content)}</div>'
+        case Folded(summary, content):
+            return f"<details><summary>{html.escape(summary)}</summary>{render(content)}</details>"
+
+
+def _table(shown: Table) -> str:
+    right = {i for row in shown.rows for i, cell in enumerate(row) if _number_class(cell)}
+    body = (
+        f"<tr>{''.join(f'<td{_number_class(cell)}>{text(cell)}</td>' for cell in row)}</tr>"
+        for row in shown.rows
+    )
+    head = "".join(
+        f"<th{' class=n' if i in right else ''}>{text(c)}</th>" for i, c in enumerate(shown.columns)
+    )
     inner = f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
-    return Raw(f'<div class="scroll"><table{style}>{inner}</table></div>')
+    return f'<div class="scroll"><table>{inner}</table></div>'
 
 
-def _number_class(cell: Any) -> str:
+def _number_class(cell: Phrase) -> str:
     return ' class="n"' if isinstance(cell, int | float | np.number) and not isinstance(cell, bool) else ""
 
 
-def facts(items: Iterable[tuple[Any, Any]]) -> Raw:
-    """Names and values in two columns."""
-    rows = "".join(f"<div><dt>{text(name)}</dt><dd>{text(value)}</dd></div>" for name, value in items)
-    return Raw(f'<dl class="facts">{rows}</dl>')
+def _photo(shown: Photo) -> str:
+    labels = "".join(
+        f'<span style="left:{100 * x:.1f}%;top:{100 * y:.1f}%">{html.escape(name)}</span>'
+        for name, x, y in shown.labels
+    )
+    return f'<div class="picture"><img alt="{html.escape(shown.name)}" src="{shown.address}">{labels}</div>'
 
 
-def figure(title: Any, content: str, note: Any = "") -> Raw:
-    """A picture or chart with a title above and a note below."""
-    foot = f'<p class="note">{text(note)}</p>' if note else ""
-    return Raw(f"<figure><figcaption>{text(title)}</figcaption>{content}{foot}</figure>")
+def photo(page: str, name: str) -> bytes | None:
+    """The PNG of the first photo of that ``name`` in a page that :func:`page` wrote; None where none is.
+
+    For whoever has a saved page and not what it was made of. Raises ``ValueError`` for what is no such
+    address.
+    """
+    begin = f'<img alt="{html.escape(name)}" src="{_PNG}'
+    _, found, rest = page.partition(begin)
+    return base64.b64decode(rest.partition('"')[0], validate=True) if found else None
 
 
-def section(anchor: str, title: str, *content: str) -> Raw:
-    """A section of the page; nothing when it has no content."""
-    inner = "".join(content)
-    return Raw(f'<section id="{anchor}"><h2>{html.escape(title)}</h2>{inner}</section>') if inner else Raw("")
-
-
-def grid(items: Iterable[str], kind: str = "two") -> Raw:
-    """Items side by side where there is room."""
-    inner = "".join(items)
-    return Raw(f'<div class="grid {kind}">{inner}</div>') if inner else Raw("")
+def _tile(shown: Tile) -> str:
+    kind = "tile bad" if shown.bad else "tile"
+    value = html.escape(shown.value.replace("-", "−"))
+    figure = f"<b>{value}<small>{html.escape(shown.unit)}</small></b>"
+    return f'<div class="{kind}">{figure}<span>{html.escape(shown.name)}</span></div>'
 
 
 def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool = False) -> str:
@@ -103,8 +407,8 @@ def png(pixels: FloatArray, alpha: FloatArray | None = None, premultiplied: bool
     layers = [color] if alpha is None else [color, alpha[..., None]]
     data = (np.clip(np.concatenate(layers, axis=-1), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     stream = io.BytesIO()
-    Image.fromarray(data).save(stream, "PNG", compress_level=6)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    PillowImage.fromarray(data).save(stream, "PNG", compress_level=6)
+    return _PNG + base64.b64encode(stream.getvalue()).decode()
 
 
 CSS: Final = """
@@ -205,6 +509,7 @@ nav{display:none}figure,.tile,tr,.facts div{break-inside:avoid}h2,h3,figcaption{
 .grid.three{grid-template-columns:1fr 1fr 1fr}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}@page{margin:14mm}}
 """
+"""The style sheet of every page."""
 
 SCRIPT: Final = """
 (()=>{const tip=document.createElement('div');tip.id='tip';document.body.append(tip);
@@ -230,3 +535,4 @@ cursor.setAttribute('y2',p);
   tip.style.left=Math.min(e.clientX+14,innerWidth-tip.offsetWidth-8)+'px';
 tip.style.top=(e.clientY+14)+'px'})}})();
 """
+"""The script of the report: figures of charts below the pointer."""

@@ -28,7 +28,7 @@ from planner.plans import Plan
 from planner.problem import Problem, Settings
 from planner.report import markup
 from planner.report.charts import Band, Level, Line, chart
-from planner.report.markup import Raw
+from planner.report.markup import Figure
 from planner.units import DEG, MM
 from planner.verify.result import Proof
 
@@ -287,7 +287,7 @@ def _bands(segments: Sequence[Segment], time: FloatArray) -> tuple[Band, ...]:
     )
 
 
-def feed(motion: Motion) -> Raw:
+def feed(motion: Motion) -> Figure:
     """Speed of the fastest guarded point against the window that the process asks for [mm/s]."""
     f = motion.feed
     cut = np.isfinite(f.lower) & (f.lower > 0.0)
@@ -302,12 +302,12 @@ def feed(motion: Motion) -> Raw:
     top = max(top, 1.2 * float(np.max(f.upper[work])) / MM) if work.any() else top
     body = chart(lines, x_label="s", y_label="mm/s", bands=motion.bands, y_range=(0.0, top))
     note = f"scaled to the work; moves outside it reach {markup.number(fastest, 3)} mm/s"
-    return markup.figure(
+    return Figure(
         "Speed of the fastest guarded point", body, note if fastest > top else "tinted strongest: work"
     )
 
 
-def clearance(data: Clearance, motion: Motion, settings: Settings) -> Raw:
+def clearance(data: Clearance, motion: Motion, settings: Settings) -> Figure:
     """Least distance over time [mm] with the asked one, and the pairs that come closest."""
     lines = [Line("arms, tools, block, obstacles", data.time, data.distance / MM, 2)]
     for wire in motion.wires:
@@ -326,10 +326,10 @@ def clearance(data: Clearance, motion: Motion, settings: Settings) -> Raw:
     worst = int(np.nanargmin(data.distance))
     at = f"{markup.fixed(data.distance[worst] / MM, 1)} mm at {markup.fixed(data.time[worst], 1)} s"
     note = f"least: {at}" + (f", {data.pair[worst]}" if data.pair[worst] else "")
-    return markup.figure("Clearance of everything to everything", body, note)
+    return Figure("Clearance of everything to everything", body, note)
 
 
-def gap(data: Gap, motion: Motion) -> Raw:
+def gap(data: Gap, motion: Motion) -> Figure:
     """What two tools leave between them over time [mm], within what is allowed."""
     lines = [
         Line("gap", data.time, data.got / MM, 0),
@@ -339,10 +339,10 @@ def gap(data: Gap, motion: Motion) -> Raw:
     room = np.minimum(data.got - data.low, data.high - data.got) / MM
     note = f"nearest to what is not allowed: {markup.fixed(float(np.nanmin(room)), 3)} mm"
     body = chart(lines, x_label="s", y_label="mm", bands=motion.bands)
-    return markup.figure("Gap between the tools", body, note)
+    return Figure("Gap between the tools", body, note)
 
 
-def wire(data: WireMotion, motion: Motion) -> list[Raw]:
+def wire(data: WireMotion, motion: Motion) -> list[Figure]:
     """Curvature [1/m] and stability of a wire as the proof follows it."""
     out = []
     if data.curvature is not None:
@@ -358,7 +358,7 @@ def wire(data: WireMotion, motion: Motion) -> list[Raw]:
             y_range=(0.0, 1.1 * top),
         )
         note = f"greatest: {markup.number(float(np.nanmax(data.curvature)), 3)} /m"
-        out.append(markup.figure("Greatest curvature of the wire", body, note))
+        out.append(Figure("Greatest curvature of the wire", body, note))
     if data.stability is not None:
         body = chart(
             [Line("least eigenvalue", data.time, data.stability, 6)],
@@ -371,12 +371,13 @@ def wire(data: WireMotion, motion: Motion) -> list[Raw]:
                 1.1 * float(np.nanmax(data.stability)) + 1e-9,
             ),
         )
-        out.append(markup.figure("Stability of the wire", body, "0 is where it snaps to another shape"))
+        out.append(Figure("Stability of the wire", body, "0 is where it snaps to another shape"))
     return out
 
 
-def closest_pairs(data: Clearance, count: int = 6) -> Raw:
-    """For each pair that is the closest at some time: its least distance, when, and how often."""
+def closest_pairs(data: Clearance, count: int = 6) -> tuple[Figure, ...]:
+    """For each pair that is the closest at some time: its least distance, when, and how often; nothing where
+    no pairs are named."""
     rows: dict[str, tuple[float, float, int]] = {}
     for time, distance, pair in zip(data.time, data.distance, data.pair, strict=True):
         least, when, often = rows.get(pair, (np.inf, 0.0, 0))
@@ -384,17 +385,16 @@ def closest_pairs(data: Clearance, count: int = 6) -> Raw:
     total = max(len(data.time), 1)
     found = sorted(((v, k) for k, v in rows.items() if k), key=lambda item: item[0][0])[:count]
     cells = [
-        (pair, Raw(markup.fixed(v[0] / MM, 1)), Raw(markup.fixed(v[1], 1)), f"{100 * v[2] / total:.0f} %")
+        (pair, markup.fixed(v[0] / MM, 1), markup.fixed(v[1], 1), f"{100 * v[2] / total:.0f} %")
         for v, pair in found
     ]
     if not cells:
-        return Raw("")
-    return markup.figure(
-        "Closest pairs", markup.table(("pair", "least [mm]", "at [s]", "closest for"), cells)
-    )
+        return ()
+    shown = markup.table(("pair", "least [mm]", "at [s]", "closest for"), cells)
+    return (Figure("Closest pairs", shown),)
 
 
-def margins(motion: Motion, settings: Settings) -> list[Raw]:
+def margins(motion: Motion, settings: Settings) -> list[Figure]:
     """Distance to joint limits and to the wrist's singularity over time [deg]."""
     out = []
     for title, attribute, limit in (
@@ -418,11 +418,11 @@ def margins(motion: Motion, settings: Settings) -> list[Raw]:
             levels=[Level(limit / DEG, "asked for")],
             y_range=(min(0.0, least), max([float(np.max(line.y)) for line in lines] or [1.0]) * 1.08),
         )
-        out.append(markup.figure(title, body, note))
+        out.append(Figure(title, body, note))
     return out
 
 
-def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Raw]:
+def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Figure]:
     """Six small charts of an arm's joint angles with their limits [deg]."""
     out = []
     for k in range(6):
@@ -442,11 +442,11 @@ def joints(name: str, arm: ArmMotion, motion: Motion) -> list[Raw]:
             size=(340.0, 150.0),
         )
         share = f"{low:.1f}° to {high:.1f}° of {lower:.0f}° to {upper:.0f}°".replace("-", "−")
-        out.append(markup.figure(f"{name}, axis {k + 1}", body, share))
+        out.append(Figure(f"{name}, axis {k + 1}", body, share))
     return out
 
 
-def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> list[Raw]:
+def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> list[Figure]:
     """Joint speeds, and accelerations where known, as a share of their limits [%]."""
     out = []
     shares = [("speed", arm.speed, arm.robot.velocity, settings.speed_fraction)]
@@ -477,5 +477,5 @@ def speeds(name: str, arm: ArmMotion, motion: Motion, settings: Settings) -> lis
         top = int(np.nanargmax(np.nanmax(share, axis=0)))
         allowed = f"{100 * fraction:.0f} % are allowed"
         note = f"highest: axis {top + 1}, {markup.fixed(most, 1)} % of its limit; {allowed}"
-        out.append(markup.figure(f"{name}: joint {what}s", body, note))
+        out.append(Figure(f"{name}: joint {what}s", body, note))
     return out

@@ -7,7 +7,6 @@ is no plan, too. The proof is written as data.
 from __future__ import annotations
 
 import dataclasses
-import html
 import json
 from collections.abc import Sequence
 
@@ -21,7 +20,7 @@ from planner.plans import Plan
 from planner.problem import Problem
 from planner.report import cell_picture, exhibits, markup, motion_charts, page_sections, replay, setup_sheet
 from planner.report.cell_picture import Picture
-from planner.report.markup import CSS, SCRIPT, Raw
+from planner.report.markup import Block, Section
 from planner.report.motion_charts import Motion
 from planner.report.replay import Viewer
 from planner.verify.result import Proof
@@ -59,12 +58,12 @@ def render(
             *left_out,
         ]
     )
-    sections: list[Raw] = []
+    sections: list[Section] = []
     if found:
-        sections.append(markup.section("issues", "Issues", page_sections.issue_table(_unique(found))))
+        sections.append(Section("issues", "Issues", (page_sections.issue_table(_unique(found)),)))
     if extra.pictures:
-        shown = [page_sections.picture(picture, title) for title, picture in extra.pictures]
-        sections.append(markup.section("cell", "Cell", *shown))
+        shown = tuple(page_sections.picture(picture, title) for title, picture in extra.pictures)
+        sections.append(Section("cell", "Cell", shown))
     if proof is not None and proof.surfaces:
         ruled = {
             claim.segment.key: (claim.start, claim.end)
@@ -72,39 +71,29 @@ def render(
             for claim in operation.targets.claims
             if isinstance(claim, FollowsRulings)
         }
-        faces = "".join(
+        faces = tuple(
             page_sections.cut_face_figure(face, ruled.get(face.segment.key)) for face in proof.surfaces
         )
-        sections.append(markup.section("part", "Simulated part against the wanted one", faces))
+        sections.append(Section("part", "Simulated part against the wanted one", faces))
     sections += drawn
     if problem is not None and plan is not None and plan.operations:
         motion = motion_charts.motion_series(problem, plan, proof)
         sections += _motion(problem, motion)
-        sections.append(markup.section("setup", "Setup sheet", setup_sheet.sheet(problem, plan, proof)))
+        sections.append(Section("setup", "Setup sheet", (setup_sheet.sheet(problem, plan, proof),)))
     if proof is not None and proof.rules:
-        sections.append(
-            markup.section("proof", "Proof from the programs' text", page_sections.rule_table(proof.rules))
-        )
+        rules = page_sections.rule_table(proof.rules)
+        sections.append(Section("proof", "Proof from the programs' text", (rules,)))
     sections += _background(plan, extra)
     title = problem.name if problem is not None else "Problem"
-    tiles = page_sections.tiles(problem, plan, proof) if plan is not None and problem is not None else ""
-    head = page_sections.header(problem, plan, proof, has_errors(found), accepted(found))
-    return _document(title, head, tiles, [s for s in sections if s])
-
-
-def _document(title: str, head: str, tiles: str, sections: Sequence[Raw]) -> str:
-    links = []
-    for part in sections:
-        anchor = part.split('id="', 1)[1].split('"', 1)[0]
-        name = part.split("<h2>", 1)[1].split("</h2>", 1)[0]
-        links.append(f'<a href="#{anchor}">{name}</a>')
-    return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{html.escape(title)} – Tandem report</title><style>{CSS}</style></head><body><main>"
-        f"{head}<nav>{''.join(links)}</nav>{tiles}{''.join(sections)}"
-        "<footer>Written by Tandem. This file needs no network.</footer></main>"
-        f"<script>{SCRIPT}</script></body></html>\n"
+    return markup.page(
+        markup.Page(
+            f"{title} – Tandem report",
+            problem.name if problem is not None else "The problem was refused",
+            page_sections.verdicts(plan, proof, has_errors(found), accepted(found)),
+            page_sections.about(problem) if problem is not None else None,
+            page_sections.tiles(problem, plan, proof) if plan is not None and problem is not None else (),
+            tuple(sections),
+        )
     )
 
 
@@ -113,8 +102,9 @@ def _unique(issues: Sequence[Issue]) -> list[Issue]:
     return list(dict.fromkeys(issues))
 
 
-def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Raw], list[Issue]]:
-    sections, left_out = [], []
+def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Section], list[Issue]]:
+    sections: list[Section] = []
+    left_out: list[Issue] = []
     for index, operation in enumerate(plan.operations if plan else ()):
         stock = problem.setup_of(index).stock if problem is not None else None
         corners = np.array([[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
@@ -122,14 +112,14 @@ def _exhibits(problem: Problem | None, plan: Plan | None) -> tuple[list[Raw], li
         figures, issues = exhibits.draw(operation.targets.exhibits, block)
         left_out += issues
         title = "Process" if plan is None or len(plan.operations) == 1 else f"Process: {operation.name}"
-        wide = [f for f in figures if "wide" in f[:20]]
-        small = [f for f in figures if f not in wide]
-        content = "".join(wide) + markup.grid(small)
-        sections.append(markup.section(f"process{index}", title, content))
+        wide = tuple(figure for figure in figures if isinstance(figure, markup.Wide))
+        small = tuple(figure for figure in figures if not isinstance(figure, markup.Wide))
+        content: tuple[Block, ...] = (*wide, markup.Grid(small)) if small else wide
+        sections.append(Section(f"process{index}", title, content))
     return sections, left_out
 
 
-def _motion(problem: Problem, motion: Motion) -> list[Raw]:
+def _motion(problem: Problem, motion: Motion) -> list[Section]:
     settings = problem.settings
     figures = [motion_charts.feed(motion)] if len(motion.feed.time) > 1 else []
     if motion.clearance is not None:
@@ -140,39 +130,29 @@ def _motion(problem: Problem, motion: Motion) -> list[Raw]:
     figures += [figure for wire in motion.wires for figure in motion_charts.wire(wire, motion)]
     for name, arm in motion.arms.items():
         figures += motion_charts.speeds(name, arm, motion, settings)
-    pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ""
-    note = Raw(
-        f'<p class="note">Joint motion: {html.escape(motion.source)}. Tinted stretches are segments.</p>'
-    )
-    out = [markup.section("motion", "Motion", markup.grid(figures), pairs, note)]
-    rows = [
-        Raw(f"<h3>{html.escape(name)}: {html.escape(arm.robot.title)}</h3>")
-        + markup.grid(motion_charts.joints(name, arm, motion), "three")
-        for name, arm in motion.arms.items()
+    pairs = motion_charts.closest_pairs(motion.clearance) if motion.clearance is not None else ()
+    words = f"Joint motion: {motion.source}. Tinted stretches are segments."
+    content: tuple[Block, ...] = (markup.Grid(tuple(figures)), *pairs, markup.Paragraph(words, "note"))
+    rows: list[Block] = []
+    for name, arm in motion.arms.items():
+        rows.append(markup.Heading(f"{name}: {arm.robot.title}"))
+        rows.append(markup.Grid(tuple(motion_charts.joints(name, arm, motion)), "three"))
+    return [
+        Section("motion", "Motion", content),
+        Section("joints", "Joint angles and limits", tuple(rows)),
     ]
-    out.append(markup.section("joints", "Joint angles and limits", *rows))
-    return out
 
 
-def _background(plan: Plan | None, extra: Extra) -> list[Raw]:
+def _background(plan: Plan | None, extra: Extra) -> list[Section]:
     out = []
     if plan is not None:
-        out.append(markup.section("placement", "Search for a place", page_sections.placement_figures(plan)))
-        out.append(
-            markup.section(
-                "times", "How the plan was made", page_sections.how_it_was_made(plan, extra.programs)
-            )
-        )
+        out.append(Section("placement", "Search for a place", page_sections.placement_figures(plan)))
+        made = page_sections.how_it_was_made(plan, extra.programs)
+        out.append(Section("times", "How the plan was made", (made,)))
     if extra.filtered:
         rows = markup.table(("body", "body", "why the two are not held apart"), extra.filtered)
-        out.append(
-            markup.section(
-                "filter",
-                "Collision filter",
-                f"<details><summary>{len(extra.filtered)} pairs of bodies are not held apart; "
-                f"every other pair is</summary>{rows}</details>",
-            )
-        )
+        summary = f"{len(extra.filtered)} pairs of bodies are not held apart; every other pair is"
+        out.append(Section("filter", "Collision filter", (markup.Folded(summary, rows),)))
     return out
 
 

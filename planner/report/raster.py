@@ -103,16 +103,6 @@ def tube(points: FloatArray, radius: float, sides: int = 10) -> Solid:
     return Solid(vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid(len(points), sides))
 
 
-def merged(solids: list[Solid]) -> Solid:
-    """All solids as one."""
-    starts = np.cumsum([0, *(len(s.vertices) for s in solids[:-1])])
-    return Solid(
-        np.concatenate([s.vertices for s in solids]),
-        np.concatenate([s.normals for s in solids]),
-        np.concatenate([s.faces + start for s, start in zip(solids, starts, strict=True)]),
-    )
-
-
 def _turned(rows: FloatArray, sides: int) -> Solid:
     """A body of revolution about z of rows (radius, z, normal's radius, normal's z), from below upward."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
@@ -218,8 +208,11 @@ def ruled_mesh(surface: Ruled) -> Mesh:
 
 
 _TILES: Final = (8, 24, 72, 216)
+"""Sides [px] of the tiles that triangles are filled in, each in the smallest that holds it."""
 _BATCH: Final = 200_000
+"""Pixels that are filled at once."""
 _LIGHT: Final = np.array([0.35, -0.55, 0.76])
+"""Direction towards the light, in the world."""
 
 
 @dataclasses.dataclass(frozen=True)

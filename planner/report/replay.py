@@ -12,7 +12,6 @@ import dataclasses
 import html
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -21,17 +20,16 @@ from pydrake.geometry import Capsule, Meshcat, MeshcatAnimation, MeshcatParams, 
 
 from planner.cell.plant import CellModel, quiet, rigid
 from planner.claims.segments import Segment
-from planner.files import write_whole
 from planner.geometry.arrays import BoolArray, FloatArray, Mesh
 from planner.issues import Issue, TandemError
 from planner.plans import Plan
 from planner.problem import Problem, Setup
 from planner.report import raster
 from planner.report import scene as scenes
-from planner.report.timeline import Track, track
+from planner.report.timeline import MOTION_TIME, SETUP_SEGMENT, Track, track
 from planner.verify.result import Proof
 
-_COLOURS: Final = {
+_SEGMENT_COLOURS: Final = {
     "cut": "#f08a3c",
     "mill": "#f08a3c",
     "form": "#f08a3c",
@@ -43,7 +41,9 @@ _COLOURS: Final = {
     "exit": "#aab4c0",
     "setup": "#c9a2c4",
 }
-_OTHER: Final = "#8d99a8"
+"""Colours of the time bar by kind of segment."""
+_OTHER_COLOUR: Final = "#8d99a8"
+"""Colour of the time bar for every other kind of segment."""
 Clock = tuple[tuple[float, float], ...]
 """Times of the programs and of the replay [s] that belong together, ascending; straight between them."""
 
@@ -69,6 +69,7 @@ font-size:13px;min-height:18px}
 #bar .say i{display:inline-block;width:10px;height:10px;
 border-radius:3px;margin-right:6px}
 """
+"""Style of the time bar."""
 
 _SCRIPT: Final = """
 (()=>{const D=JSON.parse(document.getElementById('track').textContent),T=D.end,
@@ -117,10 +118,12 @@ go(start??0);if(start===null)set(true);
    requestAnimationFrame(step)}else setTimeout(ready,60)};
  draw();ready()})();
 """
+"""Script of the time bar, which drives the animation of Meshcat."""
 
 
-def time_bar(name: str, run: Track, clock: Clock = ()) -> str:
-    """HTML of the bar for an animation that starts at time 0.
+def time_bar(name: str, run: Track, clock: Clock = (), motion_time: float | None = None) -> str:
+    """HTML of the bar for an animation that starts at time 0; with ``motion_time`` [s], which the report
+    states, it says how much of its own time is what.
 
     ``#t=seconds`` in the address stops there, also when it changes; ``#at=`` is a time on the programs'
     clock, which ``clock`` leads over; ``#work=`` one from the start of the work of the operation that has the
@@ -144,11 +147,27 @@ def time_bar(name: str, run: Track, clock: Clock = ()) -> str:
         f"<style>{_STYLE}</style><div id='bar'>"
         "<button title='play or pause (space)'>▶</button><div class='line'>"
         f"<div class='knob'></div></div><select title='speed'>{options}</select>"
-        f"<div class='say'><span><b>{html.escape(name)}</b></span><span class='time'></span>"
+        f"<div class='say'><span><b>{html.escape(name)}</b></span><span><span class='time'></span>"
+        f"{_shares(end, run, motion_time)}</span>"
         "<span><i></i><span class='segment'></span></span>"
         "<span class='stopped' style='color:#c0352b'></span></div></div>"
         f"<script type='application/json' id='track'>{packed}</script><script>{_SCRIPT}</script>"
     )
+
+
+def _shares(end: float, run: Track, motion_time: float | None) -> str:
+    """What the time ``end`` [s] of a replay consists of; the report's ``motion_time`` [s] is a part of it."""
+    if motion_time is None or end - motion_time < 0.05:
+        return ""
+    rest = "ways from and to home"
+    rest += " and changes of setup" if SETUP_SEGMENT in run.segment else ""
+    return f": {_clock_time(motion_time)} {MOTION_TIME}, {_clock_time(end - motion_time)} {rest}"
+
+
+def _clock_time(seconds: float) -> str:
+    """A time as the bar shows it: minutes, and seconds to a tenth."""
+    tenths = round(10.0 * seconds)
+    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"
 
 
 def replay_clock(run: Track, time: FloatArray, labels: Sequence[str]) -> Clock:
@@ -190,28 +209,31 @@ def _segments(time: np.ndarray, segments: tuple[Segment, ...]) -> list[tuple[flo
         if out and out[-1][2] == segments[i]:
             out[-1] = (out[-1][0], b, *out[-1][2:])
         else:
-            out.append((a, b, segments[i], _COLOURS.get(segments[i].kind, _OTHER)))
+            out.append((a, b, segments[i], _SEGMENT_COLOURS.get(segments[i].kind, _OTHER_COLOUR)))
     return out
 
 
-FPS: Final = 100.0
-KEYS: Final = 480
-KEYS_MORE: Final = 240
-"""Keyframes of a job of one operation, and of each further one."""
+FRAMES_PER_S: Final = 100.0
+"""Frames [1/s] of the animation, which its keyframes are rounded to."""
+KEYFRAMES: Final = 480
+"""Keyframes of a job of one operation."""
+KEYFRAMES_MORE: Final = 240
+"""Keyframes of each further operation."""
 STRIPS: Final = 120
+"""Strips of cut surface that appear one after the other, in all."""
 TRIMMED_DEPTH_M: Final = 0.001
 """How far [m] inside a block that was trimmed earlier cuts are still drawn: those that trimmed it are now its
 sides."""
-LINKS: Final = 28
-BLOCK: Final = "/block"
-_CUT: Final = Rgba(1.0, 0.66, 0.36, 1.0)
-_FOAM: Final = Rgba(0.97, 0.91, 0.66, 0.42)
-_PART: Final = Rgba(0.16, 0.56, 0.62, 1.0)
-
-
-def write(model: CellModel, problem: Problem, plan: Plan, path: Path) -> None:
-    """Writes the replay to ``path``, whole or not at all. Raises as :func:`document`."""
-    write_whole(path, document(model, problem, plan))
+WIRE_LINKS: Final = 28
+"""Capsules of the chain that a bent wire is drawn as."""
+BLOCK_PATH: Final = "/block"
+"""Where the block stands in the tree of Meshcat."""
+_CUT_COLOUR: Final = Rgba(1.0, 0.66, 0.36, 1.0)
+"""Colour of what has been cut."""
+_BLOCK_COLOUR: Final = Rgba(0.97, 0.91, 0.66, 0.42)
+"""Colour of the block, which is seen through."""
+_PART_COLOUR: Final = Rgba(0.16, 0.56, 0.62, 1.0)
+"""Colour of the wanted part."""
 
 
 def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None = None) -> str:
@@ -223,8 +245,9 @@ def document(model: CellModel, problem: Problem, plan: Plan, proof: Proof | None
     meshcat, run = _filmed(model, problem, plan)
     page = str(meshcat.StaticHtml())
     title = f"{problem.name} – Tandem replay"
+    bar = time_bar(problem.name, run, _clock(run, proof), plan.duration or None)
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>")
-    return page.replace("</body>", time_bar(problem.name, run, _clock(run, proof)) + "</body>", 1)
+    return page.replace("</body>", f"{bar}</body>", 1)
 
 
 def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]:
@@ -235,10 +258,10 @@ def _filmed(model: CellModel, problem: Problem, plan: Plan) -> tuple[Any, Track]
     except RuntimeError as error:
         issue = Issue("report.replay_failed", f"Meshcat, which writes replay.html, cannot start: {error}")
         raise TandemError(issue) from error
-    run = track(problem, plan, KEYS + KEYS_MORE * max(0, len(plan.operations) - 1))
-    animation = MeshcatAnimation(FPS)
-    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FPS).astype(int))
-    _look(meshcat, model, run)
+    run = track(problem, plan, KEYFRAMES + KEYFRAMES_MORE * max(0, len(plan.operations) - 1))
+    animation = MeshcatAnimation(FRAMES_PER_S)
+    film = _Film(meshcat, animation, np.round((run.time - run.time[0]) * FRAMES_PER_S).astype(int))
+    _set_view(meshcat, model, run)
     _bodies(film, model, problem, plan.places, run)
     _parts(meshcat, problem)
     if run.wire is not None:
@@ -303,7 +326,7 @@ class _Film:
             self.animation.SetProperty(int(self.frames[i]), path, "visible", bool(seen[i]))
 
 
-def _look(meshcat: Any, model: CellModel, run: Track) -> None:
+def _set_view(meshcat: Any, model: CellModel, run: Track) -> None:
     """Background, camera across the line of the bases, or of the base and the block; no axes."""
     meshcat.SetProperty("/Background", "top_color", [0.93, 0.95, 0.97])
     meshcat.SetProperty("/Background", "bottom_color", [0.74, 0.78, 0.83])
@@ -336,12 +359,12 @@ def _bodies(
         film.move(f"/cell/{body}", poses[body])
     for arm in model.arms:
         film.move(f"/cell/{arm}/tool", poses[f"{arm}/tool"])
-    film.move(BLOCK, run.block)
+    film.move(BLOCK_PATH, run.block)
     sets: dict[str, tuple[list[scenes.Piece], BoolArray]] = {}
     for index, setup in enumerate(problem.setups):
         for name, pieces in _groups(setup, places[index]).items():
             path = next(
-                (p for p, (known, _) in sets.items() if p.startswith(name) and _same(known, pieces)), ""
+                (p for p, (known, _) in sets.items() if p.startswith(name) and _same_looks(known, pieces)), ""
             )
             path = path or f"{name}/{index}"
             seen = sets.setdefault(path, (pieces, np.zeros(len(run.time), dtype=bool)))[1]
@@ -357,11 +380,11 @@ def _groups(setup: Setup, place: FloatArray) -> dict[str, list[scenes.Piece]]:
     out: dict[str, list[scenes.Piece]] = {}
     for piece in scenes.mounted(setup, place):
         arm, _, kind = piece.body.partition("/")
-        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK}/{piece.body}", []).append(piece)
+        out.setdefault(f"/cell/{arm}/tool" if kind else f"{BLOCK_PATH}/{piece.body}", []).append(piece)
     return out
 
 
-def _same(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
+def _same_looks(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
     """Whether two groups look the same."""
     return len(one) == len(other) and all(
         a.body == b.body
@@ -372,14 +395,14 @@ def _same(one: list[scenes.Piece], other: list[scenes.Piece]) -> bool:
 
 
 def _object(film: _Film, path: str, piece: scenes.Piece) -> None:
-    film.meshcat.SetObject(path, piece.shape, _FOAM if piece.body == "stock" else Rgba(*piece.color))
+    film.meshcat.SetObject(path, piece.shape, _BLOCK_COLOUR if piece.body == "stock" else Rgba(*piece.color))
     film.meshcat.SetTransform(path, rigid(piece.pose))
 
 
 def _parts(meshcat: Any, problem: Problem) -> None:
     """The wanted surfaces, which move with the block."""
     for name, mesh in raster.part_meshes(problem.part):
-        _surface(meshcat, f"{BLOCK}/wanted/{name}", mesh, _PART)
+        _surface(meshcat, f"{BLOCK_PATH}/wanted/{name}", mesh, _PART_COLOUR)
 
 
 def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
@@ -390,19 +413,19 @@ def _surface(meshcat: Any, path: str, mesh: Mesh, color: Rgba) -> None:
 
 def _wire(film: _Film, wire: FloatArray, shown: BoolArray, radius: float) -> None:
     """A chain of capsules along the wire (T, P, 3), drawn thick enough to be seen."""
-    points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, LINKS + 1).round().astype(int))]
+    points = wire[:, np.unique(np.linspace(0, wire.shape[1] - 1, WIRE_LINKS + 1).round().astype(int))]
     step = np.diff(points, axis=1)
     length = np.linalg.norm(step, axis=-1)
-    poses = _along(0.5 * (points[:, 1:] + points[:, :-1]), step)
+    poses = _poses_along(0.5 * (points[:, 1:] + points[:, :-1]), step)
     for k in range(step.shape[1]):
         path = f"/wire/{k}"
         shape = Capsule(max(radius, scenes.LEAST_WIRE_RADIUS_M), float(np.median(length[shown, k])))
-        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT))
+        film.meshcat.SetObject(path, shape, Rgba(*scenes.HOT_COLOUR))
         film.move(path, poses[:, k])
     film.show("/wire", shown)
 
 
-def _along(middle: FloatArray, direction: FloatArray) -> FloatArray:
+def _poses_along(middle: FloatArray, direction: FloatArray) -> FloatArray:
     """Poses (..., 4, 4) at ``middle`` with z along ``direction``."""
     z = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
     aside = np.where(np.abs(z[..., 2:3]) < 0.9, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
@@ -439,8 +462,8 @@ def _strips(film: _Film, problem: Problem, run: Track) -> None:
             mesh = raster.swept_surface(points[part[0] : part[-1] + 2], lower, upper) if len(part) else None
             if mesh is None:
                 continue
-            path = f"{BLOCK}/cut/{number}"
-            _surface(film.meshcat, path, mesh, _CUT)
+            path = f"{BLOCK_PATH}/cut/{number}"
+            _surface(film.meshcat, path, mesh, _CUT_COLOUR)
             done = np.arange(len(run.time)) >= cut.keys[part[-1] + 1]
             film.show(path, done & np.isin(run.setup, setups))
             number += 1

@@ -91,8 +91,10 @@ def setup_index(problem: Problem, operation: int) -> int:
     return problem.setup_of(operation).number - 1
 
 
-_PLAIN = (0.7, 0.72, 0.75, 1.0)
-HOT: Final = (1.0, 0.30, 0.05, 1.0)
+_PLAIN_COLOUR = (0.7, 0.72, 0.75, 1.0)
+"""Red, green, blue, alpha in 0..1 of a body that states no colour."""
+HOT_COLOUR: Final = (1.0, 0.30, 0.05, 1.0)
+"""Red, green, blue, alpha in 0..1 of a hot wire."""
 LEAST_WIRE_RADIUS_M: Final = 2.2e-3
 """Least radius [m] at which a wire is drawn, so that it can be seen."""
 
@@ -150,7 +152,7 @@ def extract(model: CellModel) -> Scene:
         body = model.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
         shape = inspector.GetShape(geometry)
         properties = inspector.GetIllustrationProperties(geometry)
-        rgba = properties.GetPropertyOrDefault("phong", "diffuse", Rgba(*_PLAIN))
+        rgba = properties.GetPropertyOrDefault("phong", "diffuse", Rgba(*_PLAIN_COLOUR))
         color = (rgba.r(), rgba.g(), rgba.b(), rgba.a())
         pose = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         name = names[body.index()]
@@ -167,7 +169,7 @@ def mounted(setup: Setup, place: FloatArray) -> tuple[Piece, ...]:
         out += [_piece(f"{arm.name}/tool", shape, TOOL_COLOUR) for shape in arm.tool.shapes]
         solid = working_solid(arm.tool)
         if solid is not None:
-            out.append(_piece(f"{arm.name}/edge", _seen(solid), HOT))
+            out.append(_piece(f"{arm.name}/edge", _seen(solid), HOT_COLOUR))
     out.append(_piece("stock", block_box(setup), STOCK_COLOUR))
     if setup.stock.held_by is None:
         support = with_support(setup.cell, setup.stock, place).support

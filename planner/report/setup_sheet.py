@@ -20,44 +20,47 @@ from planner.geometry.rigid import to_quaternion, to_rpy
 from planner.plans import OperationPlan, Plan
 from planner.problem import Arm, Problem, Setup, Stock
 from planner.report import exhibits, markup, scene
-from planner.report.markup import Raw
+from planner.report.markup import Block, Facts, Figure, Phrase, Table
 from planner.report.motion_charts import kerf_shown, operation_starts
 from planner.tooling import Gripper
 from planner.units import DEG, MM
 from planner.verify.result import Proof
 
-_FILL = Raw('<span class="fill"></span>')
-_POSE = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
+_FILL = markup.Blank()
+"""Room to tick off or to write in what was measured."""
+_POSE_COLUMNS = ("x, y, z [mm]", "roll, pitch, yaw [deg]", "quaternion w, x, y, z")
+"""Heads of the columns of a pose."""
 _CORNERS = (
     ("bottom corner −x −y", (0, 0, 0)),
     ("bottom corner +x −y", (1, 0, 0)),
     ("bottom corner −x +y", (0, 1, 0)),
     ("top corner −x −y", (0, 0, 1)),
 )
+"""Corners of the block to be measured: what they are called, and their place along x, y, z."""
 
 
-def pose_cells(pose: FloatArray) -> tuple[Raw, Raw, Raw]:
+def pose_cells(pose: FloatArray) -> tuple[str, str, str]:
     """Position [mm], roll-pitch-yaw [deg] and quaternion of a pose (4, 4) as text."""
     turn = ", ".join(markup.fixed(float(v) / DEG, 3) for v in to_rpy(pose[:3, :3]))
     quaternion = ", ".join(markup.fixed(float(v), 6) for v in to_quaternion(pose[:3, :3]))
-    return _point(pose[:3, 3]), Raw(turn), Raw(quaternion)
+    return _point(pose[:3, 3]), turn, quaternion
 
 
-def tool_table(setup: Setup, plan: Plan) -> Raw:
+def tool_table(setup: Setup, plan: Plan) -> Block:
     """What each arm carries, its TCP on the flange and its base in the world."""
     rows, frames = [], []
     for arm in setup.cell.arms:
         robot = robots.robot(arm.robot)
         cog = ", ".join(markup.fixed(float(v) / MM, 1) for v in arm.tool.cog)
-        rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, Raw(cog)))
+        rows.append((arm.name, robot.title, robot.controller, arm.tool.name, arm.tool.mass, cog))
         base = np.asarray(plan.bases.get(arm.name, arm.base))
         frames.append((f"{arm.name}: TCP on the flange", *pose_cells(arm.tool.tcp)))
         frames.append((f"{arm.name}: base in the world", *pose_cells(base)))
     heads = ("arm", "robot", "controller", "tool", "mass [kg]", "centre of gravity on the flange [mm]")
-    return Raw(markup.table(heads, rows) + markup.table(("frame", *_POSE), frames))
+    return markup.Group((markup.table(heads, rows), markup.table(("frame", *_POSE_COLUMNS), frames)))
 
 
-def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
+def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Facts:
     """Size and place of the block as found, and how an arm holds it."""
     stock = setup.stock
     found = stock.upper - stock.lower
@@ -69,12 +72,12 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
             f"{axis} {markup.fixed(low / MM, 1)} and {markup.fixed(high / MM, 1)}"
             for axis, low, high in zip("xyz", *stock.oversize.tolist(), strict=True)
         )
-        items.append(("to be trimmed below and above [mm]", Raw(sides)))
+        items.append(("to be trimmed below and above [mm]", sides))
     items.append(("frame", "centre of the datum block's bottom face, z up through the block"))
     if stock.foam is not None:
         items.append(("foam", f"{stock.foam.title}, {stock.foam.density:g} kg/m³"))
     if stock.mass is not None:
-        items.append(("mass", Raw(f"{markup.fixed(stock.mass, 3)} kg")))
+        items.append(("mass", f"{markup.fixed(stock.mass, 3)} kg"))
     if stock.held_by is not None:
         tool = setup.cell.arm(stock.held_by).tool
         at, lean, quaternion_grip = pose_cells(stock.grip)
@@ -86,13 +89,13 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
         ]
         if isinstance(tool, Gripper):
             width, depth = (markup.fixed(v / MM, 0) for v in tool.footprint)
-            items.append(("face of the gripper, centred on its TCP [mm]", Raw(f"{width} × {depth}")))
+            items.append(("face of the gripper, centred on its TCP [mm]", f"{width} × {depth}"))
             items += _clamped_by(setup.stock)
         if held is not None:
             items.append(
                 (
                     "load told to the controller",
-                    Raw(f"{markup.fixed(held.mass, 3)} kg at {_point(held.cog)} mm"),
+                    f"{markup.fixed(held.mass, 3)} kg at {_point(held.cog)} mm",
                 )
             )
     name = "place: x, y, z in the world [mm]"
@@ -113,7 +116,7 @@ def block_table(setup: Setup, plan: Plan, held: HoldsStock | None) -> Raw:
         ("place: quaternion w, x, y, z", quaternion),
         ("place chosen by", chosen),
     ]
-    return markup.facts(items)
+    return Facts(tuple(items))
 
 
 def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
@@ -130,7 +133,7 @@ def _from_bases(setup: Setup, plan: Plan) -> list[tuple[object, object]]:
         edges = (
             "edges parallel to the base" if off < 0.005 else f"edges turned by {markup.fixed(turn, 2)} deg"
         )
-        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", Raw(f"{_point(corner)}; {edges}")))
+        out.append((f"from the base of {arm.name}: corner −x −y −z [mm]", f"{_point(corner)}; {edges}"))
     return out
 
 
@@ -144,14 +147,14 @@ def _clamped_by(stock: Stock) -> list[tuple[object, object]]:
     edges = f"{x} mm from edge −x, {y} mm from edge −y"
     by = "Tandem" if stock.grip_chosen else "the problem"
     return [
-        ("middle of the gripper on the block's bottom face", Raw(f"{edges}; {turned}")),
+        ("middle of the gripper on the block's bottom face", f"{edges}; {turned}"),
         ("grip chosen by", by),
     ]
 
 
-def measured_points(setup: Setup, plan: Plan, operation: int) -> Raw:
+def measured_points(setup: Setup, plan: Plan, operation: int) -> Table:
     """TCPs at the first target of an operation and corners of the block, with room for what was measured."""
-    rows = []
+    rows: list[tuple[Phrase, ...]] = []
     made = plan.operations[operation]
     for arm in setup.cell.arms:
         if arm.name not in made.q:
@@ -159,7 +162,7 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Raw:
         q = made.q[arm.name][0]
         angles = ", ".join(markup.fixed(float(v) / DEG, 3) for v in robots.robot(arm.robot).to_controller(q))
         place, turn, _ = pose_cells(scene.flange_poses(arm, plan.bases, q) @ arm.tool.tcp)
-        rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, Raw(angles), _FILL))
+        rows.append((f"{arm.name}: TCP at {made.targets.name(0)}, world", place, turn, angles, _FILL))
     stock = setup.stock
     ends = np.array([stock.lower, stock.upper])
     held = stock.held_by is not None
@@ -167,48 +170,48 @@ def measured_points(setup: Setup, plan: Plan, operation: int) -> Raw:
     where = f"TCP frame of {stock.held_by}" if held else "world"
     for label, (i, j, k) in _CORNERS:
         corner = np.array([ends[i, 0], ends[j, 1], ends[k, 2], 1.0])
-        rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), Raw(""), Raw(""), _FILL))
-    heads = ("what", *_POSE[:2], "axes on the controller [deg]", "measured")
+        rows.append((f"block, {label}, {where}", _point((frame @ corner)[:3]), "", "", _FILL))
+    heads = ("what", *_POSE_COLUMNS[:2], "axes on the controller [deg]", "measured")
     return markup.table(heads, rows)
 
 
-def _point(point: FloatArray) -> Raw:
-    return Raw(", ".join(markup.fixed(float(v) / MM, 2) for v in point))
+def _point(point: FloatArray) -> str:
+    return ", ".join(markup.fixed(float(v) / MM, 2) for v in point)
 
 
-def _size(size: FloatArray) -> Raw:
-    return Raw(" × ".join(markup.fixed(float(v) / MM, 1) for v in size))
+def _size(size: FloatArray) -> str:
+    return " × ".join(markup.fixed(float(v) / MM, 1) for v in size)
 
 
-_HEADS = ("controller", "what", "to be so", "done")
-_BOX = Raw('<span class="fill"></span>')
+_CHECK_COLUMNS = ("controller", "what", "to be so", "done")
+"""Heads of the table of what is checked at controllers."""
 
 
-def controller_checks(problem: Problem, plan: Plan) -> Raw:
+def controller_checks(problem: Problem, plan: Plan) -> Table:
     """A table to tick off, for each controller of the arms that take part."""
     controller = problem.cell.controller
     used = {name for operation in plan.operations for name in operation.targets.arms}
     arms = [arm for arm in problem.cell.arms if arm.name in used]
     alone = controller.sync == "handshake"
     joined = alone and len(arms) > 1
-    rows: list[tuple[object, ...]] = []
+    rows: list[tuple[Phrase, ...]] = []
     seen = False
     for arm in arms:
         if robot(arm.robot).family == "KUKA":
             rows += [
-                (arm.name, what, wanted, _BOX) for what, wanted in _kuka(problem, plan, arm.name, joined)
+                (arm.name, what, wanted, _FILL) for what, wanted in _kuka(problem, plan, arm.name, joined)
             ]
         elif alone or not seen:
             seen = True
             name = arm.name if alone else ", ".join(a.name for a in arms)
             rows += [
-                (name, what, wanted, _BOX)
+                (name, what, wanted, _FILL)
                 for what, wanted in _abb(problem, plan, arm.name if alone else "", joined)
             ]
     if joined:
         both = ", ".join(arm.name for arm in arms)
-        rows += [(both, what, wanted, _BOX) for what, wanted in _wire_checks(problem, plan, arms)]
-    return markup.table(_HEADS, rows)
+        rows += [(both, what, wanted, _FILL) for what, wanted in _wire_checks(problem, plan, arms)]
+    return markup.table(_CHECK_COLUMNS, rows)
 
 
 def _wire_checks(problem: Problem, plan: Plan, arms: Sequence[Arm]) -> list[tuple[str, str]]:
@@ -326,45 +329,46 @@ def _kuka(problem: Problem, plan: Plan, arm: str, joined: bool) -> list[tuple[st
     return out
 
 
-_STEPS = {
+_STOP_WORDS = {
     "confirm": "the program waits for the operator",
     "message": "message",
     "on": "signal on",
     "off": "signal off",
     "wait": "wait",
 }
+"""What a program does at a stop, by kind of action."""
 
 
-def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> Raw:
+def sheet(problem: Problem, plan: Plan, proof: Proof | None = None) -> markup.Group:
     """All of the setup sheet for a plan, a part for each setup."""
     starts = operation_starts(plan)
-    parts = []
+    parts: list[Block] = []
     for setup in problem.setups:
         made = [i for i in setup.operations if i < len(plan.operations)]
         if not made:
             continue
         if len(problem.setups) > 1:
             names = ", ".join(plan.operations[i].name for i in made)
-            parts.append(Raw(f"<h3>Setup {setup.number}: {markup.text(names)}</h3>"))
+            parts.append(markup.Heading(f"Setup {setup.number}: {names}"))
         if setup.steps:
-            parts.append(markup.figure("To do, with all arms at home", _steps(setup)))
-        parts.append(markup.figure("Robots and tools", tool_table(setup, plan)))
-        parts.append(markup.figure("Block", block_table(setup, plan, _holds(setup, plan))))
+            parts.append(Figure("To do, with all arms at home", _steps(setup)))
+        parts.append(Figure("Robots and tools", tool_table(setup, plan)))
+        parts.append(Figure("Block", block_table(setup, plan, _holds(setup, plan))))
         for index in made:
             operation = plan.operations[index]
             title = f"Operation {operation.name}" if len(plan.operations) > 1 else "Work"
-            parts.append(markup.figure(title, _work(problem, setup, plan, operation, proof)))
-            parts.append(markup.figure("Stops with something to do", _stops(operation, starts[index])))
+            parts.append(Figure(title, _work(problem, setup, plan, operation, proof)))
+            parts.append(Figure("Stops with something to do", _stops(operation, starts[index])))
         if setup.number == 1:
-            parts.append(markup.figure("Controllers, before the first run", controller_checks(problem, plan)))
-        parts.append(markup.figure("Measure before the first run", measured_points(setup, plan, made[0])))
-    return Raw("".join(f'<div style="margin-bottom:20px">{part}</div>' for part in parts))
+            parts.append(Figure("Controllers, before the first run", controller_checks(problem, plan)))
+        parts.append(Figure("Measure before the first run", measured_points(setup, plan, made[0])))
+    return markup.Group(tuple(parts), apart=True)
 
 
-def _steps(setup: Setup) -> Raw:
+def _steps(setup: Setup) -> Block:
     """What the operator does, and what the program then asks."""
-    rows = "".join(f"<li>{markup.text(step)}</li>" for step in setup.steps)
-    return Raw(f"<ol>{rows}</ol><p>The program asks: <b>{markup.text(setup.confirmation)}</b></p>")
+    asked = markup.Joined(("The program asks: ", markup.Bold(setup.confirmation)))
+    return markup.Group((markup.Steps(tuple(setup.steps)), markup.Paragraph(asked)))
 
 
 def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
@@ -376,7 +380,7 @@ def _holds(setup: Setup, plan: Plan) -> HoldsStock | None:
     return None
 
 
-def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> Raw:
+def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, proof: Proof | None) -> Facts:
     targets = operation.targets
     items: list[tuple[object, object]] = []
     for claim in targets.claims:
@@ -389,12 +393,15 @@ def _work(problem: Problem, setup: Setup, plan: Plan, operation: OperationPlan, 
     # the straight wire's process says all this by itself
     items += own if own and straight else [*_cutting(operation, proof), *own]
     signals = dict.fromkeys(a.signal for a in targets.actions if a.signal)
-    items += (
-        [("signals", Raw(", ".join(f"<code>{markup.text(s)}</code>" for s in signals)))] if signals else []
-    )
+    items += [("signals", _listed([markup.Code(signal) for signal in signals]))] if signals else []
     waits = sum(a.seconds for a in targets.actions)
     items += [("waits in all", f"{markup.fixed(waits, 1)} s")] if waits else []
-    return markup.facts([*items, *_controllers(problem), *_wires(problem)])
+    return Facts((*items, *_controllers(problem), *_wires(problem)))
+
+
+def _listed(phrases: Sequence[Phrase]) -> Phrase:
+    """Phrases with commas between them."""
+    return markup.Joined(tuple(part for one in phrases for part in (", ", one))[1:])
 
 
 def _controllers(problem: Problem) -> list[tuple[object, object]]:
@@ -429,11 +436,11 @@ def _wires(problem: Problem) -> list[tuple[object, object]]:
 
 def _bent(wire: WireJoins) -> list[tuple[object, object]]:
     return [
-        ("hot length between the clamps", Raw(f"{markup.fixed(wire.length / MM, 2)} mm")),
-        ("thickness in the bending plane", Raw(f"{markup.fixed(wire.thickness / MM, 3)} mm")),
+        ("hot length between the clamps", f"{markup.fixed(wire.length / MM, 2)} mm"),
+        ("thickness in the bending plane", f"{markup.fixed(wire.thickness / MM, 3)} mm"),
         ("section", "round, may spin" if wire.round_section else "strip, must not spin"),
-        ("least bend radius", Raw(f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm")),
-        ("end error allowed for", Raw(f"{markup.fixed(wire.end_error / MM, 2)} mm")),
+        ("least bend radius", f"{markup.fixed(1.0 / wire.max_curvature / MM, 1)} mm"),
+        ("end error allowed for", f"{markup.fixed(wire.end_error / MM, 2)} mm"),
     ]
 
 
@@ -441,8 +448,8 @@ def _straight(wire: StraightWire) -> list[tuple[object, object]]:
     length = float(np.linalg.norm(wire.end - wire.start))
     return [
         ("bow on", wire.arm),
-        ("straight wire between the clamps", Raw(f"{markup.fixed(length / MM, 1)} mm")),
-        ("clamps stay clear of the block by", Raw(f"{markup.fixed(wire.margin / MM, 1)} mm")),
+        ("straight wire between the clamps", f"{markup.fixed(length / MM, 1)} mm"),
+        ("clamps stay clear of the block by", f"{markup.fixed(wire.margin / MM, 1)} mm"),
     ]
 
 
@@ -455,10 +462,10 @@ def _cutting(operation: OperationPlan, proof: Proof | None) -> list[tuple[object
     if windows:
         low, high = min(w.lower for w in windows) / MM, max(w.upper for w in windows) / MM
         speeds = f"{markup.fixed(low, 1)} to {markup.fixed(high, 1)} mm/s"
-        out.append(("speed of the wire in the foam", Raw(speeds)))
+        out.append(("speed of the wire in the foam", speeds))
     if cuts:
         name, width = kerf_shown(cuts, windows, proof)
-        out.append((name, Raw(f"{markup.text(width)} mm")))
+        out.append((name, f"{width} mm"))
     return out
 
 
@@ -471,20 +478,22 @@ def _mount(
     gap = poses[1][:3, 3] - poses[0][:3, 3]
     distance = float(np.linalg.norm(gap))
     out: list[tuple[object, object]] = [
-        ("as planned: distance of the TCPs at the mount", Raw(f"{markup.fixed(distance / MM, 2)} mm"))
+        ("as planned: distance of the TCPs at the mount", f"{markup.fixed(distance / MM, 2)} mm")
     ]
     if distance > 1e-6:
         for name, pose in zip(wire.arms, poses, strict=True):
             angle = np.arccos(np.clip(pose[:3, 0] @ gap / distance, -1.0, 1.0)) / DEG
             words = f"as planned: TCP of {name} to the line between them"
-            out.append((words, Raw(f"{markup.fixed(float(angle), 2)}°")))
+            out.append((words, f"{markup.fixed(float(angle), 2)}°"))
     return out
 
 
-def _stops(operation: OperationPlan, start: float) -> Raw:
-    rows = []
+def _stops(operation: OperationPlan, start: float) -> Block:
+    rows: list[tuple[Phrase, ...]] = []
     for action in operation.targets.actions:
         what = action.text or action.signal or (f"{action.seconds:g} s" if action.kind == "wait" else "")
-        time = Raw(markup.fixed(float(operation.time[action.at]) + start, 1))
-        rows.append((time, operation.targets.name(action.at), _STEPS[action.kind], what))
-    return markup.table(("motion time [s]", "at target", "", "what"), rows) if rows else Raw("<p>none</p>")
+        time = markup.fixed(float(operation.time[action.at]) + start, 1)
+        rows.append((time, operation.targets.name(action.at), _STOP_WORDS[action.kind], what))
+    if not rows:
+        return markup.Paragraph("none")
+    return markup.table(("motion time [s]", "at target", "", "what"), rows)

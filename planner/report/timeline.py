@@ -16,7 +16,10 @@ from planner.plans import OperationPlan, Plan
 from planner.problem import Problem, Setup
 from planner.report import scene
 
-POINTS: Final = 29
+WIRE_POINTS: Final = 29
+"""Points of a bent wire as the replay shows it."""
+MOTION_TIME: Final = "from first to last target"
+"""Of what report and replay state the motion time; the ways from and to home have no clock of the plan."""
 ENTRY_PACE: Final = 0.25
 """Share of the joint speed limits at which the replay shows entry and exit, which have no clock."""
 SETUP_PAUSE_S: Final = 2.0
@@ -83,10 +86,10 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     for index, operation in enumerate(plan.operations):
         setup = setups[scene.setup_index(problem, index)]
         if setup.steps and setup.operations[0] == index:
-            _change(rows, setup, index, here)
-        here = _alone(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
-        here = _work(rows, setup, plan, index, operation, here)
-        here = _alone(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
+            _setup_pause(rows, setup, index, here)
+        here = _own_ways(rows, problem, index, operation.entry, operation.order, here, Segment("entry"))
+        here = _operation_rows(rows, setup, plan, index, operation, here)
+        here = _own_ways(rows, problem, index, operation.exit, operation.order[::-1], here, Segment("exit"))
     if not rows.time:
         _append(rows, 0, np.zeros(1), {arm: q[None] for arm, q in here.items()}, None, (Segment("home"),))
     time = np.concatenate(rows.time)
@@ -94,7 +97,7 @@ def track(problem: Problem, plan: Plan, keys: int) -> Track:
     return _sampled(rows, time, pick, problem, plan)
 
 
-def _change(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray]) -> None:
+def _setup_pause(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray]) -> None:
     """A pause at home while the operator changes the setup; what changes does so in its middle."""
     start = rows.end()
     q = {arm: v[None] for arm, v in here.items()}
@@ -107,7 +110,7 @@ def _change(rows: _Rows, setup: Setup, index: int, here: Mapping[str, FloatArray
     _append(rows, index, np.array([start, middle + 0.5 * SETUP_PAUSE_S]), q, None, (SETUP_SEGMENT,) * 2)
 
 
-def _alone(
+def _own_ways(
     rows: _Rows,
     problem: Problem,
     index: int,
@@ -131,7 +134,7 @@ def _alone(
     return here
 
 
-def _work(
+def _operation_rows(
     rows: _Rows,
     setup: Setup,
     plan: Plan,
@@ -153,12 +156,12 @@ def _work(
 
 
 def edge_in_world(setup: Setup, plan: Plan, operation: OperationPlan) -> FloatArray | None:
-    """The wire that joins the arms (N, POINTS, 3) in the world at every target, or None."""
+    """The wire that joins the arms (N, WIRE_POINTS, 3) in the world at every target, or None."""
     targets = operation.targets
     if targets.edge is None:
         return None
     points = targets.edge.points
-    at = np.linspace(0.0, points.shape[1] - 1.0, POINTS)
+    at = np.linspace(0.0, points.shape[1] - 1.0, WIRE_POINTS)
     low = np.minimum(at.astype(int), points.shape[1] - 2)
     share = (at - low)[:, None]
     points = points[:, low] * (1.0 - share) + points[:, low + 1] * share
@@ -184,7 +187,7 @@ def _append(
     rows.time.append(time)
     for arm, gathered in rows.q.items():
         gathered.append(np.broadcast_to(q[arm], (count, 6)))
-    rows.wire.append(np.full((count, POINTS, 3), np.nan) if wire is None else wire)
+    rows.wire.append(np.full((count, WIRE_POINTS, 3), np.nan) if wire is None else wire)
     rows.segment += list(segment)
     rows.operation += [index] * count
 

@@ -32,8 +32,10 @@ from planner.service.security import LOOPBACK, Guard, RefusedError
 from planner.service.service import Options, Service
 
 LOG: Final = logging.getLogger("planner.service")
+"""Log of the service."""
 ABOUT: Final = """Plans the motion of two industrial robots that share one job. Problems go in as files,
 programs come out if they are proven. Every refusal has `issues`, each with a `code` and the `field`."""
+"""What the description of the interface begins with."""
 
 
 def create_app(service: Service) -> FastAPI:
@@ -91,6 +93,7 @@ class _Counted:
 
 
 METHODS: Final = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
+"""Methods that are counted by name; others are counted together."""
 
 
 def _openapi(app: FastAPI) -> dict[str, Any]:
@@ -106,11 +109,12 @@ def _openapi(app: FastAPI) -> dict[str, Any]:
         )
         made["components"]["schemas"] |= problem_schema(IN_OPENAPI)[1]
         refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
-        told = [str(one["description"]) for one in REFUSALS.values()]
+        general = [str(one["description"]) for one in REFUSALS.values()]
         for path in made["paths"].values():
             for method in path.values():
                 for status, answer in method["responses"].items():
-                    if status[0] == "4" or answer["description"] in told:  # JSON, whatever a good answer is
+                    # JSON, whatever a good answer is
+                    if status[0] == "4" or answer["description"] in general:
                         answer["content"] = refusal
         app.openapi_schema = made
     return app.openapi_schema

@@ -39,6 +39,7 @@ TOOLS: Final[tuple[type[BaseModel], ...]] = (
     cell.MillFile,
     cell.PlainToolFile,
 )
+"""Schemas of the tools that a problem file may state."""
 
 
 @functools.cache
@@ -95,6 +96,7 @@ def _yaml(path: Path) -> dict[str, Any]:
 
 
 IN_OPENAPI: Final = "#/components/schemas/{model}"
+"""Where the description of the interface keeps a schema."""
 
 
 @functools.cache

@@ -48,10 +48,13 @@ def multipart_form(problem: bytes, files: Mapping[str, bytes]) -> tuple[bytes, s
 
 Progress = Callable[[str, float], None]
 PLANNED: Final = ("verified", "unproven")
+"""States of jobs that have a plan."""
 OPEN: Final = ("queued", "running")
+"""States of jobs that have not ended."""
 WAIT_S: Final = 60.0
 """A stream that says nothing for so long is opened anew."""
-AGAIN_S: Final = 1.0
+RETRY_S: Final = 1.0
+"""Pause [s] before a stream that broke off is opened again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,7 +144,7 @@ class Client:
             except (OSError, ValueError, http.client.HTTPException):  # the line broke off
                 pass
             if not ended:
-                time.sleep(AGAIN_S)
+                time.sleep(RETRY_S)
                 ended = self._settled(job)
 
     def wait(self, job: str, progress: Progress | None = None) -> dict[str, Any]:
@@ -243,8 +246,8 @@ class Client:
 def _refusal(error: urllib.error.HTTPError) -> TandemError:
     """The issues of a refusal."""
     try:
-        told = json.loads(error.read())["issues"]
-        return TandemError([Issue.from_dict(issue) for issue in told])
+        found = json.loads(error.read())["issues"]
+        return TandemError([Issue.from_dict(issue) for issue in found])
     except (ValueError, KeyError, TypeError, OSError):
         return TandemError(_answer(error.url, f"answers with status {error.code}; is it a Tandem?"))
 

@@ -40,6 +40,7 @@ from sqlalchemy.sql.elements import ColumnElement
 from planner.issues import Issue, TandemError
 
 METADATA: Final = MetaData()
+"""The tables of the service."""
 
 TOKENS: Final = Table(
     "tandem_tokens",
@@ -111,9 +112,11 @@ EVENTS: Final = Table(
     Column("data", Text, nullable=False),
     Column("at", Float, nullable=False),
 )
+"""What happened to jobs, numbered, for the streams of events."""
 
 
-POOL: Final = 20
+POOL_SIZE: Final = 20
+"""Connections to the database that stay open; as many more may come for a while."""
 WAIT_S: Final = 120.0
 """How long a request waits for a connection or for another writer."""
 
@@ -181,7 +184,12 @@ def _engine(url: str) -> Engine:
         raise ArgumentError(f"got {kind}")
     more: dict[str, Any] = {"connect_args": {"timeout": WAIT_S}} if kind == "sqlite" else {}
     engine = create_engine(
-        url, pool_size=POOL, max_overflow=POOL, pool_timeout=WAIT_S, pool_pre_ping=kind != "sqlite", **more
+        url,
+        pool_size=POOL_SIZE,
+        max_overflow=POOL_SIZE,
+        pool_timeout=WAIT_S,
+        pool_pre_ping=kind != "sqlite",
+        **more,
     )
     if kind == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)

@@ -23,11 +23,13 @@ from starlette.types import Receive, Scope, Send
 from planner.issues import Issue
 from planner.service.database import EVENTS, FILES, JOBS, Database
 from planner.service.models import OPEN, SETTLED, JobOut
-from planner.service.security import Limits, RefusedError, plain, unknown_job
+from planner.service.security import Limits, RefusedError, issue_json, unknown_job
 from planner.service.storage import Blob
 
 CANCELLED: Final = 1
+"""In a job's column `cancel`: its owner wants it to end."""
 DELETED: Final = 2
+"""In a job's column `cancel`: its owner wants it to end and to go."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,9 +77,9 @@ class Jobs:
             }
             db.execute(insert(JOBS).values(row))
             put_files(db, job, new.files)
-            note(db, job, "state", {"state": "queued"})
+            record_event(db, job, "state", {"state": "queued"})
             if new.issues:
-                note(db, job, "issues", {"issues": [plain(issue) for issue in new.issues]})
+                record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in new.issues]})
             answer_from_store(db, job, new.key)
             return job_out(_row(db, job), self._ahead(db, job))
 
@@ -116,7 +118,7 @@ class Jobs:
                     .values(state="cancelled", finished=time.time(), cancel=CANCELLED)
                 )
                 if changed.rowcount:
-                    note(db, job, "state", {"state": "cancelled"})
+                    record_event(db, job, "state", {"state": "cancelled"})
             wanted = DELETED if also_delete else max(CANCELLED, row["cancel"])
             db.execute(update(JOBS).where(JOBS.c.id == job, JOBS.c.state == "running").values(cancel=wanted))
             done = job_out(_row(db, job, deleted_too=True))
@@ -175,7 +177,7 @@ class Jobs:
             )
 
 
-def note(db: Connection, job: str, kind: str, data: Mapping[str, Any]) -> None:
+def record_event(db: Connection, job: str, kind: str, data: Mapping[str, Any]) -> None:
     """Add an event to a job; its number is the next one, because the job's row is held until the end."""
     db.execute(update(JOBS).where(JOBS.c.id == job).values(seq=JOBS.c.seq + 1))
     number = db.execute(select(JOBS.c.seq).where(JOBS.c.id == job)).scalar_one()
@@ -219,14 +221,14 @@ def answer_from_store(db: Connection, job: str, key: str) -> bool:
     db.execute(update(JOBS).where(JOBS.c.id == job).values(**kept, from_store=1, finished=time.time()))
     put_files(db, job, job_files(db, found["id"]))
     if found["issues"] != "[]":
-        note(db, job, "issues", {"issues": json.loads(found["issues"])})
-    note(db, job, "state", {"state": found["state"], "from_store": True})
+        record_event(db, job, "issues", {"issues": json.loads(found["issues"])})
+    record_event(db, job, "state", {"state": found["state"], "from_store": True})
     return True
 
 
 def issues_json(issues: Sequence[Issue]) -> str:
     """Issues for the store."""
-    return json.dumps([plain(issue) for issue in issues])
+    return json.dumps([issue_json(issue) for issue in issues])
 
 
 def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
@@ -239,9 +241,9 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
         fraction=min(max(row["fraction"], 0.0), 1.0),
         processes=json.loads(row["processes"]),
         digest=row["digest"],
-        created=_moment(row["created"]),
-        started=None if row["started"] is None else _moment(row["started"]),
-        finished=None if row["finished"] is None else _moment(row["finished"]),
+        created=_utc(row["created"]),
+        started=None if row["started"] is None else _utc(row["started"]),
+        finished=None if row["finished"] is None else _utc(row["finished"]),
         seconds=row["seconds"],
         attempts=row["attempts"],
         from_store=bool(row["from_store"]),
@@ -253,7 +255,7 @@ def job_out(row: RowMapping, ahead: int | None = None) -> JobOut:
     )
 
 
-def _moment(seconds: float) -> dt.datetime:
+def _utc(seconds: float) -> dt.datetime:
     return dt.datetime.fromtimestamp(seconds, dt.UTC)
 
 
@@ -265,9 +267,11 @@ def _row(db: Connection, job: str, deleted_too: bool = False) -> RowMapping:
 
 
 POLL_S: Final = 0.25
+"""Time [s] between two looks for new events."""
 ALIVE_S: Final = 15.0
 """A comment is sent so often, so that proxies do not take a stream for dead."""
-CHUNK: Final = 500
+JOBS_PER_QUERY: Final = 500
+"""Jobs that one query of the database asks for."""
 
 
 class Event(NamedTuple):
@@ -351,8 +355,10 @@ class Hub:
     def _numbers(self, jobs: list[str]) -> dict[str, int]:
         found: dict[str, int] = {}
         with self._database.read() as db:
-            for start in range(0, len(jobs), CHUNK):
-                query = select(JOBS.c.id, JOBS.c.seq).where(JOBS.c.id.in_(jobs[start : start + CHUNK]))
+            for start in range(0, len(jobs), JOBS_PER_QUERY):
+                query = select(JOBS.c.id, JOBS.c.seq).where(
+                    JOBS.c.id.in_(jobs[start : start + JOBS_PER_QUERY])
+                )
                 found |= dict(tuple(row) for row in db.execute(query))
         return found
 

@@ -24,6 +24,7 @@ State = Literal[
 ]
 Kind = Literal["robots", "cells", "tools", "materials"]
 OPEN: Final = ("queued", "running")
+"""States of jobs that have not ended."""
 SETTLED: Final = ("verified", "infeasible", "unproven")
 """States that the problem alone decides, so that an identical one needs no planning."""
 

@@ -43,12 +43,16 @@ from planner.service.models import (
 from planner.service.security import LOCAL, SESSION_S, RefusedError, unauthorised, unknown_job
 from planner.service.service import Service
 from planner.service.storage import Blob
-from planner.service.upload import documented, take
+from planner.service.upload import documented, take_upload
 
 COOKIE: Final = "tandem_session"
+"""Name of the cookie of a session."""
 _BEARER: Final = HTTPBearer(auto_error=False, description="a token that `tandem token add` made")
+"""How the description of the interface tells of tokens."""
 _COOKIE: Final = APIKeyCookie(name=COOKIE, auto_error=False, description="what POST /v1/session set")
-_JOB: Final = re.compile(r"[0-9a-f]{32}")
+"""How the description of the interface tells of the cookie."""
+_JOB_ID: Final = re.compile(r"[0-9a-f]{32}")
+"""A job's identifier."""
 
 REFUSALS: Final = {
     401: {"model": Refusal, "description": "no token, or one that is unknown or revoked"},
@@ -60,6 +64,7 @@ REFUSALS: Final = {
     507: {"model": Refusal, "description": "no room for more files; see /v1/storage"},
     429: {"model": Refusal, "description": "too many jobs or streams; see Retry-After"},
 }
+"""Refusals that every request may get, by HTTP status."""
 
 
 def service(request: Request) -> Service:
@@ -94,7 +99,7 @@ Here = Annotated[Service, Depends(service)]
 
 def own_job(job: str, owner: Caller, here: Here) -> JobOut:
     """The job, if it is the caller's; raises :class:`RefusedError`, 403 or 404."""
-    if not _JOB.fullmatch(job):
+    if not _JOB_ID.fullmatch(job):
         raise unknown_job(job)
     belongs_to, found = here.jobs.get(job)
     if belongs_to != owner:
@@ -106,6 +111,7 @@ OwnJob = Annotated[JobOut, Depends(own_job)]
 
 
 STARTED: Final = time.time()
+"""When this process started [s since 1970]."""
 
 
 class Counter:
@@ -127,6 +133,7 @@ class Counter:
 
 
 REQUESTS: Final = Counter()
+"""Requests answered so far, by method and status."""
 
 
 def text(here: Service) -> str:
@@ -264,6 +271,7 @@ def log_out(here: Here, tandem_session: Annotated[str | None, Cookie()] = None) 
 
 job_router: Final = APIRouter(prefix="/v1", tags=["jobs"], responses=REFUSALS)  # type: ignore[arg-type]
 UPLOADS: Final = {"requestBody": documented({"$ref": "#/components/schemas/ProblemFile"})}
+"""How the description of the interface tells of a body that is a problem."""
 TYPES: Final = {
     ".html": "text/html; charset=utf-8",
     ".json": "application/json",
@@ -272,10 +280,12 @@ TYPES: Final = {
     ".yaml": "application/yaml",
     **dict.fromkeys((".mod", ".modx", ".pgf", ".src", ".dat"), "text/plain; charset=utf-8"),
 }
+"""Content types of the files of a result."""
 SANDBOX: Final = "sandbox allow-scripts allow-downloads allow-popups; frame-ancestors 'self'"
 """What is in a report came from a user: it runs apart from this site, without its cookies."""
-PAGE: Final = 50
-EVENT: Final = {
+PAGE_SIZE: Final = 50
+"""Jobs of one page of the list, where the request does not say."""
+EVENT_SCHEMA: Final = {
     "type": "object",
     "description": "one event of the stream",
     "properties": {
@@ -284,6 +294,7 @@ EVENT: Final = {
         "data": {"type": "string", "description": "JSON"},
     },
 }
+"""How the description of the interface tells of an event."""
 
 
 @job_router.post(
@@ -307,7 +318,7 @@ async def create(
 ) -> JobOut:
     """Upload a problem with its files. An identical problem that was planned before has its answer at
     once."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     return await here.in_turn(
         request, owner, lambda reading: here.create(owner, upload, timeout_s, memory_mb, reading)
     )
@@ -323,7 +334,7 @@ async def check(
     reach: Annotated[bool, Query(description="make the targets and test their reach too")] = False,
 ) -> CheckOut:
     """Read a problem and say what is in its way; a file that cannot be read is 422."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     read = await here.in_turn(request, owner, lambda reading: here.examine(upload, reach, reading=reading))
     return CheckOut(
         ok=not has_errors(read.issues),
@@ -339,7 +350,7 @@ async def check(
 def page(
     owner: Caller,
     here: Here,
-    limit: Annotated[int, Query(ge=1, le=200)] = PAGE,
+    limit: Annotated[int, Query(ge=1, le=200)] = PAGE_SIZE,
     cursor: Annotated[
         str | None,
         Query(pattern=r"^[0-9]{1,12}\.[0-9]{1,9}-[0-9a-f]{32}$", description="`next` of the page before"),
@@ -361,7 +372,7 @@ def get(found: OwnJob) -> JobOut:
     "/jobs/{job}/events",
     summary="Events of a job as they happen",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": EVENT}}}},
+    responses={200: {"content": {"text/event-stream": {"schema": EVENT_SCHEMA}}}},
 )
 def events(
     found: OwnJob,

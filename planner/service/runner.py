@@ -29,12 +29,12 @@ from planner.service.jobs import (
     answer_from_store,
     issues_json,
     job_files,
-    note,
     put_files,
+    record_event,
     remove,
 )
 from planner.service.models import OPEN, State
-from planner.service.security import plain
+from planner.service.security import issue_json
 from planner.service.storage import Blob, Files
 
 MOST_ATTEMPTS: Final = 3
@@ -91,7 +91,7 @@ class Work:
                         fraction=0.0,
                     )
                 )
-                note(db, job, "state", {"state": "running", "attempt": attempt})
+                record_event(db, job, "state", {"state": "running", "attempt": attempt})
                 files = job_files(db, job)
                 return Claimed(job, row["name"], attempt, files, row["timeout_s"], row["memory_mb"])
 
@@ -153,11 +153,11 @@ class Work:
         values = {"state": state, "host": None, "lease": None, "stage": "", "fraction": 0.0}
         if issues:
             values["issues"] = issues_json(issues)
-            note(db, job, "issues", {"issues": [plain(issue) for issue in issues]})
+            record_event(db, job, "issues", {"issues": [issue_json(issue) for issue in issues]})
         if state != "queued":
             values["finished"] = time.time()
         db.execute(update(JOBS).where(JOBS.c.id == job).values(**values))
-        note(db, job, "state", {"state": state})
+        record_event(db, job, "state", {"state": state})
 
     def cancelled(self) -> set[str]:
         """This host's jobs that are to stop."""
@@ -171,13 +171,13 @@ class Work:
             if self._held(db, claimed):
                 values = {"stage": stage[:64], "fraction": fraction}
                 db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(**values))
-                note(db, claimed.id, "progress", {"stage": stage, "fraction": round(fraction, 4)})
+                record_event(db, claimed.id, "progress", {"stage": stage, "fraction": round(fraction, 4)})
 
     def found(self, claimed: Claimed, issues: Collection[Issue]) -> None:
         """Tell of issues as they appear."""
         with self._database.write() as db:
             if issues and self._held(db, claimed):
-                note(db, claimed.id, "issues", {"issues": [plain(issue) for issue in issues]})
+                record_event(db, claimed.id, "issues", {"issues": [issue_json(issue) for issue in issues]})
 
     def finish(
         self,
@@ -208,9 +208,9 @@ class Work:
             put_files(db, claimed.id, files)
             db.execute(update(JOBS).where(JOBS.c.id == claimed.id).values(**values))
             if issues:
-                told = {"issues": [plain(issue) for issue in issues], "all": True}
-                note(db, claimed.id, "issues", told)
-            note(db, claimed.id, "state", {"state": state})
+                content = {"issues": [issue_json(issue) for issue in issues], "all": True}
+                record_event(db, claimed.id, "issues", content)
+            record_event(db, claimed.id, "state", {"state": state})
             return True
 
     def forget(self, older_s: float | None) -> None:
@@ -237,12 +237,15 @@ class Work:
 
 
 LOG: Final = logging.getLogger("planner.service")
+"""Log of the service."""
 LISTEN_S: Final = 0.2
+"""Time [s] for which events of the workers are waited for at once."""
 ASK_S: Final = 0.5
 """Cancelled jobs, and jobs of other hosts, are looked for so often."""
-TELL_S: Final = 0.5
+PROGRESS_EVERY_S: Final = 0.5
 """Progress within a stage is told so often."""
 SWEEP_S: Final = 600.0
+"""Time [s] between two looks for what is old enough to be forgotten."""
 AGAIN_S: Final = 2.0
 """After an error of the database or the workers it is tried again so much later."""
 
@@ -281,7 +284,7 @@ class Runner(threading.Thread):
         self._scratch = scratch
         self._ending = threading.Event()
         self._claimed: dict[str, Claimed] = {}
-        self._told: dict[str, tuple[str, float]] = {}
+        self._last_progress: dict[str, tuple[str, float]] = {}
         self._folders: dict[str, Path] = {}
         self._due: dict[str, float] = {}
         self.alive_at = time.monotonic()
@@ -336,7 +339,7 @@ class Runner(threading.Thread):
                 for name in names:
                     team.cancel(name)
         for event in team.events(LISTEN_S):
-            self._hear(event)
+            self._take(event)
         self.alive_at = time.monotonic()
 
     def _begin(self, team: Team, claimed: Claimed) -> None:
@@ -352,14 +355,14 @@ class Runner(threading.Thread):
         job = Job(name, bundle, timeout_s=claimed.timeout_s, memory_mb=claimed.memory_mb)
         team.start(job, folder / "result")
 
-    def _hear(self, event: Event) -> None:
+    def _take(self, event: Event) -> None:
         claimed = self._claimed.get(event.name)
         if claimed is None:
             return
         if isinstance(event, Progress):
-            stage, at = self._told.get(event.name, ("", 0.0))
-            if event.stage != stage or time.monotonic() - at >= TELL_S:
-                self._told[event.name] = (event.stage, time.monotonic())
+            stage, at = self._last_progress.get(event.name, ("", 0.0))
+            if event.stage != stage or time.monotonic() - at >= PROGRESS_EVERY_S:
+                self._last_progress[event.name] = (event.stage, time.monotonic())
                 self._work.progress(claimed, event.stage, event.fraction)
         elif isinstance(event, Found):
             self._work.found(claimed, event.issues)
@@ -382,7 +385,7 @@ class Runner(threading.Thread):
         else:
             return  # it is planned again
         del self._claimed[name], self._folders[name]
-        self._told.pop(name, None)
+        self._last_progress.pop(name, None)
         shutil.rmtree(folder, ignore_errors=True)
 
     def _stored(self, result: Path) -> dict[str, Blob]:

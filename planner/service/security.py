@@ -70,10 +70,10 @@ class RefusedError(Exception):
     @property
     def body(self) -> dict[str, Any]:
         """The answer as JSON."""
-        return {"issues": [plain(issue) for issue in self.issues]}
+        return {"issues": [issue_json(issue) for issue in self.issues]}
 
 
-def plain(issue: Issue) -> dict[str, Any]:
+def issue_json(issue: Issue) -> dict[str, Any]:
     """The issue as JSON has it: numbers that are not finite are left out."""
     data = issue.to_dict()
     return {k: v for k, v in data.items() if not isinstance(v, float) or math.isfinite(v)}
@@ -93,8 +93,11 @@ def too_large(what: str, limit_mb: float, field: str | None = None) -> RefusedEr
 LOCAL: Final = "local"
 """The owner of jobs that came without a token, over loopback."""
 SESSION_S: Final = 30 * 86400.0
+"""Time [s] after which a session of a browser ends."""
 _TOKEN: Final = re.compile(r"tandem_([0-9a-f]{16})_[A-Za-z0-9_-]{43}")
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+"""A token: the identifier that the database knows, and the secret."""
+_TOKEN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@-]{0,63}")
+"""A name that a token may have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +117,7 @@ class Auth:
 
     def make(self, name: str) -> str:
         """A new token, which is told this once. Raises ``TandemError`` for a name that is taken or odd."""
-        if not _NAME.fullmatch(name):
+        if not _TOKEN_NAME.fullmatch(name):
             raise TandemError(_bad_name(name, "use letters, digits and _ . @ -, at most 64"))
         number = secrets.token_hex(8)
         token = f"tandem_{number}_{secrets.token_urlsafe(32)}"
@@ -203,16 +206,21 @@ def _bad_name(name: str, what: str) -> Issue:
     return Issue("service.token", f"token {name[:80]!r}: {what}", field="name")
 
 
-SAFE: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+SAFE_METHODS: Final = frozenset({"GET", "HEAD", "OPTIONS"})
+"""HTTP methods that change nothing, which other sites may send."""
 LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-FORWARDED: Final = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+"""Hosts that are this machine."""
+FORWARDING_HEADERS: Final = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+"""Headers that only a proxy adds."""
 MB: Final = 1_000_000
+"""Bytes of a megabyte."""
 HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "SAMEORIGIN",
     "Referrer-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+"""Headers of every answer: nothing is guessed, framed or told to other sites."""
 
 
 class Guard:
@@ -245,14 +253,14 @@ class Guard:
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
         host = headers.get("host", "")
         if self._open_hosts is not None:
-            if _name(host) not in self._open_hosts:
+            if _host_name(host) not in self._open_hosts:
                 raise _foreign(f"the host is {host[:80]!r}; without tokens only this machine may ask")
-            if any(name in headers for name in FORWARDED):
+            if any(name in headers for name in FORWARDING_HEADERS):
                 raise _foreign("a proxy passed this on; start the service with --require-token behind one")
-        if scope["method"] not in SAFE:
+        if scope["method"] not in SAFE_METHODS:
             origin = headers.get("origin")
             if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") or (
-                origin is not None and _place(origin) != host.lower()
+                origin is not None and _host_and_port(origin) != host.lower()
             ):
                 raise _foreign("another site sent this request through a browser; use the service's own page")
 
@@ -275,14 +283,14 @@ class Guard:
         return counted
 
 
-def _place(origin: str) -> str:
+def _host_and_port(origin: str) -> str:
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
         return ""
 
 
-def _name(host: str) -> str:
+def _host_name(host: str) -> str:
     """The host without its port."""
     if host.startswith("["):
         return host[1:].split("]")[0].lower()

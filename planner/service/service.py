@@ -32,10 +32,11 @@ from planner.service.runner import Runner, Team, Work
 from planner.service.security import LOCAL, LOOPBACK, Auth, Limits, RefusedError
 from planner.service.storage import Blob, Files, Storage
 from planner.service.upload import Upload
-from planner.service.upload_processes import Examiners, Reading, broken_off
+from planner.service.upload_processes import Examiners, Reading, connection_closed
 from planner.service.uploaded_files import Examined
 
-PID: Final = ".pid-"
+PID_MARK: Final = ".pid-"
+"""Stands before the process identifier in the name of a service's folder."""
 Read = TypeVar("Read")
 REMEMBERED: Final = 256
 """So many uploads that were read are known again."""
@@ -73,7 +74,7 @@ class Service:
     def __init__(self, options: Options, make_team: Callable[[], Team]) -> None:
         """Raises ``TandemError``: the folder or the database cannot be had, or tokens are missing."""
         self.options, self.limits = options, options.limits
-        self._lock = _claim(options.data, options.database is None)
+        self._lock = _lock_data(options.data, options.database is None)
         self.database = Database(options.url)
         self.auth = Auth(self.database)
         if options.tokens_required and not self.auth.any():
@@ -82,8 +83,8 @@ class Service:
             hint = f"make one: tandem token add NAME --data {options.data}"
             raise TandemError(Issue("service.start", message, field="host", hint=hint))
         self.files = Files(options.data / "files")
-        self.host = f"{socket.gethostname()}{PID}{os.getpid()}-{secrets.token_hex(4)}"
-        self.scratch = _fresh(options.data / "work", options.database is None, self.host)
+        self.host = f"{socket.gethostname()}{PID_MARK}{os.getpid()}-{secrets.token_hex(4)}"
+        self.scratch = _work_folder(options.data / "work", options.database is None, self.host)
         self.jobs = Jobs(self.database, self.limits)
         self.storage = Storage(self.files, self.jobs.owned, self.limits)
         self.hub = Hub(self.database, self.limits)
@@ -137,7 +138,7 @@ class Service:
         if refused:
             raise refused[0]
         if not found:
-            raise broken_off()
+            raise connection_closed()
         return found[0]
 
     @contextlib.asynccontextmanager
@@ -238,7 +239,7 @@ def _versions() -> str:
     return json.dumps(all_versions(), sort_keys=True)
 
 
-def _claim(data: Path, alone: bool) -> IO[str]:
+def _lock_data(data: Path, alone: bool) -> IO[str]:
     """Make the data folder; where the database lies in it, keep other services out until this one ends."""
     try:
         data.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -256,11 +257,11 @@ def _claim(data: Path, alone: bool) -> IO[str]:
     return lock
 
 
-def _fresh(work: Path, alone: bool, host: str) -> Path:
+def _work_folder(work: Path, alone: bool, host: str) -> Path:
     """A folder of this instance for what is under way; what killed ones of this machine left is removed."""
     work.mkdir(exist_ok=True, mode=0o700)
     for old in work.iterdir():
-        name, _, rest = old.name.partition(PID)
+        name, _, rest = old.name.partition(PID_MARK)
         gone = name == socket.gethostname() and not Path("/proc", rest.split("-")[0]).exists()
         if alone or gone:
             shutil.rmtree(old, ignore_errors=True)

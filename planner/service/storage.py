@@ -23,12 +23,14 @@ from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
 from planner.issues import Issue
-from planner.service.security import Limits, RefusedError
+from planner.service.security import MB, Limits, RefusedError
 
-CHUNK: Final = 1 << 20
+CHUNK_BYTES: Final = 1 << 20
+"""Bytes of a file that are read at once."""
 GRACE_S: Final = 3600.0
 """A file that nobody names is kept for so long: the job that it belongs to may be about to be written."""
 _SHA: Final = re.compile(r"[0-9a-f]{64}")
+"""A SHA-256 in hexadecimal digits."""
 
 
 class Blob(NamedTuple):
@@ -59,7 +61,7 @@ class Files:
         handle, name = tempfile.mkstemp(dir=self._incoming)
         try:
             with os.fdopen(handle, "wb") as out:
-                while chunk := stream.read(CHUNK):
+                while chunk := stream.read(CHUNK_BYTES):
                     if known is None:
                         digest.update(chunk)
                     size += len(chunk)
@@ -137,7 +139,7 @@ class Files:
 def blob_of(stream: BinaryIO) -> Blob:
     """What storing the rest of ``stream`` would give; the stream is where it was afterwards."""
     begin, digest, size = stream.tell(), hashlib.sha256(), 0
-    while chunk := stream.read(CHUNK):
+    while chunk := stream.read(CHUNK_BYTES):
         digest.update(chunk)
         size += len(chunk)
     stream.seek(begin)
@@ -167,12 +169,12 @@ def _to_disk(folder: Path) -> None:
         os.close(handle)
 
 
-MB: Final = 1_000_000
 FREE_MB: Final = 256.0
 """So much of the disk is left to the database and to the results of jobs that run."""
 KNOWN_S: Final = 10.0
 """So long a token's use is taken to be what it was, unless that would be a refusal."""
-FULL: Final = (errno.ENOSPC, errno.EDQUOT)
+DISK_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
+"""Errors of the system when a disk, or what a user may have of it, is full."""
 
 
 class Storage:
@@ -210,7 +212,7 @@ class Storage:
         try:
             yield
         except OSError as error:
-            if error.errno in FULL:
+            if error.errno in DISK_FULL:
                 raise _full("the disk of this service is full", None, None) from error
             raise
         finally:

@@ -15,16 +15,18 @@ from starlette.requests import ClientDisconnect, Request
 
 from planner.issues import Issue
 from planner.reading.strict_yaml import MAX_BYTES
-from planner.service.security import Limits, RefusedError, too_large
-from planner.service.storage import FULL, Blob, Storage
+from planner.service.security import MB, Limits, RefusedError, too_large
+from planner.service.storage import DISK_FULL, Blob, Storage
 from planner.service.uploaded_files import base_name
 
 PLAIN: Final = ("application/json", "application/yaml", "application/x-yaml", "text/yaml")
 """Content types of a body that is the problem itself."""
 MESHES: Final = (".obj", ".stl", ".ply")
+"""Endings of files that are meshes, which have a limit of their own."""
 FIELDS: Final = ("problem", "files")
+"""Fields of a form that uploads a problem."""
 LONGEST_NAME: Final = 255
-MB: Final = 1_000_000
+"""Characters that the name of a file may have."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Upload:
     files: Mapping[str, Blob]
 
 
-async def take(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
+async def take_upload(request: Request, storage: Storage, owner: str, limits: Limits) -> Upload:
     """The upload of a request: ``multipart/form-data`` with ``problem`` and ``files``, or the problem alone
     as JSON or YAML.
 
@@ -64,7 +66,7 @@ async def take(request: Request, storage: Storage, owner: str, limits: Limits) -
     except ClientDisconnect as error:
         raise RefusedError(422, _fault("body", "the upload broke off; send it again")) from error
     except OSError as error:
-        if error.errno not in FULL:
+        if error.errno not in DISK_FULL:
             raise
         what = "the disk that uploads come in on is full; send it later, or ask who runs the service"
         raise RefusedError(507, Issue("service.storage", what, field="files")) from error

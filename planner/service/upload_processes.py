@@ -25,6 +25,7 @@ from planner.service.security import RefusedError
 from planner.service.uploaded_files import Examined
 
 MB: Final = 1 << 20
+"""Bytes of a megabyte, as limits of memory are counted (2^20)."""
 
 
 class Reading:
@@ -156,7 +157,7 @@ class Examiners:
         if self._closed:
             raise _stopping()
         if reading.off:
-            raise broken_off()
+            raise connection_closed()
         what = (
             f"took more than {self._seconds:g} s"
             if late.is_set()
@@ -171,7 +172,7 @@ def _stopping() -> RefusedError:
     return RefusedError(503, Issue("service.stopping", what), {"Retry-After": "10"})
 
 
-def broken_off() -> RefusedError:
+def connection_closed() -> RefusedError:
     """What nobody is there to be told: who asked has gone."""
     return RefusedError(499, Issue("service.request", "the connection was closed; send the request again"))
 

@@ -32,16 +32,22 @@ from planner.units import MM
 LINES: Final = 1 << 22
 """Text is read so many bytes at a time, to the end of a line."""
 STL_HEAD, STL_FACET = 84, 50
+"""Bytes of the head of a binary STL file, and of each facet after it."""
 PLY_BYTES: Final = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
     **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
     **dict.fromkeys(("int", "uint", "float", "int32", "uint32", "float32"), 4),
     **dict.fromkeys(("double", "float64"), 8),
 }
-PLY_HEAD: Final = 1 << 16
-_FACE: Final = re.compile(rb"^[ \t]*f[ \t][^\r\n]*", re.MULTILINE)
-_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+"""Bytes of a value of each type in a binary PLY file."""
+PLY_HEAD_BYTES: Final = 1 << 16
+"""Bytes in which the head of a PLY file must end."""
+_OBJ_FACE: Final = re.compile(rb"^[ \t]*f[ \t][^\r\n]*", re.MULTILINE)
+"""A line of an OBJ file that is a face."""
+_OBJ_VERTEX: Final = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+"""How a line of an OBJ file begins that is a vertex."""
 _STL_FACET: Final = re.compile(rb"^[ \t]*facet\b", re.MULTILINE | re.IGNORECASE)
+"""How a line of an STL file in text begins that is a facet."""
 
 
 class MeshSize(NamedTuple):
@@ -64,8 +70,8 @@ def mesh_size(path: Path, suffix: str) -> MeshSize:
 def _obj(path: Path) -> MeshSize:
     facets = vertices = 0
     for text in _texts(path):
-        vertices += len(_VERTEX.findall(text))
-        facets += sum(max(len(face.split()) - 3, 0) for face in _FACE.findall(text))
+        vertices += len(_OBJ_VERTEX.findall(text))
+        facets += sum(max(len(face.split()) - 3, 0) for face in _OBJ_FACE.findall(text))
     return MeshSize(facets, vertices)
 
 
@@ -81,7 +87,7 @@ def _stl(path: Path) -> MeshSize:
 
 def _ply(path: Path) -> MeshSize:
     with path.open("rb") as stream:
-        head, found, _ = stream.read(PLY_HEAD).partition(b"end_header")
+        head, found, _ = stream.read(PLY_HEAD_BYTES).partition(b"end_header")
     if not found:
         return MeshSize(0, 0)
     elements = list(_elements(head.decode("latin-1")))
@@ -155,7 +161,8 @@ ARCHIVES: Final = (
     b"MSCF",
 )
 """How zip, gzip, bzip2, xz, 7z, rar, zstd, lz4, ar and cab begin; tar has its word further on."""
-TAR: Final = slice(257, 262)
+TAR_MAGIC: Final = slice(257, 262)
+"""Bytes at which a tar file says that it is one."""
 
 
 def examine(
@@ -179,10 +186,10 @@ def examine(
     try:
         document, faults = uploaded.inside(strict_yaml.read(folder / PROBLEM))
         if faults:
-            return Examined(uploaded.told([*faults, *_other_faults(document)]))
+            return Examined(uploaded.in_user_names([*faults, *_other_faults(document)]))
         read = problem_file.build(document, processes.readers())
     except TandemError as error:
-        return Examined(uploaded.told(error.issues))
+        return Examined(uploaded.in_user_names(error.issues))
     files = problem_file.bundle(read)
     text = files.pop(PROBLEM).decode()
     found = [*(read.part.notes if read.part is not None else ()), *read.notes]
@@ -195,7 +202,7 @@ def examine(
         drawn, faults = shapes(read)
         found += [issue for issue in faults if issue not in found]
     return Examined(
-        issues=uploaded.told(found),
+        issues=uploaded.in_user_names(found),
         name=read.name,
         digest=read.digest,
         processes=tuple(dict.fromkeys(operation.process for operation in read.operations)),
@@ -219,7 +226,7 @@ def _archives(uploads: Mapping[str, Path]) -> Iterator[Issue]:
     for name, path in uploads.items():
         with path.open("rb") as stream:
             head = stream.read(512)
-        if head.startswith(ARCHIVES) or head[TAR] == b"ustar":
+        if head.startswith(ARCHIVES) or head[TAR_MAGIC] == b"ustar":
             message = f"{name[:80]!r} is an archive or compressed; unpack it and upload the files themselves"
             yield Issue("service.archive", message, file=name, field="files")
 

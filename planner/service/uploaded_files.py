@@ -21,6 +21,7 @@ from planner.reading.strict_yaml import Document
 NOWHERE: Final = "files/not-uploaded"
 """Stands for a file that was not uploaded; there is none of this name."""
 _SUFFIX: Final = re.compile(r"\.[A-Za-z0-9]{1,8}")
+"""An ending of a name that is kept."""
 
 
 class Uploaded:
@@ -47,11 +48,11 @@ class Uploaded:
                 data["cell"] = self._changed(self._cell.data, self._cell, ("cell",))
         return document.with_data(data), self._faults
 
-    def told(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
+    def in_user_names(self, issues: Iterable[Issue]) -> tuple[Issue, ...]:
         """The issues without paths of this machine, those of a cell's file with its lines."""
-        return tuple(self._told(issue) for issue in issues)
+        return tuple(self._in_user_names(issue) for issue in issues)
 
-    def _told(self, issue: Issue) -> Issue:
+    def _in_user_names(self, issue: Issue) -> Issue:
         place = (issue.field or "").split(".")
         if self._cell is not None and place[0] == "cell" and len(place) > 1:
             steps = tuple(int(step) if step.isdigit() else step for step in place[1:])
@@ -95,7 +96,7 @@ class Uploaded:
         suffix = Path(base_name(found[0])).suffix
         laid = f"files/{source.name[:16]}{suffix.lower() if _SUFFIX.fullmatch(suffix) else ''}"
         if not (self._folder / laid).exists():
-            _lay(source, self._folder / laid)
+            _link_or_copy(source, self._folder / laid)
         self._names[str(self._folder / laid)] = found[0]
         return laid
 
@@ -119,7 +120,7 @@ def base_name(name: str) -> str:
     return re.split(r"[/\\]", name)[-1]
 
 
-def _lay(source: Path, target: Path) -> None:
+def _link_or_copy(source: Path, target: Path) -> None:
     try:
         target.hardlink_to(source)
     except OSError:  # on another disk

@@ -20,10 +20,12 @@ from planner.issues import Issue
 KEPT: list[Any] = []
 
 
-def faulty(name: str, source: Path, result: Path, origins: Mapping[str, str], tell: Any, hear: Any) -> Done:
+def faulty(
+    name: str, source: Path, result: Path, origins: Mapping[str, str], on_progress: Any, on_issues: Any
+) -> Done:
     """What `planner.batch.solve.solve` would do, or the fault that the name asks for."""
     kind = name.split("-")[0]
-    tell("fault", 0.5)
+    on_progress("fault", 0.5)
     result.mkdir()
     (result / "half").write_text("half a result")
     if kind == "exit":
@@ -48,10 +50,10 @@ def faulty(name: str, source: Path, result: Path, origins: Mapping[str, str], te
 
         solve.pipeline.load = _wrong  # type: ignore[assignment]
         (result / "half").unlink()
-        return solve.solve(name, source, result, origins, tell, hear)
+        return solve.solve(name, source, result, origins, on_progress, on_issues)
     (result / "half").unlink()
     (result / "report.html").write_text(f"{name} {os.getpid()}")
-    hear([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
+    on_issues([Issue("mesh.unit", f"{source / 'problem.yaml'}: a note")])
     return Done(name, "verified", (), {"targets": 3.0}, 0.5)
 
 

@@ -47,7 +47,7 @@ def plan(
     found: Sequence[Item], out: Path, settings: Settings = PLAIN, count: int = 2
 ) -> tuple[list[Row], list[Event]]:
     heard: list[Event] = []
-    with batch.claimed(out), Workers(count, module=FAULTY) as workers:
+    with batch.claimed_folder(out), Workers(count, module=FAULTY) as workers:
         return batch.run(found, out, workers, settings, heard.append), heard
 
 
@@ -134,7 +134,7 @@ def _batch_in_child(found: Sequence[Item], out: Path, kill: tuple[int, float] | 
     finished, and so many seconds have gone by since."""
     try:
         ended, since = 0, 0.0
-        with batch.claimed(out), Workers(2, module=FAULTY) as workers:
+        with batch.claimed_folder(out), Workers(2, module=FAULTY) as workers:
 
             def tell(event: Event) -> None:
                 nonlocal ended, since, kill
@@ -218,17 +218,21 @@ def test_one_folder_that_cannot_be_replaced_fails_its_job_alone(tmp_path: Path) 
 
 def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     refused = pytest.raises(TandemError, match="another batch is writing")
-    with batch.claimed(tmp_path), refused as caught, batch.claimed(tmp_path):
+    with batch.claimed_folder(tmp_path), refused as caught, batch.claimed_folder(tmp_path):
         pass
     assert caught.value.issues[0].code == "batch.in_use"
-    with batch.claimed(tmp_path):
+    with batch.claimed_folder(tmp_path):
         pass
 
 
 def test_workers_are_gone_after_ctrl_c(tmp_path: Path) -> None:
     found = items(tmp_path, ["hang-1"])
     pids: list[int] = []
-    with pytest.raises(KeyboardInterrupt), batch.claimed(tmp_path / "out"), Workers(1, module=FAULTY) as w:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        batch.claimed_folder(tmp_path / "out"),
+        Workers(1, module=FAULTY) as w,
+    ):
 
         def stop(_: Event) -> None:
             pids.extend(w.pids)
@@ -293,7 +297,7 @@ def test_the_line_of_a_job_that_ended_names_its_error(capsys: pytest.CaptureFixt
     item = Item("one", "one.yaml", lambda: pytest.fail("nobody reads it"))
     for issues, said in (((doubt, error), "stock.footprint"), ((doubt,), "kerf.doubt")):
         with batch_commands._progress([item]) as shown:
-            shown.hear(Finished("one", Done("one", "infeasible", issues)))
+            shown.show(Finished("one", Done("one", "infeasible", issues)))
         told = capsys.readouterr().err
         assert said in told and (said == "kerf.doubt" or "kerf.doubt" not in told)
 
@@ -321,13 +325,13 @@ def test_tables_hold_what_people_wrote_as_text(tmp_path: Path) -> None:
         Issue("mesh.empty", "note", Severity.NOTE),
     )
     rows = [row("infeasible", issues=issues, metrics={"cycle_s": 1.25, "targets": 4.0}), row(name="b")]
-    first, second = csv.DictReader(io.StringIO(compare.table(rows), newline=""))
+    first, second = csv.DictReader(io.StringIO(compare.csv_table(rows), newline=""))
     assert first["message"] == '\'@cmd, "quoted"\nline'
     assert first["issues"] == "mesh.unit mesh.empty"
     assert (first["cycle_s"], first["targets"], first["settings.seed"]) == ("1.25", "4", "3")
     assert second["cycle_s"] == ""
-    assert compare.counted(rows[0]) == "1 error, 1 warning, 1 note"
-    page = compare.page("A & B", rows, tmp_path, 3.0)
+    assert compare.issue_counts(rows[0]) == "1 error, 1 warning, 1 note"
+    page = compare.summary_page("A & B", rows, tmp_path, 3.0)
     assert "A &amp; B" in page
     assert "@cmd" in page
     assert "<b> " not in page

@@ -125,7 +125,7 @@ def test_a_batch_goes_on_when_a_worker_disappears(machines: Machines, tmp_path: 
     lost = machines.add()
     ended_there = 0
     heard: list[Event] = []
-    with batch.claimed(tmp_path / "out"), Cluster(machines.address, module=FAULTY) as team:
+    with batch.claimed_folder(tmp_path / "out"), Cluster(machines.address, module=FAULTY) as team:
         team._client.wait_for_workers(2, timeout=60)
 
         def tell(event: Event) -> None:
@@ -144,7 +144,7 @@ def test_a_batch_goes_on_when_a_worker_disappears(machines: Machines, tmp_path: 
     pids = {int(text.split()[1]) for text in texts}
     assert len(pids) >= 2  # both planned some
     assert sum(alive(pid) for pid in pids) == 1  # and what the lost one planned with is gone
-    kept = batch.claimed(tmp_path / "out")
+    kept = batch.claimed_folder(tmp_path / "out")
     with kept, Workers(1, module=FAULTY) as workers:  # the cluster's results are a batch's like any other
         again = batch.run(found, tmp_path / "out", workers, Settings(resume=True), lambda _: None)
     assert all(row.kept for row in again)

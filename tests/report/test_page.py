@@ -16,7 +16,7 @@ from planner.cell import kinematics
 from planner.issues import Issue, Severity, TandemError
 from planner.plans import Plan
 from planner.problem import Problem
-from planner.report import motion_charts, output, replay, setup_sheet
+from planner.report import markup, motion_charts, output, replay, setup_sheet
 from planner.report.output import Extra
 from planner.verify.result import Proof
 from tests.post import krl_job
@@ -106,6 +106,22 @@ def test_report_is_whole_offline_and_has_every_part(files: dict[str, str]) -> No
     )
     assert set(parts) <= set(seen.anchors)
     assert len(files["report.html"]) < 3_000_000
+
+
+def test_contents_lead_to_the_sections_that_have_something_in_them() -> None:
+    full = markup.Section("a", "First & best", (markup.Paragraph("1 < 2"),))
+    empty = markup.Section("b", "Nothing", ())
+    text = markup.page(markup.Page("title", "name", (("ok", "good"),), None, (), (full, empty)))
+    _checked(text)
+    assert '<nav><a href="#a">First &amp; best</a></nav>' in text and "Nothing" not in text
+
+
+def test_a_photo_is_found_again_in_a_page() -> None:
+    address = markup.png(np.zeros((2, 3, 3)))
+    text = markup.render(markup.Group((markup.Paragraph("x"), markup.Photo(address, "a & b"))))
+    found = markup.photo(text, "a & b")
+    assert found is not None and found.startswith(b"\x89PNG")
+    assert markup.photo(text, "another") is None
 
 
 def test_same_plan_same_page(problem: Problem, plan: Plan, proof: Proof) -> None:
@@ -225,16 +241,16 @@ def test_report_without_replay_says_why(
 
 
 def test_setup_sheet_names_the_wires_between_two_controllers(problem: Problem, plan: Plan) -> None:
-    assert "wires between the controllers" not in str(setup_sheet.sheet(problem, plan))
+    assert "wires between the controllers" not in markup.render(setup_sheet.sheet(problem, plan))
     controller = dataclasses.replace(problem.cell.controller, sync="handshake")
     apart = dataclasses.replace(problem, cell=dataclasses.replace(problem.cell, controller=controller))
-    assert "doPartner of left to diPartner of right" in str(setup_sheet.sheet(apart, plan))
+    assert "doPartner of left to diPartner of right" in markup.render(setup_sheet.sheet(apart, plan))
 
 
 @pytest.mark.parametrize(("models", "place"), [(("irb140", "kr10_r1100"), 0), (("kr10_r1100", "irb140"), 1)])
 def test_setup_sheet_asks_for_the_running_wires_and_their_files(models: tuple[str, str], place: int) -> None:
     plan, problem = krl_job.two(models, actions=krl_job.ACTIONS)
-    shown = re.sub(r"<[^>]+>", " ", str(setup_sheet.controller_checks(problem, plan)))
+    shown = re.sub(r"<[^>]+>", " ", markup.render(setup_sheet.controller_checks(problem, plan)))
     for arm, other in (("left", "right"), ("right", "left")):
         assert f"wire: doPartner of {arm} to diPartner of {other}" in shown
         wire = shown.partition(f"running wire: doRunning of {arm} to diPartnerRunning of {other}")[2]
@@ -251,7 +267,7 @@ def test_setup_sheet_asks_for_the_running_wires_and_their_files(models: tuple[st
 
 
 def test_setup_sheet_says_what_the_controllers_need(problem: Problem, plan: Plan) -> None:
-    shown = str(setup_sheet.sheet(problem, plan))
+    shown = markup.render(setup_sheet.sheet(problem, plan))
     for words in (
         "EIO.cfg, SYS.cfg and TandemPower.sys",
         "SoftES",
@@ -267,7 +283,7 @@ def test_setup_sheet_names_what_a_kuka_controller_must_have(problem: Problem, pl
     controller = dataclasses.replace(problem.cell.controller, io={"left": {"doSpindle": 17}}, dialect="krc2")
     arms = (dataclasses.replace(problem.cell.arms[0], robot="kr60_ha"), *problem.cell.arms[1:])
     cell = dataclasses.replace(problem.cell, controller=controller, arms=arms)
-    shown = str(setup_sheet.sheet(dataclasses.replace(problem, cell=cell), plan))
+    shown = markup.render(setup_sheet.sheet(dataclasses.replace(problem, cell=cell), plan))
     assert "KRL of left" in shown
     assert "KRC2; $ROBROOT zero; doSpindle is number 17" in shown
     assert "right: T_ROB2" in shown
@@ -275,8 +291,8 @@ def test_setup_sheet_names_what_a_kuka_controller_must_have(problem: Problem, pl
 
 
 def test_setup_sheet_speaks_of_hot_wires_where_there_are_some(problem: Problem, plan: Plan) -> None:
-    assert "while the wire is hot" in str(setup_sheet.sheet(problem, plan))
+    assert "while the wire is hot" in markup.render(setup_sheet.sheet(problem, plan))
     (own,) = problem.operations
     milled = dataclasses.replace(problem, operations=(dataclasses.replace(own, process="milling"),))
-    shown = str(setup_sheet.sheet(milled, plan))
+    shown = markup.render(setup_sheet.sheet(milled, plan))
     assert "TandemPower.sys" in shown and "while the wire is hot" not in shown

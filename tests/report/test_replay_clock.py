@@ -64,3 +64,13 @@ def test_the_arm_stands_in_the_replay_as_the_programs_have_it(tmp_path: Path) ->
 
 def test_without_a_proof_there_is_no_clock() -> None:
     assert '"clock":[]' in replay.time_bar("name", run([0, 1], ["cut", "cut"]))
+
+
+def test_the_bar_says_what_its_time_consists_of() -> None:
+    shown = run([0, 4, 5, 76.3, 80], ["entry", "entry", "approach", "cut", "exit"])
+    bar = replay.time_bar("name", shown, motion_time=72.3)
+    assert "1:12.3 from first to last target, 0:07.7 ways from and to home</span>" in bar
+    changed = run([0, 2, 60.04, 62], ["setup", "setup", "cut", "cut"])
+    bar = replay.time_bar("name", changed, motion_time=59.96)
+    assert "1:00.0 from first to last target, 0:02.0 ways from and to home and changes of setup" in bar
+    assert "first to last" not in replay.time_bar("name", run([0, 1], ["cut", "cut"]), motion_time=1.0)

@@ -15,7 +15,7 @@ from starlette.requests import Request
 
 from planner.service.database import Database, default_url
 from planner.service.security import Auth, Limits, RefusedError
-from planner.service.upload_processes import Examiners, Reading, broken_off
+from planner.service.upload_processes import Examiners, Reading, connection_closed
 from planner.service.uploaded_files import Examined
 from tests import small_problem
 from tests.service.support import InProcess, codes, named, until
@@ -83,7 +83,7 @@ def test_a_closed_connection_ends_its_reading_and_its_waiting(tmp_path: Path) ->
     def read(reading: Reading) -> None:
         begun.append(reading)
         until(lambda: reading.off)
-        raise broken_off()
+        raise connection_closed()
 
     async def hang_up() -> None:
         async def receive() -> dict[str, str]:

@@ -44,11 +44,11 @@ def paths(problem: Problem) -> tuple[list[tuple[str, Mesh]], list[Issue]]:
                     continue
                 places = (places - stock.place[:3, 3]) @ stock.place[:3, :3]
             size = max(float(np.ptp(places, axis=0).max()), float(stock.size.max()))
-            found.append((f"{operation.name}, {arm}", bars(places, WIDTH * size)))
+            found.append((f"{operation.name}, {arm}", path_bars(places, WIDTH * size)))
     return found, faults
 
 
-def bars(places: FloatArray, width: float) -> Mesh:
+def path_bars(places: FloatArray, width: float) -> Mesh:
     """Bars of a square section from each place (N, 3) to the next one; equal places have none."""
     some = places[np.unique(np.linspace(0, len(places) - 1, MOST + 1).round().astype(int))]
     start, way = some[:-1], np.diff(some, axis=0)

@@ -22,12 +22,15 @@ from planner.catalogue.robots import data_dir
 from planner.files import is_file
 from planner.issues import Issue, has_errors
 from planner.service.routes import Caller, Here
-from planner.service.security import RefusedError, plain
-from planner.service.upload import take
+from planner.service.security import RefusedError, issue_json
+from planner.service.upload import take_upload
 
-_SKIPPED: Final = ("cells",)
-_OTHER: Final = ("faces.yaml", "expect.yaml")
+_NO_EXAMPLES: Final = ("cells",)
+"""Folders of bundled files that hold no problems."""
+_NO_PROBLEMS: Final = ("faces.yaml", "expect.yaml")
+"""Bundled files of YAML that are no problems."""
 _SCRIPT: Final = re.compile(r"\bmake_\w+\.py")
+"""A script that made an example's files; what its comment says of it is not shown."""
 INFEASIBLE: Final = "infeasible"
 """The folder of problems that have no plan."""
 
@@ -65,7 +68,7 @@ def _entries() -> Iterator[tuple[str, dict[str, Any]]]:
     root = data_dir("problems")
     for path in sorted(root.glob("*/*.yaml")):
         folder = path.parent.name
-        if folder in _SKIPPED or path.name in _OTHER:
+        if folder in _NO_EXAMPLES or path.name in _NO_PROBLEMS:
             continue
         data = _data(path)
         if "operations" not in data:
@@ -147,7 +150,9 @@ def _renamed(data: Any) -> Any:
 
 router: Final = APIRouter(include_in_schema=False)
 ROOT: Final = Path(__file__).resolve().parent
+"""The folder of the page."""
 STATIC: Final = ROOT / "static"
+"""The folder of the files that are sent as they are."""
 POLICY: Final = "; ".join(
     (
         "default-src 'none'",
@@ -170,6 +175,7 @@ TYPES: Final = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
+"""Content types of these files."""
 TEMPLATES: Final = Environment(
     loader=FileSystemLoader(ROOT / "templates"),
     autoescape=select_autoescape(default=True, default_for_string=True),
@@ -177,11 +183,13 @@ TEMPLATES: Final = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+"""Templates of the pages; all that is put in them is escaped."""
 PAGES: Final = {
     "new": "New job",
     "compare": "Compare two jobs",
     "login": "Log in",
 }
+"""Titles of the pages, by name."""
 
 
 @router.get("/")
@@ -233,7 +241,7 @@ def example_file(
 async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
     """What is known of an upload without planning it, with the shapes that the page draws; 422 as for a
     job."""
-    upload = await take(request, here.storage, owner, here.limits)
+    upload = await take_upload(request, here.storage, owner, here.limits)
     read = await here.in_turn(
         request, owner, lambda reading: here.examine(upload, draw=True, reading=reading)
     )
@@ -244,7 +252,7 @@ async def preview(request: Request, owner: Caller, here: Here) -> JSONResponse:
             "digest": read.digest,
             "processes": list(read.processes),
             "summary": dict(read.summary),
-            "issues": [plain(issue) for issue in read.issues],
+            "issues": [issue_json(issue) for issue in read.issues],
             "shapes": list(read.shapes),
         }
     )

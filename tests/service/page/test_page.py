@@ -14,7 +14,7 @@ import pytest
 from planner import pipeline
 from planner.geometry.arrays import Mesh
 from planner.service.page import routes
-from planner.service.page.preview import bars, shapes, thinned
+from planner.service.page.preview import path_bars, shapes, thinned
 from planner.service.page.routes import ROOT, STATIC
 from tests import small_problem
 from tests.service.support import ROOT as REPOSITORY
@@ -183,7 +183,7 @@ def test_a_way_is_drawn_as_bars_of_its_length() -> None:
     """Against the volume of square bars, 2 mm wide."""
     import trimesh
 
-    made = bars(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.1, 0.2, 0.1]]), 0.002)
+    made = path_bars(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.1, 0, 0], [0.1, 0.2, 0.1]]), 0.002)
     body = trimesh.Trimesh(made.vertices, made.faces, process=False)
     assert abs(body.volume) == pytest.approx((0.1 + np.hypot(0.2, 0.1)) * 0.002**2)
 
