@@ -28,17 +28,17 @@ from planner.tooling import Gripper, gripper_plate
 from planner.units import DEG, GRAVITY, MM
 
 GRIP_POINT_STEP: Final = 5.0 * MM
-"""Grip points are multiples of this, where one of them is free."""
+"""Grip points are multiples of this [m], where one of them is free."""
 RULING_SPACING: Final = 5.0 * MM
-"""Rulings between two that are stated are at most so far apart."""
+"""Rulings between two that are stated are at most so far apart [m]."""
 WIRE_SPARE: Final = 0.5 * MM
-"""How much more than the margin the wires keep off: they run beside their rulings, and are sampled."""
+"""How much more than the margin the wires keep off [m]: they run beside their rulings, and are sampled."""
 WIRE_MARGIN: Final = 10.0 * MM
-"""What wires keep off where the operation states no margin."""
+"""What wires keep off the gripper [m] where the operation states no margin."""
 FACE_THICKNESS: Final = 0.012
 """[m] thickness of the face."""
 PLATE_STEP: Final = 10.0 * MM
-"""Sizes of plates that are advised are multiples of this."""
+"""Sizes of plates that are advised are multiples of this [m]."""
 
 
 class Grip(NamedTuple):

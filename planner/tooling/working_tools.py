@@ -84,6 +84,7 @@ FORMING_HOLDER_SIZE: Final = (0.038, 0.090)
 """Radius and length [m] of the holder on the flange, a shaft of 3 inches as in Fischer's thesis on
 roboforming (Carnegie Mellon); its length is assumed."""
 STEEL_DENSITY: Final = 7800.0
+"""Density [kg/m^3] of tools and plates of steel."""
 ALUMINIUM_DENSITY: Final = 2700.0
 """Densities [kg/m^3]."""
 
