@@ -35,13 +35,13 @@ from planner.claims.forming import (
 )
 from planner.forming import two_point
 from planner.forming.contact import Pass
-from planner.forming.operation import GAPPED, Forming
+from planner.forming.operation import GAP_MODES, Forming
 from planner.forming.paths import adsif_response, level_lines
 from planner.forming.process_plan import Work, segment
 from planner.forming.sheet_mechanics import by_corner
 from planner.forming.sheet_state import State, states
 from planner.forming.support.modes import border_curve
-from planner.forming.support.opposite import FACING
+from planner.forming.support.opposite import FACING_TURN
 from planner.geometry.arrays import FloatArray
 from planner.geometry.mesh import TriangleMesh
 from planner.issues import Issue, TandemError
@@ -49,15 +49,15 @@ from planner.problem import Part, Setup
 from planner.tooling import FormingTool, profile
 from planner.units import DEG, MM
 
-BORDER: Final = 0.5 * MM
-"""How far a support may be off the border that it runs along."""
-OPPOSITE: Final = 2.0 * MM
-"""How far a source of heat may be off its place opposite the forming ball."""
-SQUARE: Final = 0.05 * DEG
-"""How far tools at the sheet's level may lean besides what the user allows."""
-AIMED: Final = 10.0 * DEG
-"""How far that place may be off the face's normal, and the nozzle off what is between that and the vertical:
-it follows the smooth face, not its facets."""
+BORDER_TOLERANCE: Final = 0.5 * MM
+"""How far a support may be off the border that it runs along [m]."""
+HEAT_TOLERANCE: Final = 2.0 * MM
+"""How far a source of heat may be off its place opposite the forming ball [m]."""
+LEVEL_LEAN: Final = 0.05 * DEG
+"""How far tools at the sheet's level may lean besides what the user allows [rad]."""
+NOZZLE_LEAN: Final = 10.0 * DEG
+"""How far [rad] that place may be off the face's normal, and the nozzle off what is between that and the
+vertical: it follows the smooth face, not its facets."""
 
 
 def claims(work: Work) -> tuple[Claim, ...]:
@@ -83,7 +83,7 @@ def _lean(work: Work, one: Pass) -> list[Claim]:
     if op.mode == "adsif":
         return []
     arms = (work.former(one), *(() if other is None or op.mode == "heat" else (other,)))
-    upper = SQUARE + (op.lean_deg + op.cone_deg) * DEG
+    upper = LEVEL_LEAN + (op.lean_deg + op.cone_deg) * DEG
     return [ToolsLean(segment(one), arms, tuple(work.above(arm) for arm in arms), upper)]
 
 
@@ -102,7 +102,7 @@ def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
         one.end,
         thickness=work.thickness,
         metal=work.sheet.metal.name,
-        table=adsif_response.table_text(held.file or adsif_response.BUILT_IN),
+        table=adsif_response.table_text(held.file or adsif_response.BUILT_IN_FILE),
         prefer=held.prefer,
         pitch=held.pitch_mm * MM,
         sag=_sag(op, one),
@@ -110,7 +110,7 @@ def _by_table(work: Work, one: Pass, other: str) -> FormsByTable:
         give=give,
         turning=1 if op.direction == "ccw" else -1,
         tolerance=op.gap_tol_mm * MM,
-        lean=SQUARE + op.cone_deg * DEG,
+        lean=LEVEL_LEAN + op.cone_deg * DEG,
     )
 
 
@@ -149,7 +149,7 @@ def _of(work: Work, one: Pass) -> list[Claim]:
     ]
     if other is None:
         return out
-    if op.mode in GAPPED:
+    if op.mode in GAP_MODES:
         vertices, faces, thick = by_corner(one, work.thickness)
         gap, tolerance = op.squeeze * thick, op.gap_tol_mm * MM
         radii, step = (radius, work.heads[other].radius), op.handshake_gap_mm * MM
@@ -163,17 +163,21 @@ def _of(work: Work, one: Pass) -> list[Claim]:
                 faces,
                 gap,
                 tolerance,
-                turn=FACING,
+                turn=FACING_TURN,
                 handshake=step,
             )
         )
     elif op.mode == "dpif_p":
         border = border_curve(one, work.heads[other], work.thickness)
-        out.append(SupportsBorder(segment(one), other, border, BORDER))
+        out.append(SupportsBorder(segment(one), other, border, BORDER_TOLERANCE))
     else:
         away = radius + float(np.median(one.thickness))
-        aim = AIMED + op.cone_deg * DEG
-        out.append(FollowsOpposite(segment(one), (arm, other), one.side, *face, away, OPPOSITE, AIMED, aim))
+        aim = NOZZLE_LEAN + op.cone_deg * DEG
+        out.append(
+            FollowsOpposite(
+                segment(one), (arm, other), one.side, *face, away, HEAT_TOLERANCE, NOZZLE_LEAN, aim
+            )
+        )
     return out
 
 

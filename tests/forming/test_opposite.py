@@ -11,7 +11,7 @@ from planner.forming.contact import ContactPath, Pass, ToolPath
 from planner.forming.paths.contact_path import make_path
 from planner.forming.paths.spiral import PathOptions
 from planner.forming.support.modes import tool_path
-from planner.forming.support.opposite import FACING, Touching, opposite_path
+from planner.forming.support.opposite import FACING_TURN, Touching, opposite_path
 from planner.geometry.arrays import FloatArray
 from planner.tooling import FormingHead
 from planner.units import MM
@@ -290,7 +290,7 @@ def test_over_facets_the_ball_leans_on_the_smooth_face() -> None:
     lean = Touching(one, ball, 1.0, T0).lean((radius - ball) * outward)
     off = np.arccos(np.clip(np.einsum("nd,nd->n", lean.normal, -outward), -1.0, 1.0))
     assert np.degrees(off.max()) < 1.0
-    assert off.max() < FACING
+    assert off.max() < FACING_TURN
     assert np.abs(lean.gap - T0 * np.cos(tilt)).max() < 0.03 * T0
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from planner import pipeline, processes
 from planner.claims.forming import FormsByTable
-from planner.forming.paths.adsif_response import BUILT_IN
+from planner.forming.paths.adsif_response import BUILT_IN_FILE
 from planner.motion import solve
 from planner.post import write
 from planner.problem import Mesh
@@ -250,7 +250,7 @@ def test_claims_that_the_table_does_not_hold_for_are_told(made):
     ],
 )
 def test_the_inverse_of_the_table(wall, prefer, position, gap):
-    table = accumulative.wanted(BUILT_IN.read_text(), prefer)
+    table = accumulative.wanted(BUILT_IN_FILE.read_text(), prefer)
     k = int(np.argmin(np.abs(table.wall - np.deg2rad(wall))))
     assert np.rad2deg(table.position[k]) == pytest.approx(position, abs=0.05)
     assert table.gap[k] == pytest.approx(gap, abs=0.002)

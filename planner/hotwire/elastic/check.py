@@ -330,15 +330,15 @@ def _touching(op: ElasticWire, wire: Wire, route: Route, box: FloatArray) -> lis
     ]
 
 
-PLACES = 160
+SPEED_PLACES = 160
 """Places along the sweep at which speeds along the wire are worked out."""
 
 
-MELTED = 1e-3
+MELTED_WAY = 1e-3
 """[m] what the wire does on less of its way either way is melted together: stops are not told."""
-FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
+HEAT_FACTORS = np.geomspace(1.0 / 8.0, 8.0, 61)
 """Powers and feeds that are looked at where a slot is too wide or too narrow, as multiples."""
-FASTEST = 50.0
+FASTEST_FEED_MM_S = 50.0
 """[mm/s] no feed beyond this is named."""
 
 
@@ -350,7 +350,7 @@ def is_constant(curve: KerfCurve) -> bool:
 def speed_shares(face: Face, box: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points (P, S, 3) [m] of a face's wires over its sweep, and how fast (P, S) each moves across the wire,
     as a share of the fastest point inside the block ``box`` (2, 3); of the fastest of all outside."""
-    p = np.linspace(face.family.lower, face.family.upper, PLACES)
+    p = np.linspace(face.family.lower, face.family.upper, SPEED_PLACES)
     wires = face.wires(p)
     points = wires.points(wires.shapes())
     way = np.gradient(points, p, axis=0)
@@ -423,7 +423,7 @@ def check_driven(
     [s].
     """
     gone, time = clock
-    ends = np.clip(np.stack([gone - MELTED, gone + MELTED]), gone[0], gone[-1])
+    ends = np.clip(np.stack([gone - MELTED_WAY, gone + MELTED_WAY]), gone[0], gone[-1])
     way, took = ends[1] - ends[0], np.interp(ends[1], gone, time) - np.interp(ends[0], gone, time)
     slow = np.clip(way / np.maximum(took, 1e-9) / (FEED_SHARE * op.feed_mm_s * MM), 1e-3, 1.0)
     vertices = here.vertices
@@ -459,7 +459,9 @@ def advice(
     there is none."""
     said = []
     for key, own in (("power_w", op.power_w or 0.0), ("feed_mm_s", op.feed_mm_s)):
-        good = [value for value in own * FACTORS if not _faults(_with(op, key, value), op, passed, curve_of)]
+        good = [
+            value for value in own * HEAT_FACTORS if not _faults(_with(op, key, value), op, passed, curve_of)
+        ]
         for digits in (2, 3):
             value = float(f"{np.sqrt(good[0] * good[-1]):.{digits}g}") if good else 0.0
             changed = _with(op, key, value)
@@ -486,7 +488,7 @@ def _faults(
 ) -> bool:
     """Whether another power or feed does not do at the speeds as they are, or is none."""
     faster = changed.feed_mm_s / op.feed_mm_s
-    if not op.feed_min_mm_s <= changed.feed_mm_s <= FASTEST:
+    if not op.feed_min_mm_s <= changed.feed_mm_s <= FASTEST_FEED_MM_S:
         return True
     try:
         curve = curve_of(changed)

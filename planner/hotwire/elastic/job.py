@@ -55,7 +55,8 @@ from planner.problem import Mesh, Part, Setup, Stock
 from planner.targets import FEED_SHARE, Action, Edge, Freedom, Job, ScrewFreedom, Targets
 from planner.units import MM
 
-_DRAWN = 24
+_SECTIONS_DRAWN = 24
+"""Sections of a surface that the report draws at most."""
 
 
 def exhibits(
@@ -148,7 +149,7 @@ def section_points(cut: Cut) -> tuple[FloatArray, FloatArray]:
 def _sections(cut: Cut) -> dict[str, Any]:
     wanted, wires = section_points(cut)
     has = np.nonzero(cut.sections.length > 0.0)[0]
-    some = np.unique(np.linspace(0, len(has) - 1, _DRAWN).astype(np.intp))
+    some = np.unique(np.linspace(0, len(has) - 1, _SECTIONS_DRAWN).astype(np.intp))
     return {
         "kind": "sections",
         "title": f"Sections of the {cut.face.name} face and the wire's shapes",

@@ -30,6 +30,7 @@ from planner.hotwire.elastica.heavy import HeavyShape
 from planner.targets import TableFreedom
 
 EDGE_POINTS = 33
+"""Points of a wire that stand for its shape, ends included."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -373,6 +374,7 @@ def _insert(route: Route, rows: IndexArray, wires: Wires, p: FloatArray) -> Rout
 
 
 SLACK_NODES: Final = 7
+"""Slides of the wire through its section that are tried between the bounds, as nodes of a table."""
 _EVERY = 6  # stability is checked at every so many targets
 
 

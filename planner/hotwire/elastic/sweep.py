@@ -26,15 +26,17 @@ from planner.problem import Mesh, Setup
 from planner.reading.materials import WireFile
 from planner.units import MM
 
-CANDIDATES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
-STRAIGHT: Final = (0.0, 90.0)
-"""Sweeps along an edge of the block."""
-BENT: Final = "bent too sharply"
+SWEEP_ANGLES: Final = (90.0, 0.0, 45.0, 135.0, 67.5, 112.5, 22.5, 157.5)
+"""Directions [deg] of the sweep over a face that are tried, in this order."""
+EDGE_ANGLES: Final = (0.0, 90.0)
+"""Sweeps along an edge of the block [deg]."""
+BENT_TOO_SHARPLY: Final = "bent too sharply"
 """Why a wire cannot be there: a thinner one could."""
-SNAPS: Final = "it would snap"
+WOULD_SNAP: Final = "it would snap"
 """Why a wire cannot be there: its shape is not stable."""
 _WAVES = 3  # a clamped elastica with so many inflections is never stable (Sachkov, arXiv 0705.1003)
-_PLANES = 9
+_PROBE_SECTIONS = 9
+"""Sections by which a direction is judged before the whole face is fitted."""
 _HOPELESS = 1.5  # times the tolerance: shapes this far off are not looked at any further
 _WORST = 1.0  # m: stands for a shape that cannot be held at all
 
@@ -147,7 +149,7 @@ class Screen:
             return Sweep(degrees, _WORST, _WORST, longest, own, 2.0 * _WORST, "too short")
         alone = self.shape_alone(own, degrees)[0]
         if self._snaps[(self.half_slot(op), degrees, op.is_normal)]:
-            return Sweep(degrees, alone, _WORST, longest, own, 2.0 * _WORST, SNAPS)
+            return Sweep(degrees, alone, _WORST, longest, own, 2.0 * _WORST, WOULD_SNAP)
         if alone > _HOPELESS * op.shape_tol_mm * MM:
             return Sweep(degrees, alone, hold, longest, own, alone)
         gravity = wire.load * self.setup.stock.gravity
@@ -175,9 +177,9 @@ class Screen:
             if float(clear.min()) < margin:
                 why = why or "its ends come too near to the block"
             if float(np.abs(made.curvature).max()) > wire.max_curvature:
-                why = why or BENT
+                why = why or BENT_TOO_SHARPLY
             if stable <= STABLE:
-                why = why or SNAPS
+                why = why or WOULD_SNAP
         return Sweep(degrees, shape, hold, longest, own, alls, why)
 
     def shape_alone(self, own: WireFile, degrees: float) -> tuple[float, float]:
@@ -237,7 +239,7 @@ def _without_slivers(mesh: TriangleMesh, axis: int, at: float) -> TriangleMesh:
 def _cut(face: TriangleMesh, degrees: float, normal: bool) -> tuple[Spine, SectionSet, float]:
     spine = make_spine(face, direction_of(degrees), normal)
     along = face.vertices @ spine.direction
-    p = np.linspace(along.min(), along.max(), _PLANES + 2)[1:-1]
+    p = np.linspace(along.min(), along.max(), _PROBE_SECTIONS + 2)[1:-1]
     return spine, cut_sections(face, spine, p), leaning(face, spine)
 
 

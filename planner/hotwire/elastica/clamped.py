@@ -33,8 +33,11 @@ from planner.hotwire.elastica.equations import Bumps, bump_values, bumps, flow, 
 
 STABLE = 1e-6  # smallest second variation that counts as stable
 _MODES_IN = 32
+"""Functions that stand for a wire's movements in its plane."""
 _MODES_OUT = 28
+"""Functions that stand for each of twist and bending out of its plane."""
 _QUADRATURE = 72
+"""Gauss points along the wire for stability."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,9 @@ def out_of_plane_sag(
 
 
 MODES = 36
+"""Functions by which a wire's angle is expanded between its clamps."""
 FINE_MODES = 64
+"""As many where a shape is sharp."""
 _STEPS = 10  # of the homotopy from the first guess's chord to the wanted one
 _LIMIT = 0.6  # rad: largest change of theta in one step
 

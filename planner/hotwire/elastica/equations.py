@@ -120,7 +120,8 @@ def bumps(count: int, quadrature: int) -> Bumps:
     return Bumps(sigma, 0.5 * w, bump_values(sigma, count), bump_slopes(sigma, count), ends[0], ends[1])
 
 
-_PICARD = 90
+_PICARD_ROUNDS = 90
+"""Picard iterations at most for the angle of a heavy or weightless wire."""
 _SETTLED = 2e-12  # rad
 
 
@@ -188,7 +189,7 @@ def _settle(
     for the rest."""
     fx, fy = force
     change = np.zeros(theta.shape[0])
-    for _ in range(_PICARD):
+    for _ in range(_PICARD_ROUNDS):
         last = theta
         theta = line + square * ((fx * np.sin(theta) - fy * np.cos(theta)) @ twice.T)
         change = np.max(np.abs(theta - last), axis=1, initial=0.0)
@@ -259,6 +260,7 @@ def flow(
 
 
 _NEAR_SEPARATRIX = 1e-5
+"""Distance of the elliptic parameter from 1 within which the closed form loses its digits."""
 _LARGEST_PARAMETER = 1e3  # beyond it 1/m cancels digits: almost an arc
 
 

@@ -273,7 +273,9 @@ def sag_out_of_plane(
 
 
 _MODES = 32
+"""Functions that stand for changes of the angle in the linearised problem."""
 _QUADRATURE = 80
+"""Gauss points along the wire for it."""
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,9 @@ from planner.targets import Freedom, Job, ScrewFreedom, Targets
 from planner.tooling import Bow
 from planner.units import DEG, MM
 
-SMOOTH: Final = (81, 41, 21, 9, 1)
-"""Targets over which the place of the bow along the wire is meant: as many as the wire's length allows."""
+SMOOTHING_WIDTHS: Final = (81, 41, 21, 9, 1)
+"""Targets over which the mean of the bow's place along the wire is taken: as many as the wire's length
+allows."""
 
 
 def stretch(lines: Lines, box: FloatArray, margin: float, span: float) -> tuple[FloatArray, FloatArray]:
@@ -52,7 +53,7 @@ def stretch(lines: Lines, box: FloatArray, margin: float, span: float) -> tuple[
     near = np.flatnonzero(np.isfinite(first))
     at = np.arange(len(lines))
     first, last = (np.interp(at, near, (end - foot)[near]) for end in (first, last))
-    for window in SMOOTH:
+    for window in SMOOTHING_WIDTHS:
         low, high = minimum_filter1d(first, window), maximum_filter1d(last, window)
         low, high = uniform_filter1d(low, window), uniform_filter1d(high, window)
         if (high - low).max() <= span:

@@ -17,7 +17,7 @@ import shapely
 
 from planner.claims.segments import Segment, clash
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray, dots
-from planner.hotwire.operation import SIDES, Straight, SurfaceCut, TrimCut
+from planner.hotwire.operation import BLOCK_SIDES, Straight, SurfaceCut, TrimCut
 from planner.issues import Issue, TandemError
 from planner.problem import Part, Ruled, Setup, Stock
 from planner.tooling import Bow
@@ -398,7 +398,7 @@ def _along_the_wire(op: Straight, ruled: Ruled, cut: SurfaceCut) -> list[Issue]:
 
 
 def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
-    axis, end = SIDES[side]
+    axis, end = BLOCK_SIDES[side]
     over = float(stock.oversize[end, axis])
     if over >= LEAST_OVERSIZE:
         return []
@@ -418,7 +418,7 @@ def _no_oversize(op: Straight, stock: Stock, side: str) -> list[Issue]:
 def _side(op: Straight, setup: Setup, side: str, cut: TrimCut) -> Ruled:
     """A side of the datum block as two rulings, from the upper to the lower edge where it stands upright."""
     stock = setup.stock
-    axis, end = SIDES[side]
+    axis, end = BLOCK_SIDES[side]
     low, high = np.array([-0.5, -0.5, 0.0]) * stock.size, np.array([0.5, 0.5, 1.0]) * stock.size
     along = _along(op, setup, axis, cut)
     sweep = 3 - axis - along

@@ -173,7 +173,7 @@ def _along(a: Lines, b: Lines, chain: FloatArray, direction: FloatArray, ends: l
 
 AIR_LEAD: Final = 0.040
 """[m] way in the air before the first cut and behind the last one."""
-STRAIGHT_ON: Final = 0.94
+PASSING_COSINE: Final = 0.94
 """Least cosine between moves in the air that are passed without a stop."""
 
 
@@ -244,7 +244,7 @@ def _corners(lines: Lines) -> IndexArray:
     """Numbers of the lines at which a way in the air turns: there the motion stops, as nothing melts."""
     move = np.diff(np.concatenate([lines.start, lines.end], axis=1), axis=0)
     move /= np.maximum(np.linalg.norm(move, axis=1, keepdims=True), 1e-12)
-    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < STRAIGHT_ON) + 1
+    return np.flatnonzero(np.sum(move[1:] * move[:-1], axis=1) < PASSING_COSINE) + 1
 
 
 def _lead(into: Lines, on: Lines) -> Lines:
