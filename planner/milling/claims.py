@@ -26,7 +26,7 @@ from planner.geometry.arrays import FloatArray
 from planner.milling.flank_cut import surface
 from planner.milling.operation import EngraveCut, FlankCut, GCodeCut, GCodeFile, LinesCut, Milling
 from planner.milling.process_plan import Done, Work
-from planner.milling.tool_path import SIDES
+from planner.milling.tool_path import BLOCK_SIDES
 from planner.problem import Mesh, Part, Ruled
 from planner.reading.part_ruled import GuideFile
 from planner.units import DEG, MM
@@ -35,10 +35,10 @@ MILL: Final = "mill"
 """The kind of segments in which a cutter mills."""
 
 AXIS_TURN: Final = 0.5 * DEG
-"""How far a tool may be turned off the axis that it is to follow."""
+"""How far [rad] a tool may be turned off the axis that it is to follow."""
 
 TIP_OFFSET: Final = 0.5 * MM
-"""How far the tip may be off its way where a surface says what is to be made: corners are rounded."""
+"""How far [m] the tip may be off its way where a surface says what is to be made: corners are rounded."""
 
 
 def claims(work: Work, part: Part | None) -> tuple[Claim, ...]:
@@ -157,7 +157,7 @@ def _drawn(own: GuideFile) -> DrawnCurve:
 
 def _safe(op: Milling, box: FloatArray) -> SafeWays:
     """The ways to passes and from them, by the numbers of the problem."""
-    across, end = SIDES[op.safe_side]
+    across, end = BLOCK_SIDES[op.safe_side]
     up = 1.0 if end else -1.0
     level = float(box[end, across]) + up * op.safe_mm * MM
     return SafeWays(across, up, level, op.plunge_mm_s * MM, op.rapid_mm_s * MM)

@@ -50,8 +50,9 @@ def spin(arm: str, orient: Orient, count: int) -> ScrewFreedom:
     return ScrewFreedom(f"spin_{arm}", {arm: twist}, -turn, turn, None, True, aim)
 
 
-KINDS: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
-SHOWN: Final = 80
+CUT_NAMES: Final = ((FlankCut, "flank"), (LinesCut, "lines"), (GCodeCut, "G\u2011code"))
+"""Kinds of cuts in words."""
+CURVES_SHOWN: Final = 80
 """Curves that the picture of the ways shows at most."""
 
 
@@ -90,7 +91,7 @@ def _feeds(work: Work) -> str:
 def _cuts(work: Work) -> dict[str, Any]:
     rows = []
     for one in work.cuts:
-        kind = next((name for model, name in KINDS if isinstance(one.cut, model)), "engraving")
+        kind = next((name for model, name in CUT_NAMES if isinstance(one.cut, model)), "engraving")
         for run in one.runs:
             way = np.linalg.norm(np.diff(run.path.tip, axis=0), axis=1).sum()
             off = f"{one.off / MM:.4f}" if one.off > 0.0 and run is one.runs[-1] else ""
@@ -105,13 +106,13 @@ def _cuts(work: Work) -> dict[str, Any]:
 
 def _paths(work: Work) -> dict[str, Any]:
     runs = work.runs
-    curves = [run.path.tip for run in runs[:: max(1, len(runs) // SHOWN)]]
+    curves = [run.path.tip for run in runs[:: max(1, len(runs) // CURVES_SHOWN)]]
     return {"kind": "paths", "title": "Way of the cutter's tip", "curves": curves}
 
 
-FROM_REST: Final = 0.66
+MEAN_FEED_FROM_REST: Final = 0.66
 """Part of the feed that moves from or to a stop have on average, as they are faster in between."""
-LEVER: Final = 0.05
+AIR_LEVER: Final = 0.05
 """A point so far [m] behind the tip counts for the speed in the air, where the tool turns."""
 
 
@@ -148,7 +149,7 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
         pose={arm: poses(route.tip, route.axis)},
         frame={arm: "stock"},
         freedoms=(spin(arm, op.orient, count),),
-        feed=np.where(np.append(False, stop[:-1]) | stop, FROM_REST, 1.0) * route.feed,
+        feed=np.where(np.append(False, stop[:-1]) | stop, MEAN_FEED_FROM_REST, 1.0) * route.feed,
         feed_min=np.zeros(count),
         travel=_travel(route),
         stop=stop,
@@ -163,7 +164,7 @@ def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[
 def _travel(route: Route) -> FloatArray:
     """Way (N,) [m] of the fastest point of the cutter that works, on the move to each target."""
     out = np.zeros(len(route.tip))
-    for reach in (0.0, np.maximum(route.reach[1:], LEVER)[:, None]):
+    for reach in (0.0, np.maximum(route.reach[1:], AIR_LEVER)[:, None]):
         ends = route.tip[1:] + reach * route.axis[1:], route.tip[:-1] + reach * route.axis[:-1]
         out[1:] = np.maximum(out[1:], np.linalg.norm(ends[0] - ends[1], axis=1))
     return out

@@ -80,8 +80,10 @@ def _near_stops(targets: Targets) -> BoolArray:
 Progress = Callable[[str, float], None]
 
 PLACES_TRIED: Final = 6
-AWAY: Final = 50.0
-ASIDE: Final = 0.01
+"""Places of a stock that are planned whole at most."""
+AWAY_M: Final = 50.0
+"""A stock is put so far away [m] along each axis to judge homes without it."""
+ASIDE_STEP_M: Final = 0.01
 """[m] by whole multiples of this a block is told to be moved out of what it stands in."""
 
 
@@ -290,7 +292,7 @@ def _first_that_works(
 
 def _require_home(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> None:
     """Homes that are not free wherever the stock is need no search for its place."""
-    away = from_parts(np.eye(3), np.array([AWAY, AWAY, AWAY]))  # so is what it stands on
+    away = from_parts(np.eye(3), np.array([AWAY_M, AWAY_M, AWAY_M]))  # so is what it stands on
     for setup, jobs, model in zip(stand.setups, stand.jobs, models, strict=True):
         for job in jobs:
             scene = Scene.of(setup.cell, job.arms, away, problem.settings, model.with_stock(away))
@@ -354,10 +356,10 @@ def _inside(problem: Problem, stand: Stand, models: Sequence[CellModel]) -> list
 
 
 def _out_of(setup: Setup, model: CellModel, place: FloatArray) -> FloatArray | None:
-    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE`, after which the
-    block stands in nothing and is borne as it was; None where there is none within 20 of them."""
+    """The smallest straight move (3,) [m] along an axis of the world, in steps of `ASIDE_STEP_M`, after
+    which the block stands in nothing and is borne as it was; None where there is none within 20 of them."""
     borne = {issue.code for issue in support.stood(setup)}
-    for size in ASIDE * np.arange(1, 21):
+    for size in ASIDE_STEP_M * np.arange(1, 21):
         for way in size * np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1.0]]):
             at = from_parts(place[:3, :3], place[:3, 3] + way)
             moved = dataclasses.replace(setup, stock=dataclasses.replace(setup.stock, place=at))

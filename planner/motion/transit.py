@@ -20,7 +20,7 @@ from planner.geometry.arrays import BoolArray, FloatArray
 from planner.geometry.rigid import exp_rotation, from_parts, interpolate, inverse, log_rotation
 from planner.issues import Issue, TandemError
 from planner.motion.rrt import connect, way_free
-from planner.motion.scene import TRANSIT, Scene
+from planner.motion.scene import TRANSIT_KIND, Scene
 from planner.motion.search.ladder_search import Found
 from planner.motion.search.subsampling import subset
 from planner.motion.trajectory.hinges import levers
@@ -49,7 +49,7 @@ def mend(scene: Scene, targets: Targets, found: Found) -> Targets | None:
     """
     ways: dict[int, list[FloatArray]] = {}
     for i in range(1, targets.count):
-        if targets.segment[i].kind == TRANSIT and targets.coupled:
+        if targets.segment[i].kind == TRANSIT_KIND and targets.coupled:
             way = _Transit(scene, targets, found, i).way()
             if way:
                 ways[i] = way

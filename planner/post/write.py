@@ -32,7 +32,8 @@ from planner.post.steps import build
 from planner.problem import Arm, Problem
 from planner.targets import Targets
 
-FOLDER: Final = "controller"
+CONTROLLER_FOLDER: Final = "controller"
+"""Folder of files for a controller's configuration, beside the programs."""
 LINE_END: Final = "\r\n"
 
 
@@ -65,7 +66,10 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
             made, folder = rapid_files.files(controller, tasks, signals, name), task.task
         else:
             continue  # files of the first task are for all of one controller
-        out |= {f"{FOLDER}/{folder}/{name}": text.replace("\n", LINE_END) for name, text in made.items()}
+        out |= {
+            f"{CONTROLLER_FOLDER}/{folder}/{name}": text.replace("\n", LINE_END)
+            for name, text in made.items()
+        }
     return out
 
 
@@ -124,7 +128,7 @@ def _signals(problem: Problem, made: Sequence[Targets], arm: Arm, together: bool
     return list(dict.fromkeys(out))
 
 
-_OWN: Final = re.compile(
+_OWN_NAMES: Final = re.compile(
     r"main|operation_\d+|handshake\w*|block_\d+_\w+|meet_\d+|j_\w+|t_\w+|w_\w+|z_turn_\d+|z\d+[mu]m|v_entry|"
     r"load_block\w*|check_(cell|pose|true|stop)|base_frame|problem_digest|all_tasks"
 )
@@ -154,7 +158,7 @@ def _refused(segment: Segment, field: str) -> tuple[Issue, ...]:
         name = procedure(segment)
     except TandemError as error:
         return tuple(dataclasses.replace(issue, field=field) for issue in error.issues)
-    if _OWN.fullmatch(name.lower()) is None:
+    if _OWN_NAMES.fullmatch(name.lower()) is None:
         return ()
     what = f"segment {str(segment)!r} would be called {name}, as other things in RAPID programs are"
     return (Issue("post.name", what, field=field, hint="give it another kind or name"),)

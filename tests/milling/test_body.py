@@ -92,18 +92,18 @@ def test_the_planner_finds_the_nearest_of_all_places(cutter: Cutter, path: int) 
     tip, axis = PATHS[path]
     for section in check.sections(cutter):
         points = _near(tip, axis, section.start, section.end, section.radius)[::4]
-        step = max(check.DENSE * section.radius, check.LEAST)
+        step = max(check.PATH_SPACING * section.radius, check.LEAST_SPACING)
         tips, axes, to = check.between(tip, axis, section.end, step)
         wanted = section.off(*_all(points, tips, axes))
         got, where = check.distance_off(points, tip, axis, section)
-        _agrees(wanted, got, check.SIGHT)
-        for i in np.flatnonzero(got < check.SIGHT):
+        _agrees(wanted, got, check.SIGHT_DISTANCE)
+        for i in np.flatnonzero(got < check.SIGHT_DISTANCE):
             assert np.isclose(wanted[i, to == where[i]], got[i], rtol=0.0, atol=1e-12).any()
-        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT)[::10]
+        near = np.flatnonzero(wanted.min(axis=1) < check.SIGHT_DISTANCE)[::10]
         assert all(check.comes_near(points[[i]], tip, axis, section) for i in near)
         for below in (-0.005, -0.0001):
             deep, _ = check.distance_off(points, tip, axis, section, below)
-            _agrees_below(wanted, deep, check.SIGHT, below)
+            _agrees_below(wanted, deep, check.SIGHT_DISTANCE, below)
 
 
 def _agrees(wanted: FloatArray, got: FloatArray, sight: float) -> None:

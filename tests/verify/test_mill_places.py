@@ -82,7 +82,7 @@ def test_what_is_too_large_is_refused_by_the_planner_first_and_not_proven(
     proof = pipeline.verify(read, outcome.programs)
     (issue, *_) = [i for i in proof.issues if i.code == "verify.mill_gouge"]
     assert not proof.ok and issue.limit == 40_000 and "places" in issue.message
-    monkeypatch.setattr(check, "POINTS", 30_000)
+    monkeypatch.setattr(check, "MOST_FACE_POINTS", 30_000)
     with pytest.raises(TandemError) as caught:
         processes.job(read, 0).targets()
     (told,) = caught.value.issues

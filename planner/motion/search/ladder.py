@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
-from planner.motion.arm_kinematics import TWO_PI, Chain
+from planner.motion.arm_kinematics import FULL_TURN, Chain
 from planner.motion.search.reach import Grid, Rungs
 
 LARGEST_STEP = np.deg2rad(100.0)
@@ -25,6 +25,7 @@ LARGEST_STEP = np.deg2rad(100.0)
 """
 
 TIE_SHARE = 0.02
+"""Weight of the motion of all joints together against that of the slowest: it settles ties."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +61,8 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
         angle = rungs.q[..., j]
         change = angle[None, 1:] - np.moveaxis(angle[:-1][:, before], 1, 0)
         if chain.many_turns[j]:
-            whole[..., j] = np.round(change / TWO_PI)
-            change -= TWO_PI * whole[..., j]
+            whole[..., j] = np.round(change / FULL_TURN)
+            change -= FULL_TURN * whole[..., j]
         np.abs(change, out=change)
         with np.errstate(invalid="ignore"):
             bad |= ~(change <= LARGEST_STEP)
@@ -78,7 +79,7 @@ def steps(rungs: Rungs, chain: Chain, grid: Grid, speed: FloatArray) -> Steps:
 
 def _previous_turn(turns: FloatArray, whole: FloatArray) -> IndexArray:
     """Index (M, N-1, S, T) of the turn state ``whole`` (M, N-1, S, 6) turns above each state, or -1."""
-    counts = np.round(turns / TWO_PI).astype(np.int64)
+    counts = np.round(turns / FULL_TURN).astype(np.int64)
     out = np.full((*whole.shape[:-1], len(turns)), -1, dtype=np.intp)
     stay = ~np.nan_to_num(whole).any(axis=-1)
     out[stay] = np.arange(len(turns))
@@ -210,7 +211,7 @@ class Turns:
     """Penalties of the states of one arm by their whole turns, which are coded as one number."""
 
     def __init__(self, rungs: Rungs, states: list[IndexArray]) -> None:
-        counts = np.round(rungs.turns / TWO_PI).astype(np.intp)
+        counts = np.round(rungs.turns / FULL_TURN).astype(np.intp)
         codes = counts @ (TURN_CODE ** np.arange(6))
         self._least, span = int(codes.min()), int(codes.max() - codes.min()) + 1
         self._turns: dict[int, FloatArray] = {int(c): t for c, t in zip(codes, rungs.turns, strict=True)}

@@ -22,10 +22,11 @@ from planner.post.program import number, plain
 from planner.problem import KrlDialect
 
 NAME_LENGTH: Final = 24
+"""Longest name in KRL [characters]."""
 ANGLE_DECIMALS: Final = 5
 """Decimals of A, B, C of targets in degrees."""
 _FRAME_ANGLES: Final = 6
-_POLE: Final = 1e-7
+_POLE_COSINE: Final = 1e-7
 """Below this cosine of B, A and C turn about one axis, and C is 0."""
 _ZERO_AXES: Final = ",".join(f"E{i} 0.0" for i in range(1, 7))
 
@@ -74,7 +75,7 @@ def abc(rotation: FloatArray) -> FloatArray:
     """KUKA's A, B, C (..., 3) [deg] of rotations (..., 3, 3) = Rz(A) Ry(B) Rx(C); C is 0 where B is +-90."""
     r = np.asarray(rotation, dtype=np.float64)
     flat = np.hypot(r[..., 0, 0], r[..., 1, 0])
-    pole = flat < _POLE
+    pole = flat < _POLE_COSINE
     a = np.where(pole, np.arctan2(-r[..., 0, 1], r[..., 1, 1]), np.arctan2(r[..., 1, 0], r[..., 0, 0]))
     b = np.arctan2(-r[..., 2, 0], flat)
     c = np.where(pole, 0.0, np.arctan2(r[..., 2, 1], r[..., 2, 2]))
@@ -139,7 +140,8 @@ _MESSAGES: Final = (
     "DECL INT tm_ticket,tm_state,tm_answer",
     "DECL BOOL tm_gone",
 )
-_WRAP: Final = 100
+_COMMENT_WIDTH: Final = 100
+"""Comments are wrapped at so many characters."""
 
 
 def declarations(dialect: KrlDialect) -> list[str]:
@@ -217,7 +219,7 @@ def _not_external() -> list[str]:
 
 
 def _marked(mark: str, text: str) -> list[str]:
-    return [f";{mark} {line}" for line in textwrap.wrap(plain(text), _WRAP, break_on_hyphens=False)]
+    return [f";{mark} {line}" for line in textwrap.wrap(plain(text), _COMMENT_WIDTH, break_on_hyphens=False)]
 
 
 def _parts(text: str) -> list[str]:

@@ -48,8 +48,8 @@ from planner.post.program import (
 )
 from planner.post.rapid import data as rapid_data
 from planner.post.rapid.data import (
-    ENTRY_SPEED,
-    TASKS,
+    ENTRY_SPEED_NAME,
+    TASK_LIST,
     Stations,
     Tools,
     block,
@@ -130,7 +130,9 @@ LINE_END: Final = "\r\n"
 """A program list with bare line feeds does not load; modules are written alike."""
 _INDENT = "  "
 _PROC_BYTES = 1500
+"""Bytes of a procedure without its moves."""
 _CALL_BYTES = 20
+"""Bytes of the call that a handshake adds to each move."""
 
 
 def texts(job: Job, plan: Plan, problem: Problem, margins: Mapping[str, str]) -> dict[str, str]:
@@ -291,7 +293,7 @@ class _Task:
 
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
-        body = [f"{rapid_data.CALL};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
+        body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
         clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).say()
         if self.partner is not None:
             body += [
@@ -318,7 +320,7 @@ class _Task:
         place = [arm.name for arm in self.problem.cell.arms].index(task.arm.name)
         robot = self.problem.cell.controller.robot(place)
         body = rapid_data.check_procedures(task, self.job, self.plan, self.tools, robot)
-        return rapid_data.lines(self._procedure(rapid_data.CALL, body), together)
+        return rapid_data.lines(self._procedure(rapid_data.CELL_CHECK, body), together)
 
     def _operation(self, index: int, operation: OperationProgram) -> list[str]:
         body = comment(f"Operation {operation.name}.")
@@ -331,16 +333,16 @@ class _Task:
             case Joints():
                 name = self.stations.of(step, operation + 1)
                 tool = self.tools.of(self.task.operations[operation].arm.tool)
-                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED},fine,{tool};"]
+                return [f"MoveAbsJ {name}\\NoEOffs,{ENTRY_SPEED_NAME},fine,{tool};"]
             case Meet(number, reached, seconds) if self.partner is not None:
                 steps = self.partner.meet(number, seconds)
                 return [*comment(f"Meeting: {reached}"), *partner_lines(self.partner, steps)]
             case SyncOn() | SyncOff() if self.partner is not None:
                 return []
             case Meet(number, reached):
-                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASKS};"]
+                return [*comment(f"{meet(number)}: {reached}"), f"WaitSyncTask {meet(number)},{TASK_LIST};"]
             case SyncOn(number):
-                return [f"SyncMoveOn {block(number, 'on')},{TASKS};"]
+                return [f"SyncMoveOn {block(number, 'on')},{TASK_LIST};"]
             case SyncOff(number):
                 return [f"SyncMoveOff {block(number, 'off')};"]
             case Do(action):
