@@ -16,7 +16,7 @@ from planner.geometry.arrays import FloatArray
 from planner.tooling import FormingHead
 from planner.units import MM
 from planner.verify.forming.face import Face
-from planner.verify.forming.state import TIED, Track, pieces
+from planner.verify.forming.state import TOUCHED_WITHIN, Track, pieces
 from planner.verify.rules.forming_two_tools import _off_directions
 from tests.forming.path_faces import cone
 from tests.forming.shapes import BALL, T0, operation
@@ -185,7 +185,7 @@ def off_touched(one: Pass, places: FloatArray, directions: FloatArray, ball: flo
     way = Track(
         ("left",), rows, places[:, None], np.ones(len(rows), dtype=np.bool_), none, (), np.eye(4)[None]
     )
-    found = face.nearest(places, TIED)
+    found = face.nearest(places, TOUCHED_WITHIN)
     return float(np.degrees(_off_directions(directions, way, rows, face, found, 1, upright=True).max()))
 
 

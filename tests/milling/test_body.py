@@ -76,14 +76,14 @@ def test_the_proof_finds_the_nearest_of_all_places(cutter: Cutter, path: int) ->
         points = _near(tip, axis, solid.start, solid.end, solid.radius)
         wanted = tool_motion.signed(solid, *_all(points, tip, axis))
         got, place = tool_motion.sweep(points, tip, axis, solid)
-        _agrees(wanted, got, tool_motion.SIGHT)
-        seen = np.flatnonzero(got < tool_motion.SIGHT)
+        _agrees(wanted, got, tool_motion.SIGHT_DISTANCE)
+        seen = np.flatnonzero(got < tool_motion.SIGHT_DISTANCE)
         np.testing.assert_allclose(got[seen], wanted[seen, place[seen]], rtol=0.0, atol=1e-12)
-        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT)[::10]
+        near = np.flatnonzero(wanted.min(axis=1) < tool_motion.SIGHT_DISTANCE)[::10]
         assert all(tool_motion.comes_near(points[[i]], tip, axis, solid) for i in near)
         for below in (-0.005, -0.0001):
             deep, _ = tool_motion.sweep(points, tip, axis, solid, below)
-            _agrees_below(wanted, deep, tool_motion.SIGHT, below)
+            _agrees_below(wanted, deep, tool_motion.SIGHT_DISTANCE, below)
 
 
 @pytest.mark.parametrize("path", range(len(PATHS)))

@@ -151,7 +151,7 @@ def test_the_cut_of_a_cylinder_is_off_by_what_its_radius_says():
 @pytest.mark.parametrize("job", [small_job, held_job])
 def test_samples_worked_out_in_parts_are_the_same(job, monkeypatch):
     whole = Context(job.problem(), job.claims(), job.programs()).motion
-    monkeypatch.setattr(moves, "CHUNK", 97)
+    monkeypatch.setattr(moves, "SAMPLES_AT_ONCE", 97)
     parts = Context(job.problem(), job.claims(), job.programs()).motion
     for arm in whole.q:
         assert np.abs(whole.q[arm] - parts.q[arm]).max() < 1e-12

@@ -247,7 +247,7 @@ def test_a_slot_that_is_wider_than_the_gap_to_the_next_surface(
 ) -> None:
     """By hand: half a slot off the one, it reaches beyond the other by the slot less the gap. All of the
     surface is looked at, in however many batches."""
-    unchecked.setattr(walls, "BATCH", batch)
+    unchecked.setattr(walls, "PIECES_AT_ONCE", batch)
     outcome = planned(problem(tmp_path, facing(0.0004)))
     slot = float(PROBLEM["operations"][0]["kerf_mm"])  # type: ignore[index]
     found = [issue for issue in outcome.proof.issues if issue.code == "verify.part"]

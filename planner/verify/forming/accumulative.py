@@ -141,8 +141,11 @@ WALL_ANGLE_ERROR = np.deg2rad(0.1)
 EDGE_CONTACT = 5e-5
 """A ball that touches no wall by so little [m] in plan is at its edge."""
 _NEIGHBOURS = 16
-_LEVELS = 200
-_PLACES = 60_000
+"""Pieces of a way with the nearest middles to a point, of which the nearest is taken."""
+_ANGLE_LEVELS = 200
+"""Levels over a wall's height at which its mean angle is taken."""
+_WALL_PLACES = 60_000
+"""Places of the walls that must be passed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,20 +263,20 @@ class Way:
         low = self.face.corners[self.walls][:, :, 2].min(axis=1)
         high = self.face.corners[self.walls][:, :, 2].max(axis=1)
         slope = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2) / self.face.normal[self.walls, 2]
-        edges = np.linspace(self.end, self.start, _LEVELS + 1)
+        edges = np.linspace(self.end, self.start, _ANGLE_LEVELS + 1)
         width = float(edges[1] - edges[0])
-        first = np.clip(((low - self.end) / width - 1.0).astype(np.int64), 0, _LEVELS - 1)
-        last = np.clip(((high - self.end) / width + 1.0).astype(np.int64), 0, _LEVELS - 1)
-        steepest = np.zeros(_LEVELS)
+        first = np.clip(((low - self.end) / width - 1.0).astype(np.int64), 0, _ANGLE_LEVELS - 1)
+        last = np.clip(((high - self.end) / width + 1.0).astype(np.int64), 0, _ANGLE_LEVELS - 1)
+        steepest = np.zeros(_ANGLE_LEVELS)
         for step in range(int((last - first).max(initial=0)) + 1):
             at = np.minimum(first + step, last)
             np.maximum.at(steepest, at, slope)
-        at = np.clip(((level - self.end) / width).astype(np.int64), 0, _LEVELS - 1)
+        at = np.clip(((level - self.end) / width).astype(np.int64), 0, _ANGLE_LEVELS - 1)
         return np.asarray(self.claim.pitch * steepest[at])
 
     def _places(self) -> tuple[FloatArray, FloatArray]:
         """Places (P, 3) spread evenly over the walls by area, always the same ones, and how far (P,) [m]
         loops are apart along the wall there."""
-        points, owner = spread_over(self.face.corners[self.walls], _PLACES)
+        points, owner = spread_over(self.face.corners[self.walls], _WALL_PLACES)
         sine = np.sqrt(1.0 - self.face.normal[self.walls, 2] ** 2)
         return points, self.rise(points[:, 2]) / sine[owner]

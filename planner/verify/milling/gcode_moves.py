@@ -40,18 +40,20 @@ MACHINES: Mapping[str, str] = {
 """Rotations whose product turns z to the tool axis, in the part's frame, as the table in docs/gcode.md has
 them: ``-C+A`` is Rz(-C) Rx(A)."""
 RADIUS_TOLERANCE = 2e-5
+"""How far [m] the radii at both ends of an arc may differ."""
 RADIUS_SHARE = 1e-3
-"""How far the radii at both ends of an arc may differ: [m], or as a share of the radius."""
+"""The same as a share of the radius, where that is more."""
 SAME_PLACE = 1e-9
 """Places nearer to one another than this [m] are one."""
 WIDEST_ARC_PIECE = math.radians(20.0)
-"""Longest piece of an arc."""
+"""Longest piece [rad] of an arc."""
 EVEN_TURN = math.radians(1.5)
-"""Longest turn of a machine's axes that counts as an even turn of the tool: over it the tool is off the
-shortest turn by FINE^2 / 8 at most, 0.005 degrees."""
+"""Longest turn [rad] of a machine's axes that counts as an even turn of the tool: over it the tool is off
+the shortest turn by its square over 8 at most, 0.005 degrees."""
 AXIS_LENGTH_ERROR = 0.01
 """How far a tool axis I J K may be off length 1."""
 OPPOSITE_COSINE = math.cos(math.radians(179.0))
+"""Cosine of the turn (179 degrees) of a tool axis in one move beyond which its way is not known."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,9 +29,10 @@ from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Fault, Motion, Poses
 from planner.verify.replay.moves import Row, between, holds, make_law, make_row, waits
 
-STEP = 0.004
-LONGEST = 4 * 3600.0
+SAMPLE_TIME = 0.004
 """Time between samples [s]."""
+LONGEST_MOTION = 4 * 3600.0
+"""A motion that takes longer [s] is refused."""
 
 
 def replay(
@@ -199,14 +200,14 @@ class _Player:
         law = make_law(rows, [self._start(row, q) for row, q in zip(rows, joints, strict=True)], joints, stop)
         duration = np.diff(law.times)
         total = float(law.times[-1])
-        if not self.clock + total <= LONGEST:
-            hours, most = (self.clock + total) / 3600.0, LONGEST / 3600.0
+        if not self.clock + total <= LONGEST_MOTION:
+            hours, most = (self.clock + total) / 3600.0, LONGEST_MOTION / 3600.0
             what = f"the programs take {hours:.3g} h or more, at most {most:.3g} h are proven; go faster, or "
             what += "split the job"
             if np.isfinite(hours):
                 what += f" into {np.ceil(hours / most):.0f} problems or more"
             raise TandemError(Issue("verify.duration", what, value=hours, limit=most, unit="h"))
-        samples = max(int(np.ceil(total / STEP)), 2)
+        samples = max(int(np.ceil(total / SAMPLE_TIME)), 2)
         at = np.linspace(0.0, total, samples + 1)
         node_at = _up_to(at, law.times[1:])
         move = np.clip(np.searchsorted(law.times, at, side="left") - 1, 0, count - 1)
@@ -236,7 +237,7 @@ class _Player:
             else:
                 self._play(played, law, at, self._carried(played, by_arm.get(played.carrier), before))
         self.nodes += count
-        self.clock = start + total + float(shift[-1]) + STEP
+        self.clock = start + total + float(shift[-1]) + SAMPLE_TIME
 
     @staticmethod
     def _rank(row: Row | None) -> bool:

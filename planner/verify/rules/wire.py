@@ -21,8 +21,10 @@ from planner.verify.replay.motion import steps_across
 from planner.verify.wire.wire_motion import Wire, held_lengths
 
 SNAP = 1e-3
-RESIDUAL = 1e-6
-TAUT = 0.9999
+MOST_RESIDUAL = 1e-6
+"""A wire's shape is in balance where no residual of its equations is larger than this."""
+TAUT_SHARE = 0.9999
+"""Ends that are farther apart than this share of the wire's length leave it no bow."""
 MELTING_DISTANCE = 1e-3
 """A wire that stands nearer to foam than this melts it [m]."""
 
@@ -40,7 +42,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             continue
         share = held_lengths(context, wire.phase) / claim.length
         worst = max(worst, float(share.max()))
-        if share.max() >= TAUT:
+        if share.max() >= TAUT_SHARE:
             message = (
                 f"the ends are {mm(share.max() * claim.length):.3f} mm apart; the wire is "
                 f"{mm(claim.length):.3f} mm long"
@@ -56,7 +58,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
                     unit="mm",
                 )
             )
-        if wire.path.residual.max() > RESIDUAL:
+        if wire.path.residual.max() > MOST_RESIDUAL:
             issues.append(
                 wire_issue(
                     context,
@@ -73,7 +75,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
         issues.append(Issue("verify.wire_length", what))
     if not context.phases:
         return Outcome(tuple(issues), where="no bent wire")
-    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT, "% of its length", where)
+    return Outcome(tuple(issues), 100.0 * worst, 100.0 * TAUT_SHARE, "% of its length", where)
 
 
 @rule("verify.wire_stability", WireJoins)
