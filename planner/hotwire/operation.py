@@ -23,6 +23,10 @@ from planner.reading.materials import WireFile
 from planner.reading.strict_yaml import Angle, Far, Name, Strict
 from planner.units import MM
 
+AIR_FEED: Final = 0.1
+"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
+AIR_STEP: Final = 0.012
+"""Largest move [m] of any point of the wire between targets in the air."""
 KERF_SPEEDS: Final = (1e-3, 50e-3)
 """Speeds [m/s] of a kerf curve. A wire that hardly moves has no kerf of its own: it counts as 1 mm/s."""
 

@@ -37,7 +37,6 @@ one is kept where others were too near [rad]."""
 DETOUR_MARGIN = 24
 """Targets on either side of those over which a better path goes from the one that is kept to its own."""
 
-REPORTED_DISTANCE_M = 0.2
 JOINING_ROUNDS = 3
 """So often short moves are joined, each time by the clock that the last time led to."""
 
@@ -284,7 +283,7 @@ def _margins(scene: Scene, targets: Targets, q: Mapping[str, FloatArray]) -> dic
         out["limit_margin_deg"][arm] = float(limit.min()) / DEG
         out["singularity_margin_deg"][arm] = float(single.min()) / DEG
     if scene.model is not None:
-        distance, pair, index = scene.nearest(targets, q, REPORTED_DISTANCE_M)
+        distance, pair, index = scene.nearest(targets, q, diagnosis.REPORTED_DISTANCE_M)
         out["clearance_mm"] = distance / MM
         out["clearance_pair"] = list(pair)
         out["clearance_index"] = index

@@ -27,6 +27,9 @@ from planner.issues import Issue, TandemError
 from planner.problem import Arm
 from planner.targets import Action
 
+LINE_END = "\r\n"
+"""Ends the lines of all files for controllers: a RAPID program list with bare line feeds does not load, and
+the others are written alike."""
 POSITION_DECIMALS = 4
 """Decimals of positions in mm; what is equal after rounding is the same place."""
 QUATERNION_DECIMALS = 8

@@ -24,7 +24,7 @@ from planner.post.handshake import handshake_refusals
 from planner.post.krl import controller_files as krl_files
 from planner.post.krl import program as krl_program
 from planner.post.krl import spline_blocks
-from planner.post.program import Job
+from planner.post.program import LINE_END, Job
 from planner.post.rapid import controller_files as rapid_files
 from planner.post.rapid import program as rapid_program
 from planner.post.rapid.syntax import alike, procedure
@@ -34,7 +34,6 @@ from planner.targets import Targets
 
 CONTROLLER_FOLDER: Final = "controller"
 """Folder of files for a controller's configuration, beside the programs."""
-LINE_END: Final = "\r\n"
 
 
 def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.geometry.arrays import FloatArray
 from planner.geometry.rigid import Shape, corners, from_parts, from_rpy, inverse, transform
-from planner.tooling.base import OnFlange
+from planner.tooling.base import ALUMINIUM_DENSITY, OnFlange
 
 Mounting = Literal["along", "across", "diagonal"]
 Side = Literal["start", "end"]
@@ -198,8 +198,6 @@ def bow(
 
 PLATE_THICKNESS: Final = 0.012
 """[m] thickness of the plate that lies on the foam."""
-ALUMINIUM_DENSITY: Final = 2700.0
-"""[kg/m^3] of aluminium."""
 NEEDLE_PRESSURE: Final = 8e3
 """[Pa] what slanted needles hold per area of their plate in foam, assumed."""
 SUCTION_PRESSURE: Final = 25e3

@@ -48,7 +48,7 @@ from planner.hotwire.elastic.path import (
 )
 from planner.hotwire.elastic.sweep import Screen, Sweep
 from planner.hotwire.elastic.wire_choice import Attempt, choose, sweep_notes
-from planner.hotwire.operation import ElasticWire
+from planner.hotwire.operation import AIR_FEED, ElasticWire
 from planner.hotwire.wire import Wire
 from planner.issues import Issue, TandemError, aggregate, has_errors
 from planner.problem import Mesh, Part, Setup, Stock
@@ -208,9 +208,6 @@ def mount_figures(route: Route) -> tuple[float, tuple[float, float]]:
     level = np.arctan2(chord[1], chord[0])
     return float(np.hypot(*chord)), (float(np.rad2deg(start[2] - level)), float(np.rad2deg(end[2] - level)))
 
-
-AIR_FEED = 0.1
-"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
 
 _SECTION_STEP = 0.006  # m between the sections that the fit sees
 _CELLS = (16, 32)  # cells of the family's spline, coarse first

@@ -27,6 +27,7 @@ from planner.hotwire.elastic.family import Family, Spine
 from planner.hotwire.elastica import heavy
 from planner.hotwire.elastica.clamped import STABLE, Section, polish
 from planner.hotwire.elastica.heavy import HeavyShape
+from planner.hotwire.operation import AIR_STEP
 from planner.targets import TableFreedom
 
 EDGE_POINTS = 33
@@ -165,7 +166,6 @@ def box_distance(points: FloatArray, box: FloatArray) -> FloatArray:
 
 
 LEAD = 0.040  # m: from the mount to where the cut begins
-AIR_STEP = 0.012  # m: largest move of any wire point between targets in the air
 _FINE = 5e-4  # m: grid on which travel is measured
 
 

@@ -219,13 +219,6 @@ def clamped_theta(
     return out
 
 
-def start_curvature(first: FloatArray, last: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """d theta / d sigma (B,) at the start."""
-    slopes = _base(amplitude.shape[1]).slope_start
-    out: FloatArray = last - first + amplitude @ slopes
-    return out
-
-
 def _base(modes: int) -> Bumps:
     return bumps(modes, 2 * modes + 8)
 

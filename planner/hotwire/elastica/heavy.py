@@ -17,7 +17,7 @@ import numpy as np
 from planner.geometry.arrays import BoolArray, FloatArray, IntArray
 from planner.hotwire.elastica import clamped
 from planner.hotwire.elastica.clamped import STABLE, Section, constrained_smallest, middle_state, polish
-from planner.hotwire.elastica.equations import Flow, bumps, flow, interpolate, nodes
+from planner.hotwire.elastica.equations import Flow, bumps, flow, nodes
 from planner.hotwire.elastica.fit import TAIL_WEIGHT, fit_curves
 from planner.issues import Issue, TandemError
 
@@ -111,17 +111,6 @@ def integrate(params: FloatArray, length: FloatArray, weight: FloatArray, n: int
     at = wire.at(np.linspace(0.0, 1.0, n))
     middle = wire.at(np.array([0.5]))[:, 0]
     return HeavyShape(at[..., :2], at[..., 2], at[..., 3], params, length, weight, middle)
-
-
-def sensitivities(params: FloatArray, length: FloatArray, weight: FloatArray, n: int = 101) -> FloatArray:
-    """Derivatives (B, n, 4, 6) of x, y, theta, k at n places, uniform in arc length, by the six
-    parameters."""
-    wire = flow(params, length, weight, anchor=0.0, derivatives=True)
-    parts = np.concatenate([wire.d_x, wire.d_y, wire.d_theta, wire.d_curvature], axis=-1)
-    out = np.zeros((params.shape[0], n, 4, 6))
-    out[..., 2:] = interpolate(parts, np.linspace(0.0, 1.0, n)).reshape(-1, n, 4, 4)
-    out[..., 0, 0] = out[..., 1, 1] = 1.0
-    return out
 
 
 def fit(
@@ -247,15 +236,6 @@ def slide(shape: HeavyShape, a: FloatArray, n: int = 101) -> HeavyShape:
     """The wires that `extend` describes, for one a (B,) each."""
     middle = shape.at((a + 0.5 * shape.length)[:, None])[:, 0]
     return from_middle(middle, shape.length, shape.weight, n)
-
-
-def blend(params_a: FloatArray, params_b: FloatArray, t: FloatArray | float) -> FloatArray:
-    """Parameters between two wires: (B, 6) for a number t, (T, B, 6) for t (T,). Each is an equilibrium;
-    ask if it is stable."""
-    u = np.asarray(t, dtype=np.float64)
-    u = u.reshape(*u.shape, *([1] * params_a.ndim))
-    out: FloatArray = (1.0 - u) * params_a + u * params_b
-    return out
 
 
 def sag_out_of_plane(
@@ -392,10 +372,3 @@ def weight_deviation(shape: HeavyShape, n: int = 101, steps: int = 4) -> tuple[F
         gap = full.points - light.points
         profile[alive] = gap[..., 1] * np.cos(full.theta) - gap[..., 0] * np.sin(full.theta)
     return np.abs(profile).max(axis=1), profile
-
-
-def straight_bow(length: FloatArray, error: FloatArray) -> FloatArray:
-    """Bow [m] of a straight wire whose clamps come closer by error [m]: (2/pi) sqrt(L d), from the first
-    buckled shape."""
-    out: FloatArray = 2.0 / np.pi * np.sqrt(length * error)
-    return out

@@ -25,8 +25,6 @@ TEST_WIRE_LENGTH: Final = 0.43
 """Heated length [m] of the wire in the dissertation's tests."""
 TEST_DIAMETER: Final = 0.0004
 """Diameter [m] of that wire."""
-TEST_THICKNESS: Final = 0.05
-"""Thickness [m] of the foam in those tests."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ from planner.geometry.rigid import from_parts, inverse
 from planner.hotwire import claims
 from planner.hotwire.kerf.models import most_power
 from planner.hotwire.kerf.test_cuts import HotWire
-from planner.hotwire.operation import Straight, SurfaceCut
+from planner.hotwire.operation import AIR_FEED, Straight, SurfaceCut
 from planner.hotwire.straight.check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight.cut import Cut, make_cut
 from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted
@@ -282,10 +282,6 @@ def _along(op: Straight, cut: Cut) -> dict[str, Any]:
         ),
         f"twist_{name}": curve("Turn of the wire since the start", "deg", [("turn", turn)]),
     }
-
-
-AIR_FEED = 0.1
-"""Upper limit of the wire's speed in the air [m/s]: faster, a hot wire cools and swings."""
 
 
 class StraightJob(Job[Straight]):

@@ -22,7 +22,8 @@ from planner.claims import dialogue
 from planner.claims.segments import Segment
 from planner.geometry.arrays import BoolArray, FloatArray, IndexArray
 from planner.geometry.rigid import exp_rotation
-from planner.hotwire.operation import Straight
+from planner.hotwire.claims import RESTING_COSINE
+from planner.hotwire.operation import AIR_STEP, Straight
 from planner.hotwire.straight.cut import Cut
 from planner.hotwire.straight.order import Lines, grown, join
 from planner.issues import Issue, Severity
@@ -31,8 +32,6 @@ from planner.targets import Action
 from planner.tooling import Bow
 from planner.units import MM
 
-AIR_STEP: Final = 0.012
-"""[m] largest move of any point of the wire between targets in the air."""
 SAME_DIRECTION: Final = np.deg2rad(0.5)
 """Directions that differ by less need no place to turn."""
 NEARER_ROOM: Final = 1e-4
@@ -256,10 +255,6 @@ def _lead(into: Lines, on: Lines) -> Lines:
     count = max(1, int(np.ceil(AIR_LEAD / AIR_STEP)))
     shift = AIR_LEAD * np.arange(count + 1)[:, None] / count * move / max(float(np.linalg.norm(move)), 1e-12)
     return Lines(into.start[:1] + shift, into.end[:1] + shift)
-
-
-RESTING_COSINE: Final = 0.7
-"""Least cosine between a cut's normal and the vertical from which what is above it rests on the slot."""
 
 
 def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route) -> tuple[Action, ...]:

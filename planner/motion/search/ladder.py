@@ -126,7 +126,6 @@ class Ladder:
         origin += np.maximum(grid.before, 0)[:, None, :, None] * width
         self._node, self._time = node, time
         self._origin = np.where(known, origin, samples * width)
-        self.viable = bool(np.isfinite(node).any(axis=(1, 2)).all())
 
     def shortest(self, blocked: FloatArray | None = None) -> Path | None:
         """The path of least cost, or None; ``blocked`` (N, S) adds to the cost of samples, inf forbids."""

@@ -173,7 +173,6 @@ class Avoid:
         self._bound = np.zeros(0)
         self._distance = np.zeros((0, 0))
         self._gradient = self._mask = np.zeros((0, 0, 0))
-        self.queries = 0
 
     def cost(self, q: FloatArray) -> float:
         """Sum of squares of the hinges."""
@@ -262,7 +261,6 @@ class Avoid:
             full = np.repeat(self._model.home[None], len(part), axis=0)
             full[:, self._columns] = q[part]
             found += clearance.gradients_at(self._model, full, QUERY_DISTANCE_M, meeting)
-        self.queries += len(index)
         self._widen(len(q), max(len(one.distance) for one in found))
         self._at[index] = q[index]
         self._own[index] = True

@@ -38,6 +38,7 @@ from planner.post.krl.data import Data
 from planner.post.krl.linear_moves import Lines
 from planner.post.krl.syntax import comment, mark, name
 from planner.post.program import (
+    LINE_END,
     Carry,
     Do,
     Job,
@@ -294,7 +295,6 @@ def _question_follows(steps: Sequence[Step]) -> bool:
     return isinstance(first, Do) and first.action.kind == "confirm"
 
 
-LINE_END: Final = "\r\n"
 _STEM_LENGTH: Final = 16
 """Characters of the problem's name in names of files."""
 _HEADER_BYTES: Final = 1500

@@ -7,7 +7,6 @@ text.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from planner.post.handshake import (
     Tell,
 )
 from planner.post.program import (
+    LINE_END,
     Carry,
     Do,
     Job,
@@ -126,8 +126,6 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
 
 NameArray = NDArray[np.str_]
 
-LINE_END: Final = "\r\n"
-"""A program list with bare line feeds does not load; modules are written alike."""
 _INDENT = "  "
 _PROC_BYTES = 1500
 """Bytes of a procedure without its moves."""

@@ -28,8 +28,6 @@ from planner.targets import Action
 
 NAME_LENGTH: Final = 32
 """Longest name in RAPID [characters]."""
-LINE_LENGTH: Final = 200
-"""Longest line [characters] that is written."""
 STRING_LENGTH: Final = 80
 """Longest string in RAPID [characters]; lines on the operator's panel have half of it."""
 BOX_LINE: Final = 55

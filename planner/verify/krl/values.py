@@ -66,8 +66,6 @@ _COMPONENTS: dict[str, tuple[str, ...]] = {
     "e6axis": ("A1", "A2", "A3", "A4", "A5", "A6", *_EXTERNAL_AXES),
 }
 """Components of each structure."""
-STRUCTURES = tuple(_COMPONENTS)
-"""Structures that are understood."""
 
 
 class KrlValueError(Exception):

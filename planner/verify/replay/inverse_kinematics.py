@@ -143,11 +143,6 @@ QUADRANT_TOLERANCE = np.deg2rad(0.01)
 on either side."""
 
 
-def quadrants(q: FloatArray) -> IntArray:
-    """cf1, cf4, cf6 (..., 3) of serial joint angles (..., 6)."""
-    return np.floor(q[..., _CONF_AXES] / QUADRANT_ANGLE).astype(np.int64)
-
-
 def select_by_confdata(machine: Machine, flange: FloatArray, conf: IntArray) -> FloatArray:
     """Joint angles (B, 6) that confdata (B, 4) select at flange poses (B, 4, 4) in the base; NaN where they
     select none."""

@@ -30,7 +30,6 @@ TCP_SLACK = 1.10
 UNTIMED_TURN_RATE = np.deg2rad(90.0)
 """Fastest turning [rad/s] that may be stated for moves that have no time: what a tool has far from its TCP
 moves with it."""
-_DRAKE_SAMPLES = 200
 _SAMPLES_AT_ONCE = 65_536
 """Samples that are worked out at once where much is needed on the way."""
 

@@ -20,7 +20,6 @@ from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Ste
 from planner.verify.replay.motion import steps_across
 from planner.verify.wire.wire_motion import Wire, held_lengths
 
-SNAP = 1e-3
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""
 TAUT_SHARE = 0.9999

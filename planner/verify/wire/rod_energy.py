@@ -161,12 +161,6 @@ def energy(stiffness: FloatArray, q: FloatArray, ends: Ends) -> FloatArray:
     return found
 
 
-def gap(q: FloatArray, ends: Ends) -> FloatArray:
-    """Error (3, T) of the end's place."""
-    found: FloatArray = matrix(q)[:, 0].sum(axis=1) / q.shape[1] - ends.place
-    return found
-
-
 def derivatives(stiffness: FloatArray, q: FloatArray, force: FloatArray, ends: Ends) -> Derivatives:
     """Derivatives with respect to rotation vectors (3, N, T) in each segment's own frame, q -> q
     exp(rotation).
