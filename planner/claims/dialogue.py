@@ -36,7 +36,7 @@ class Sentence:
 
     words: str
 
-    def say(self, **figures: float | str) -> str:
+    def filled(self, **figures: float | str) -> str:
         """The sentence with its figures."""
         return self.words.format(**figures)
 

@@ -1,6 +1,6 @@
 """What must hold of a forming job, as claims, from the problem alone.
 
-The claim of the part (`wanted`) is what a forming operation is to make, copied from the problem and
+The claim of the part (`wanted_part`) is what a forming operation is to make, copied from the problem and
 worked out by nobody: all other claims of its passes are held against it.
 """
 
@@ -181,7 +181,7 @@ def _of(work: Work, one: Pass) -> list[Claim]:
     return out
 
 
-def wanted(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
+def wanted_part(operation: Forming, setup: Setup, part: Part | None) -> FormsPart:
     """The part and the user's numbers. Raises ``TandemError`` (forming.no_sheet) where there is no sheet."""
     op, sheet = operation, setup.stock.sheet
     if sheet is None or part is None or part.formed is None:

@@ -229,13 +229,13 @@ class FormingJob(Job[Forming]):
     """An operation that forms a sheet, with the tools that it finds."""
 
     @functools.cached_property
-    def made(self) -> Work:
+    def planned(self) -> Work:
         """Features, order and passes: worked out once, and nobody can write into their arrays."""
         return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``forming.*``."""
-        made, setup = self.made, self.setup
+        made, setup = self.planned, self.setup
         steps = list(step_issues(made))
         if steps:
             raise TandemError(steps)
@@ -255,9 +255,10 @@ class FormingJob(Job[Forming]):
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        whole = forming_claims.wanted(self.operation, self.setup, self.part)
-        spoken = forming_claims.dialogue(self.operation, self.setup, whole, two_point.holder_claim(self.made))
-        return (whole, spoken, *forming_claims.claims(self.made))
+        whole = forming_claims.wanted_part(self.operation, self.setup, self.part)
+        holder = two_point.holder_claim(self.planned)
+        spoken = forming_claims.dialogue(self.operation, self.setup, whole, holder)
+        return (whole, spoken, *forming_claims.claims(self.planned))
 
 
 def _route(made: Work, setup: Setup, paths: Sequence[tuple[Pass, ToolPath]]) -> Route:
@@ -345,13 +346,13 @@ def _actions(
     """What the operator is told and asked, and the signal of a blank holder that sinks."""
     size = setup.stock.size / MM
     metal = made.sheet.metal.name
-    sheet = dialogue.SHEET.say(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
+    sheet = dialogue.SHEET.filled(x_mm=size[0], y_mm=size[1], z_mm=size[2], metal=metal)
     out = [Action(0, "message", sheet)]
     one, path = paths[0]
     if two_point.holder_sinks(made):
         high = abs(one.start - one.end) / MM
-        out.append(Action(0, "confirm", dialogue.RIM.say(high_mm=high)))
-    out.append(Action(0, "confirm", dialogue.SHEET_READY.say()))
+        out.append(Action(0, "confirm", dialogue.RIM.filled(high_mm=high)))
+    out.append(Action(0, "confirm", dialogue.SHEET_READY.filled()))
     first = route.segment.index(segment(one).at("in"))
     out += two_point.holder_actions(made, one, path, first)
-    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.say()))
+    return (*out, Action(len(route.segment) - 1, "confirm", dialogue.FORMED.filled()))

@@ -133,7 +133,7 @@ def work(operation: Forming, setup: Setup, part: Part | None) -> Work:
 
 def _order(op: Forming, tree: FeatureTree) -> tuple[OrderStep, ...]:
     if op.order is not None:
-        return feature_tree.given(tree, op.order, translated=op.strategy == "virgin")
+        return feature_tree.given_order(tree, op.order, translated=op.strategy == "virgin")
     return feature_tree.on_virgin_sheet(tree) if op.strategy == "virgin" else feature_tree.in_place(tree)
 
 

@@ -120,13 +120,13 @@ class MillingJob(Job[Milling]):
     """An operation that mills, with the cutter and the block that it finds."""
 
     @functools.cached_property
-    def made(self) -> Work:
+    def planned(self) -> Work:
         """Cuts as passes: worked out once, and nobody can write into their arrays."""
         return read_only(work(self.operation, self.setup, self.part))
 
     def targets(self) -> Targets:
         """Targets of the operation; raises ``TandemError`` with the codes ``milling.*``."""
-        made = self.made
+        made = self.planned
         route = lay_out(self.operation, made.runs, made.box)
         issues = check(made)
         if has_errors(issues):
@@ -135,7 +135,7 @@ class MillingJob(Job[Milling]):
 
     def stated(self) -> tuple[Claim, ...]:
         """What must hold of the job, from the problem alone."""
-        return mill_claims.claims(self.made, self.part)
+        return mill_claims.claims(self.planned, self.part)
 
 
 def _targets(made: Work, route: Route, issues: tuple[Issue, ...], claims: tuple[Claim, ...]) -> Targets:
@@ -177,13 +177,13 @@ def _actions(made: Work, route: Route) -> tuple[Action, ...]:
     return (
         Action(0, "message", _cuts_message(made)),
         *(Action(0, "confirm", run.before) for run in made.runs[:1] if run.before),
-        Action(0, "confirm", dialogue.BLOCK_READY.say()),
+        Action(0, "confirm", dialogue.BLOCK_READY.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.spin_up_s),
         *_between(made, route),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.spin_down_s),
-        Action(last, "confirm", dialogue.STANDS.say()),
+        Action(last, "confirm", dialogue.STANDS.filled()),
     )
 
 
@@ -192,8 +192,8 @@ def _cuts_message(made: Work) -> str:
     size, op = (made.box[1] - made.box[0]) / MM, made.operation
     figures = {"x_mm": size[0], "y_mm": size[1], "z_mm": size[2], "diameter_mm": 2e3 * made.cutter.radius}
     if op.by_files:
-        return dialogue.BLOCK_OF_FILE.say(kind=made.cutter.kind, **figures)
-    return dialogue.BLOCK.say(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
+        return dialogue.BLOCK_OF_FILE.filled(kind=made.cutter.kind, **figures)
+    return dialogue.BLOCK.filled(kind=made.cutter.kind, rpm=op.spindle_rpm, **figures)
 
 
 def _between(made: Work, route: Route) -> Iterator[Action]:

@@ -383,7 +383,7 @@ def margins_at(
     out, joints = {}, {}
     for arm in few.targets.arms:
         chain = scene.chains[arm]
-        rows, back = few.same.get(arm, (every, every))
+        rows, back = few.distinct_poses.get(arm, (every, every))
         pose = poses[arm][..., rows, :, :]
         pose = np.broadcast_to(pose, (*np.broadcast_shapes(pose.shape, (*stock.shape[:-2], 1, 1)),))
         q = chain.inverse(pose)

@@ -104,7 +104,7 @@ def advised(
     code = issues[first].code.removeprefix("motion.")
     found = trial.homes(issues[first]) if code in HOME_CODES else trial.moves(issues[first])
     if found is None:
-        hint = f"{issues[first].hint}; tried without success: {trial.told()}" if trial.tried else None
+        hint = f"{issues[first].hint}; tried without success: {trial.summary()}" if trial.tried else None
         told = dataclasses.replace(issues[first], hint=hint or issues[first].hint)
     else:
         told = dataclasses.replace(
@@ -163,7 +163,7 @@ class _Trial:
         self.tried: dict[str, float] = {}
         self.removed: list[str] = []
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """What was tried, for people."""
         out = [f"{', '.join(self.removed)} taken away one by one"] if self.removed else []
         out += [

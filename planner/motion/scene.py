@@ -85,7 +85,7 @@ class Scene:
         return points if frame == "world" else transform(self.stock, points)
 
     @functools.cached_property
-    def reached(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
+    def last_reach(self) -> dict[str, tuple[FloatArray, tuple[int, int], object]]:
         """What was found last of each arm's reach: the poses, how many targets and samples, and the table."""
         return {}
 

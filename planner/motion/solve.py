@@ -124,7 +124,7 @@ def _solve(problem: Problem, targets: Sequence[Targets], tell: Progress, at: lis
     bases = {arm.name: arm.base for arm in problem.cell.arms}
     places: list[FloatArray] = []
     operations: list[OperationPlan] = []
-    for stand in stands(problem, targets):
+    for stand in setup_groups(problem, targets):
         stand = stand if not places else stand.based(bases)
         place, made = _settle(problem, stand, metrics, tell, at)
         bases.update(place.bases)
@@ -150,7 +150,7 @@ def check(problem: Problem, targets: Sequence[Targets], advise: bool = True) -> 
     ``advise``: changes that may help are tried."""
     problem, targets = with_room(problem, targets)
     bases: Mapping[str, FloatArray] | None = None
-    for stand in stands(problem, targets):
+    for stand in setup_groups(problem, targets):
         at = [0]
         place, reasons = _look(problem, stand if bases is None else stand.based(bases), at)
         if place is None:
@@ -208,7 +208,7 @@ class Stand:
         return Search(first.cell, first.stock, [job for _, job in jobs], settings, cells=cells, in_air=in_air)
 
 
-def stands(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
+def setup_groups(problem: Problem, targets: Sequence[Targets]) -> list[Stand]:
     """The setups of a problem with their targets, those together between which the block is not moved."""
     out: list[Stand] = []
     for setup in problem.setups:

@@ -25,7 +25,7 @@ from planner.verify.forming import swept
 from planner.verify.forming.state import Forming
 from planner.verify.milling import wanted_ways
 from planner.verify.milling.tool_motion import Milling
-from planner.verify.programs.operator_dialogue import told_choice
+from planner.verify.programs.operator_dialogue import chosen_groups
 from planner.verify.result import CutFace, Proof, RuleResult
 from planner.verify.rules import (
     block_support,
@@ -86,7 +86,7 @@ TASK_RULES: _RuleTable = (
 """Rules about the tasks and how they meet."""
 STAGE_RULES: _RuleTable = (
     setups_and_frames.setup,
-    dialogue.told_and_asked,
+    dialogue.messages_and_questions,
     synchronisation.move_count,
     synchronisation.move_ids,
     synchronisation.zone_kind,
@@ -133,7 +133,7 @@ WIRE_RULES: tuple[Rule[[Context, tuple[Wire, ...]], Outcome], ...] = (
     wire.contact,
     wire.stop_in_foam,
     wire.wire_power,
-    dialogue.told_figures,
+    dialogue.message_figures,
     wire.feed,
     straight_wire.bow,
     straight_wire.rulings,
@@ -252,7 +252,7 @@ class Prover:
         the same). ``last``: stop behind that rule; such a proof never holds."""
         if self._worked_out is None:
             self._worked_out = wanted_ways.worked_out(self.claims)
-        context = told_choice(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
+        context = chosen_groups(Context(self.problem, self._worked_out[0], programs, self._worked_out[1]))
         run = _Run(context)
         for _ in self._steps(context, run):
             if (first_error and run.broken) or last in run.results:

@@ -21,7 +21,7 @@ from planner.hotwire.claims import claimed, nesting
 from planner.hotwire.kerf import width as kerf_width
 from planner.hotwire.operation import SurfaceCut
 from planner.hotwire.straight.cut import choose
-from planner.hotwire.straight.order import depths, wanted
+from planner.hotwire.straight.order import depths, wanted_surfaces
 from planner.issues import TandemError
 from planner.problem import Ruled
 from planner.reading import materials as material_file
@@ -230,7 +230,7 @@ def test_both_orders_of_a_plate_agree(seed: int) -> None:
     part, setup = blocks.part(*plate(seed)), blocks.setup()
     op = blocks.operation(cuts="all")
     assert nesting(list(part.ruled)) == depths(part.ruled)
-    planned = [one.segment for one in wanted(op, setup, part)]
+    planned = [one.segment for one in wanted_surfaces(op, setup, part)]
     assert [one.segment for one in claimed(op, setup.stock, part, SPAN)] == planned
 
 
@@ -250,7 +250,7 @@ def test_both_readings_of_a_trimmed_side_agree(
     over[SIDES.index(side) % 2, axis] = 0.01
     setup = blocks.setup(blocks.stock(size, oversize=over))
     op = blocks.operation(cuts=[{"trim": [side], "along": along}])
-    (planned,) = wanted(op, setup, None)
+    (planned,) = wanted_surfaces(op, setup, None)
     (own,) = claimed(op, setup.stock, None, SPAN)
     assert own.segment == planned.segment
 

@@ -169,9 +169,9 @@ def test_a_job_is_worked_out_once_for_one_problem_and_anew_for_another(tmp_path:
     one = problem(tmp_path, WALL)
     other = problem(tmp_path, WALL, stock={**WALL["stock"], "size_mm": [120, 90, 50]})
     mine = MillingJob(one.operations[0], one.setup_of(0), one.part)
-    first = mine.made
-    assert mine.made is first
-    second = MillingJob(other.operations[0], other.setup_of(0), other.part).made
+    first = mine.planned
+    assert mine.planned is first
+    second = MillingJob(other.operations[0], other.setup_of(0), other.part).planned
     assert second.box[1, 1] > first.box[1, 1]
     fresh = work(one.operations[0], one.setup_of(0), one.part)
     for a, b in zip(claims(fresh, one.part), claims(first, one.part), strict=True):

@@ -42,15 +42,15 @@ def bent(count=12):
     last = operation.targets.count - 1
     apart, start, end = clamps()
     actions = (
-        Action(0, "message", dialogue.MOUNT.say(cold_mm=COLD_MM)),
-        Action(0, "message", dialogue.CLAMPS.say(apart_mm=apart, start_deg=start, end_deg=end)),
-        Action(0, "confirm", dialogue.CLAMPED.say()),
+        Action(0, "message", dialogue.MOUNT.filled(cold_mm=COLD_MM)),
+        Action(0, "message", dialogue.CLAMPS.filled(apart_mm=apart, start_deg=start, end_deg=end)),
+        Action(0, "confirm", dialogue.CLAMPED.filled()),
         Action(0, "on", signal=SIGNAL),
         Action(0, "wait", seconds=10.0),
-        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=1e3 * LENGTH)),
+        Action(0, "confirm", dialogue.LOCKED.filled(hot_mm=1e3 * LENGTH)),
         Action(last, "off", signal=SIGNAL),
         Action(last, "wait", seconds=30.0),
-        Action(last, "confirm", dialogue.TAKEN_OFF.say()),
+        Action(last, "confirm", dialogue.TAKEN_OFF.filled()),
     )
     targets = dataclasses.replace(operation.targets, actions=actions)
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
@@ -81,7 +81,7 @@ def choice():
     """The plan of the bent wire where the problem leaves open which one it is."""
     whole = bent()
     (operation,) = whole.operations
-    named = Action(0, "message", dialogue.WIRE.say(material="spring_steel", size="1.5 mm round"))
+    named = Action(0, "message", dialogue.WIRE.filled(material="spring_steel", size="1.5 mm round"))
     targets = dataclasses.replace(operation.targets, actions=(named, *operation.targets.actions))
     return dataclasses.replace(whole, operations=(dataclasses.replace(operation, targets=targets),))
 
@@ -121,8 +121,8 @@ def bow(model="irb140", count=12):
         last = targets.count - 1
         wire = {"diameter_mm": 0.4, "material": " nichrome", "power_w": POWER_W}
         actions = [
-            Action(0, "message", dialogue.BOW_POWER.say(**wire)),
-            Action(0, "confirm", dialogue.TAUT.say()),
+            Action(0, "message", dialogue.BOW_POWER.filled(**wire)),
+            Action(0, "confirm", dialogue.TAUT.filled()),
             Action(0, "on", signal=SIGNAL),
             Action(0, "wait", seconds=5.0),
         ]
@@ -132,15 +132,15 @@ def bow(model="irb140", count=12):
             actions += [
                 Action(ends[-1], "off", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=10.0),
-                Action(ends[-1], "message", dialogue.SPACERS.say(kerf_mm=SLOT_MM)),
-                Action(ends[-1], "confirm", dialogue.SPACED.say()),
+                Action(ends[-1], "message", dialogue.SPACERS.filled(kerf_mm=SLOT_MM)),
+                Action(ends[-1], "confirm", dialogue.SPACED.filled()),
                 Action(ends[-1], "on", signal=SIGNAL),
                 Action(ends[-1], "wait", seconds=5.0),
             ]
         actions += [
             Action(last, "off", signal=SIGNAL),
             Action(last, "wait", seconds=10.0),
-            Action(last, "confirm", dialogue.COLD.say()),
+            Action(last, "confirm", dialogue.COLD.filled()),
         ]
         targets = dataclasses.replace(targets, actions=tuple(actions), stop=stop)
         operations.append(dataclasses.replace(operation, targets=targets))

@@ -214,11 +214,11 @@ def test_a_stated_lead_is_followed(tmp_path: Path, ruled: list[Any], more: dict[
 def test_a_lead_that_the_planner_ignores(
     tmp_path: Path, unchecked: pytest.MonkeyPatch, ruled: list[Any], more: dict[str, Any]
 ) -> None:
-    wanted = job.wanted
+    wanted = job.wanted_surfaces
     free = [
         lambda one: dataclasses.replace(one, cut=one.cut.model_copy(update={"lead": "auto"})),
     ]
-    unchecked.setattr(job, "wanted", lambda *given: [free[0](one) for one in wanted(*given)])
+    unchecked.setattr(job, "wanted_surfaces", lambda *given: [free[0](one) for one in wanted(*given)])
     assert "verify.slit" in codes(planned(problem(tmp_path, ruled, **more)))
 
 

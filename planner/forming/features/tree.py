@@ -268,7 +268,7 @@ class OrderStep:
 
 def in_place(tree: FeatureTree) -> tuple[OrderStep, ...]:
     """Strategy 1: parents before their children (preorder), every feature where it is in the part."""
-    return given(tree, [feature.id for feature in tree.features])
+    return given_order(tree, [feature.id for feature in tree.features])
 
 
 def on_virgin_sheet(tree: FeatureTree) -> tuple[OrderStep, ...]:
@@ -280,10 +280,10 @@ def on_virgin_sheet(tree: FeatureTree) -> tuple[OrderStep, ...]:
         feature = tree.feature(waiting.pop())
         order.append(feature.id)
         waiting.extend(feature.children)
-    return given(tree, order[::-1], translated=True)
+    return given_order(tree, order[::-1], translated=True)
 
 
-def given(tree: FeatureTree, order: Sequence[int], translated: bool = False) -> tuple[OrderStep, ...]:
+def given_order(tree: FeatureTree, order: Sequence[int], translated: bool = False) -> tuple[OrderStep, ...]:
     """An order of one's own. In place, a parent must come before its children. ``translated`` allows any
     order: what is formed before its parent is formed at the level that the sheet has there at the time.
 

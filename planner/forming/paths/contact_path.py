@@ -293,7 +293,7 @@ def make_path(one: Pass, radius: float, options: PathOptions) -> ContactPath:
         return _path(one, radius, options)
     except TooNarrow as narrow:
         fits = largest(narrow, lambda smaller: _path(one, smaller, options), options.scallop or 0.0)
-        raise narrow.told(fits) from None
+        raise narrow.error(fits) from None
 
 
 def _path(one: Pass, radius: float, options: PathOptions) -> ContactPath:

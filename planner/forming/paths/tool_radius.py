@@ -272,7 +272,7 @@ class TooNarrow(Exception):  # noqa: N818
     gap: float
     fits: float
 
-    def told(self, fits: float | None) -> TandemError:
+    def error(self, fits: float | None) -> TandemError:
         """The error, with the radius [m] that a whole path was laid with, or None where none was found."""
         at = 1e3 * self.place
         what = (

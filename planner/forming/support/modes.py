@@ -86,7 +86,7 @@ def heated(
         contact = way.contact
         # where the ball waits the place that is heated goes on, and directions are steadied along that
         about = contact.centre - former.radius * way.lean.normal
-        normal = way.lean.held(steady_normals(way.lean.normal, about), TARGET_TURN)
+        normal = way.lean.nearest(steady_normals(way.lean.normal, about), TARGET_TURN)
         through = former.radius + thickness * np.clip(normal[:, 2], 0.0, 1.0)
         place = contact.centre - through[:, None] * normal
         level = one.start - thickness
@@ -112,7 +112,7 @@ def _uneven(way: Way, across: FloatArray) -> IntArray:
     line = mixed(unit[:-1], unit[1:], np.full(len(unit) - 1, 0.5))
     line /= np.linalg.norm(line, axis=1, keepdims=True)
     middle = way.middle[np.arange(1, len(unit))]
-    off = np.arccos(np.clip(dots(middle.held(line, 0.0), line), -1.0, 1.0))
+    off = np.arccos(np.clip(dots(middle.nearest(line, 0.0), line), -1.0, 1.0))
     turn = np.arccos(np.clip(dots(unit[1:], unit[:-1]), -1.0, 1.0))
     place = way.contact.centre - across
     moved = np.linalg.norm(np.diff(way.contact.centre, axis=0), axis=1)

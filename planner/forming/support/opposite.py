@@ -87,7 +87,7 @@ class Lean:
         touched and the vertical, by the ways or by the smooth face, whichever is nearer."""
         return np.minimum(*(off_fan(line, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)))
 
-    def held(self, normal: FloatArray, most: float) -> FloatArray:
+    def nearest(self, normal: FloatArray, most: float) -> FloatArray:
         """Unit ``normal`` (N, 3) turned as little as brings it within ``most`` [rad] of those touched."""
         near = [nearest_between(normal, self.ends[:, k], self.ends[:, k + 1]) for k in (0, 2)]
         nearer = dots(near[0], normal) > dots(near[1], normal)
@@ -239,7 +239,7 @@ def opposite_path(
         apart = gap + radii
         # far from the face the support goes farther than the former, in a corner by far
         about = contact.centre - radii * way.lean.normal
-        normal = way.lean.held(steady_normals(way.lean.normal, about, STEADY_TURN), TARGET_TURN)
+        normal = way.lean.nearest(steady_normals(way.lean.normal, about, STEADY_TURN), TARGET_TURN)
         steep = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         # off the face it cannot be opposite that: it is below what the ball stands on
         tilt = (1.0 - way.off) * np.maximum(steep - shift, 0.0)

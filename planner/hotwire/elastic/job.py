@@ -507,18 +507,18 @@ def _actions(op: ElasticWire, wire: Wire, route: Route) -> tuple[Action, ...]:
     chord, angles = mount_figures(route)
     last = len(route.segment) - 1
     return (
-        Action(0, "message", dialogue.WIRE.say(material=op.chosen.material, size=op.chosen.size)),
-        Action(0, "message", dialogue.MOUNT.say(cold_mm=wire.cold_length(op.chosen.length_mm))),
+        Action(0, "message", dialogue.WIRE.filled(material=op.chosen.material, size=op.chosen.size)),
+        Action(0, "message", dialogue.MOUNT.filled(cold_mm=wire.cold_length(op.chosen.length_mm))),
         Action(
             0,
             "message",
-            dialogue.CLAMPS.say(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
+            dialogue.CLAMPS.filled(apart_mm=chord * 1e3, start_deg=angles[0], end_deg=angles[1]),
         ),
-        Action(0, "confirm", dialogue.CLAMPED.say()),
+        Action(0, "confirm", dialogue.CLAMPED.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
-        Action(0, "confirm", dialogue.LOCKED.say(hot_mm=op.chosen.length_mm)),
+        Action(0, "confirm", dialogue.LOCKED.filled(hot_mm=op.chosen.length_mm)),
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.TAKEN_OFF.say()),
+        Action(last, "confirm", dialogue.TAKEN_OFF.filled()),
     )

@@ -137,7 +137,7 @@ class Screen:
         )
         return Screen(self.op, setup, faces, self.half_slot)
 
-    def look(self, own: WireFile, degrees: float) -> Sweep:
+    def sweep(self, own: WireFile, degrees: float) -> Sweep:
         """One wire along one direction."""
         op = self.op.using(own)
         wire = wires.make(own.material, own.diameter_mm, own.width_mm, own.thickness_mm, own.temperature_c)

@@ -68,7 +68,7 @@ def choose(screen: Screen, fit: Fit) -> tuple[Attempt, list[Sweep]]:
     if len(wires) * len(sweeps) == 1:  # nothing to choose
         tried = [Sweep(sweeps[0], 0.0, 0.0, 0.0, wires[0])]
     else:
-        tried = ranked([screen.look(own, degrees) for own in wires for degrees in sweeps], tol)
+        tried = ranked([screen.sweep(own, degrees) for own in wires for degrees in sweeps], tol)
     near = [s for s in tried if not s.why and s.score < _FITTED_WITHIN * tol] or [
         min(tried, key=lambda s: s.score)
     ]
@@ -139,7 +139,7 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     known = {(s.wire, s.degrees) for s in tried}
     wires = list(dict.fromkeys(s.wire for s in tried if s.wire is not None))
     wires += [w for w in screen.setup.cell.wires if w not in wires and (w.is_round or op.power_w is None)]
-    looks = [screen.look(w, d) for w in wires for d in SWEEP_ANGLES if (w, d) not in known]
+    looks = [screen.sweep(w, d) for w in wires for d in SWEEP_ANGLES if (w, d) not in known]
     made = _best(screen, fit, looks)
     if made is not None:
         which = "the same wire" if op.wire == made.op.chosen else f"{made.op.chosen}, which is at hand,"
@@ -153,8 +153,8 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
     ]
     short = [i.limit for i in issues if i.code == "wire.too_short" and i.limit]
     more = [base.model_copy(update={"length_mm": 5.0 * np.ceil(n / 5.0)}) for n in short if n <= LONGEST_MM]
-    looks = [screen.look(w, best.degrees) for w in more]
-    looks += [screen.look(w, d) for d in sweeps for w in _longer(screen, base, d)]
+    looks = [screen.sweep(w, best.degrees) for w in more]
+    looks += [screen.sweep(w, d) for d in sweeps for w in _longer(screen, base, d)]
     span = f"{min(s.length for s in looks):g} to {max(s.length for s in looks):g} mm" if looks else ""
     made = _best(screen, fit, looks, base)
     if made is not None:
@@ -171,7 +171,7 @@ def _wires(screen: Screen, fit: Fit, tried: list[Sweep], issues: list[Issue]) ->
             for f in (THINNER_FACTORS if bent else THICKER_FACTORS)
         ]
         thick = [base.model_copy(update={"diameter_mm": d}) for d in dict.fromkeys(sizes)]
-        looks = [screen.look(w, d) for d in sweeps for t in thick for w in _longer(screen, t, d, 2)]
+        looks = [screen.sweep(w, d) for d in sweeps for t in thick for w in _longer(screen, t, d, 2)]
         made = _best(screen, fit, looks, base)
         if made is not None:
             own = made.op.chosen
@@ -227,7 +227,7 @@ def _quick(side: Screen, base: WireFile, degrees: float) -> float:
         wires = _longer(side, base, degrees)[:_FIRST_LENGTHS]
         if not wires or side.shape_alone(base, degrees)[0] > side.op.shape_tol_mm * MM:
             return np.inf
-        return side.look(wires[-1], degrees).score
+        return side.sweep(wires[-1], degrees).score
     except TandemError:  # a side too sharp to be moved by half a slot, and the like
         return np.inf
 
@@ -247,7 +247,7 @@ def _half(side: Screen, fit: Fit, base: WireFile, degrees: float) -> Attempt | N
         wires = [w for w in known if w.length_mm < most] + _longer(
             side, base.model_copy(update=size | {"length_mm": 50.0}), degrees
         )
-        looks = [side.look(w, degrees) for w in wires]
+        looks = [side.sweep(w, degrees) for w in wires]
         good = [s for s in looks if not s.why and s.score < _SURE_SHARE * tol]
         for look in sorted(good, key=lambda s: s.score)[:1]:
             made = _made(side, fit, look)

@@ -22,8 +22,8 @@ from planner.hotwire.straight.order import (
     chord,
     distance_to_polyline,
     exit_length,
+    gripper_holds,
     grown,
-    holds,
     pieces_across,
     place_text,
 )
@@ -212,7 +212,7 @@ def check_holder(
     tool = setup.cell.arm(holder).tool
     outlines = [c.wanted.ruled for c in cuts if c.wanted.ruled.closed and not c.wanted.ruled.hole]
     foot = inverse(setup.stock.grip)[:3, 3]
-    if outlines and not any(holds(outline, foot) for outline in outlines):
+    if outlines and not any(gripper_holds(outline, foot) for outline in outlines):
         yield Issue(
             "stock.footprint",
             f"{op.name}: {tool.name} holds the block at {place_text(foot)}, beside {outlines[0].name}, so "

@@ -27,7 +27,7 @@ from planner.hotwire.kerf.test_cuts import HotWire
 from planner.hotwire.operation import AIR_FEED, Straight, SurfaceCut
 from planner.hotwire.straight.check import check_bow, check_cut, check_holder, check_model
 from planner.hotwire.straight.cut import Cut, make_cut
-from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted
+from planner.hotwire.straight.order import Lines, Wanted, chord, fastest, grown, wanted_surfaces
 from planner.hotwire.straight.route import Route, actions, check_drops, lay_out
 from planner.hotwire.straight.slot_check import check_driven, check_heat, check_inner, check_passed
 from planner.issues import Issue, TandemError, aggregate, has_errors
@@ -332,7 +332,7 @@ class StraightJob(Job[Straight]):
         cuts."""
         operation, setup, part = self.operation, self.setup, self.part
         bow = bow_of(operation, setup)
-        todo = wanted(operation, setup, part)
+        todo = wanted_surfaces(operation, setup, part)
         kerf, thickness = _kerf(operation, setup, bow, todo)
         return todo, kerf, thickness, _cuts(operation, setup, part, bow, todo, kerf)
 

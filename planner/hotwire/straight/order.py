@@ -243,7 +243,7 @@ def alike(one: Ruled, other: Ruled) -> bool:
     return bool(abs(_direction(one) @ _direction(other)) >= PARALLEL_COSINE)
 
 
-def holds(outline: Ruled, foot: FloatArray) -> bool:
+def gripper_holds(outline: Ruled, foot: FloatArray) -> bool:
     """Whether a gripper below the block with the middle of its face at ``foot`` (3,) [m] holds what an
     outline cuts free; true for outlines whose rulings lie rather than stand."""
     if abs(_direction(outline)[2]) < PARALLEL_COSINE:
@@ -316,7 +316,7 @@ class Wanted:
         return Segment("cut", self.name)
 
 
-def wanted(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
+def wanted_surfaces(op: Straight, setup: Setup, part: Part | None) -> list[Wanted]:
     """The surfaces to cut, in order. Raises ``TandemError``: part.missing_surface, straight.trim,
     straight.lead, problem.duplicate_name."""
     out = _listed(op, setup, part)

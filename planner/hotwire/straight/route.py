@@ -261,13 +261,13 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
     """The operator's steps and the wire's power, by target."""
     diameter, material = 2.0 * bow.radius / MM, f" {op.wire_material}".rstrip()
     if op.power_w is not None:
-        mounted = dialogue.BOW_POWER.say(diameter_mm=diameter, material=material, power_w=op.power_w)
+        mounted = dialogue.BOW_POWER.filled(diameter_mm=diameter, material=material, power_w=op.power_w)
     else:
-        mounted = dialogue.BOW_SLOT.say(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
+        mounted = dialogue.BOW_SLOT.filled(diameter_mm=diameter, material=material, kerf_mm=op.kerf_mm or 0.0)
     last = len(route.segment) - 1
     out = [
         Action(0, "message", mounted),
-        Action(0, "confirm", dialogue.TAUT.say()),
+        Action(0, "confirm", dialogue.TAUT.filled()),
         Action(0, "on", signal=op.signal),
         Action(0, "wait", seconds=op.heat_up_s),
     ]
@@ -278,7 +278,7 @@ def actions(op: Straight, bow: Bow, setup: Setup, cuts: list[Cut], route: Route)
         *out,
         Action(last, "off", signal=op.signal),
         Action(last, "wait", seconds=op.cool_down_s),
-        Action(last, "confirm", dialogue.COLD.say()),
+        Action(last, "confirm", dialogue.COLD.filled()),
     )
 
 
@@ -317,8 +317,8 @@ def _spacers(op: Straight, at: int, kerf: float) -> list[Action]:
     return [
         Action(at, "off", signal=op.signal),
         Action(at, "wait", seconds=op.cool_down_s),
-        Action(at, "message", dialogue.SPACERS.say(kerf_mm=kerf / MM)),
-        Action(at, "confirm", dialogue.SPACED.say()),
+        Action(at, "message", dialogue.SPACERS.filled(kerf_mm=kerf / MM)),
+        Action(at, "confirm", dialogue.SPACED.filled()),
         Action(at, "on", signal=op.signal),
         Action(at, "wait", seconds=op.heat_up_s),
     ]

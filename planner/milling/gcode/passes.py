@@ -114,12 +114,12 @@ def _questions(
     before ended at row ``since``, at the speed ``before``."""
     first, last = stretch
     pauses = [e.line for e in events if e.kind == "pause" and since < e.at - 1 <= first]
-    asked = [dialogue.FILE_LINE.say(line=line) for line in pauses]
+    asked = [dialogue.FILE_LINE.filled(line=line) for line in pauses]
     speed = float(path.spindle[last])
     if speed != before:
         way = dialogue.SPEED if speed > 0 else dialogue.SPEED_BACK
-        asked.append(way.say(rpm=abs(speed) * 30.0 / np.pi))
-    return dialogue.GO_ON.say(asked=", ".join(asked)) if asked else ""
+        asked.append(way.filled(rpm=abs(speed) * 30.0 / np.pi))
+    return dialogue.GO_ON.filled(asked=", ".join(asked)) if asked else ""
 
 
 def _run(

@@ -154,7 +154,7 @@ class Ladder:
             float(costs[count - 1].min()),
         )
 
-    def reached(self, blocked: FloatArray | None = None) -> BoolArray:
+    def reachable(self, blocked: FloatArray | None = None) -> BoolArray:
         """(N, S) samples that some path reaches from the first target."""
         costs, _ = self._forward(blocked)
         rows, samples, width = self._node.shape

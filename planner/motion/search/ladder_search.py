@@ -389,7 +389,7 @@ def _dead_end(
     following = possible
     if index > 0:
         check.whole(np.arange(index))
-        reached = choice.ladder().reached(check.cost())[index - 1]
+        reached = choice.ladder().reachable(check.cost())[index - 1]
         following = choice.ladder().after(index, reached) & possible
     later = None
     for i in range(index + 1, count) if not free.any() else ():

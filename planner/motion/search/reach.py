@@ -177,7 +177,7 @@ def reach(scene: Scene, targets: Targets, grid: Grid) -> dict[str, Reach]:
 def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> Reach:
     """The table of one arm; that of the last poses is remembered, as paths are searched more than once over
     the same samples."""
-    last = scene.reached.get(arm)
+    last = scene.last_reach.get(arm)
     if last is not None and last[1] == shape and np.array_equal(last[0], pose):
         found = last[2]
         if isinstance(found, Reach):
@@ -186,7 +186,7 @@ def _known(scene: Scene, arm: str, pose: FloatArray, shape: tuple[int, int]) -> 
     for rungs in found.branches.values():
         for array in (rungs.q, rungs.ok, rungs.penalty):
             array.flags.writeable = False
-    scene.reached[arm] = pose, shape, found
+    scene.last_reach[arm] = pose, shape, found
     return found
 
 

@@ -85,7 +85,7 @@ class Few:
     poses: dict[str, FloatArray]
 
     @functools.cached_property
-    def same(self) -> dict[str, tuple[IndexArray, IndexArray]]:
+    def distinct_poses(self) -> dict[str, tuple[IndexArray, IndexArray]]:
         """{arm: (rows with different poses, which of them each row has)} of arms whose frames stand: a holder
         has few poses."""
         out = {}

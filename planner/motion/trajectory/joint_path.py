@@ -270,7 +270,7 @@ class Corners:
         slope = np.diff(spline(spline.x), axis=0) * np.repeat(parts / step, parts)[:, None]
         return Corners(slope[at[1:-1] - 1], slope[at[1:-1]], step, taken)
 
-    def asked(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
+    def acceleration_shares(self, duration: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Shares (n,) of the limits ``acceleration`` (J,) that the corners ask for if the moves last
         ``duration`` (n + 1,) [s]: each is rounded by the cubic that goes on from the moves beside it, of
         which those from and to stops are ramps."""

@@ -254,7 +254,7 @@ def _piece(
         time: FloatArray = np.interp(knots, grid, profile.time)
         if len(steps) == 1:
             time[1] = max(time[1], from_stop_to_stop(spline, CORNER_SHARE * limits.acceleration))
-        asked = corners.asked(np.diff(time), limits.acceleration)
+        asked = corners.acceleration_shares(np.diff(time), limits.acceleration)
         ends = (0.0, 0.0) if len(steps) == 1 else ramps(spline, knots, np.diff(time), limits.acceleration)
         rounds += 1
         over = max([*ends, *asked]) / CORNER_SHARE

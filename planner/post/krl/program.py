@@ -65,7 +65,7 @@ def partner_lines(
 ) -> list[str]:
     """The statements of the steps; ``shown``: the panel says so while the program waits, which in a file with
     a meeting it does already."""
-    waiting = dialogue.WAITING.say(arm=partner.other)
+    waiting = dialogue.WAITING.filled(arm=partner.other)
     own = partner.handshake.of(partner.arm)
     output, given = controller.number(partner.arm, own.output), controller.number(partner.arm, own.input)
     runs = controller.number(partner.arm, own.partner_running)
@@ -171,7 +171,7 @@ class Main:
         out = [*syntax.INTERRUPT, "BAS(#INITMOV,0)", "$ADVANCE=3", "$IPO_MODE=#BASE", "$ORI_TYPE=#VAR"]
         out += [self._switch(signal, False) for signal in self.job.switched(self.task)]
         out += [*syntax.prepared(self.dialect), *syntax.robroot_check(self.task.arm.name, self.dialect)]
-        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).say()
+        clear = (dialogue.KRL_CLEAR if self.problem.setups[0].steps else dialogue.KRL_READY).filled()
         if self.partner is None:
             out += syntax.question_lines(clear, self.dialect)
         else:
@@ -263,7 +263,7 @@ class Main:
             calls.append(f"{word}()")
         self._at = operation.track.q[last - 1]
         if self.partner is not None and operation.meets[first:last].any():
-            together = dialogue.TOGETHER.say(arm=self.partner.other)
+            together = dialogue.TOGETHER.filled(arm=self.partner.other)
             return syntax.during(together, calls, self.dialect)
         return calls
 

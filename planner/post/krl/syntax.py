@@ -196,7 +196,7 @@ def robroot_check(arm: str, dialect: KrlDialect) -> list[str]:
     the sum of its angles, which no turn exceeds."""
     squares = "+".join(f"$ROBROOT.{axis}*$ROBROOT.{axis}" for axis in "XYZ")
     looked = [f"tm_shift=SQRT({squares})", f"tm_turn={'+'.join(f'ABS($ROBROOT.{a})' for a in 'ABC')}"]
-    names = dialogue.FOOT.say(arm=arm)
+    names = dialogue.FOOT.filled(arm=arm)
     if dialect == "krc2":
         shown = comment(FOOT_OLD.format(arm=arm))
         after: list[str] = []

@@ -90,7 +90,7 @@ def partner_procedures(partner: Partner, task: TaskProgram) -> dict[str, list[st
 
 def partner_unanswered(partner: Partner) -> list[str]:
     """What an error handler says of a wait that was over its time."""
-    text = write_lines(UNANSWERED.say(other=partner.other))
+    text = write_lines(UNANSWERED.filled(other=partner.other))
     return ["IF ERRNO=ERR_WAIT_MAXTIME THEN", *(f"  {line}" for line in text), "ENDIF"]
 
 
@@ -292,7 +292,7 @@ class _Task:
     def _main(self) -> list[str]:
         conf = "Off" if self.task.robot.coupling is not None else "On"
         body = [f"{rapid_data.CELL_CHECK};", "ConfJ\\On;", f"ConfL\\{conf};", "SingArea\\Off;"]
-        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).say()
+        clear = (dialogue.CLEAR if self.problem.setups[0].steps else dialogue.READY).filled()
         if self.partner is not None:
             body += [
                 *self._power_off(),
@@ -301,7 +301,7 @@ class _Task:
         elif self.task.number == 1:
             body += self._power_off()
             # also keeps a controller that repeats its program from starting over by itself
-            body += box(dialogue.HEADER, dialogue.NO_WIRE.say() if self.job.coupled else clear)
+            body += box(dialogue.HEADER, dialogue.NO_WIRE.filled() if self.job.coupled else clear)
         count = len(self.task.operations)
         body += [f"operation_{i};" for i in range(1, count + 1)]
         body += [] if self.partner is None else partner_lines(self.partner, self.partner.end())
@@ -383,9 +383,9 @@ class _Task:
 
     def _handler(self, name: str) -> list[str]:
         """Power off, then stop; the program ends there, so that no arm goes on by itself."""
-        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).say()
+        joined = (dialogue.JOINED if self.job.coupled else dialogue.ALONE).filled()
         stop = "Stop\\AllMoveTasks;" if len(self.job.tasks) > 1 and self.partner is None else "Stop;"
-        note = quoted(f"{dialogue.FAILED.say(procedure=name)} ")
+        note = quoted(f"{dialogue.FAILED.filled(procedure=name)} ")
         return [
             *self._power_off(),
             "StopMove\\Quick;",

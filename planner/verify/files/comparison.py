@@ -87,7 +87,7 @@ class _Target:
         return np.asarray(at), np.minimum(np.asarray(apart), 0.3 * self.size)
 
 
-def found(
+def aligned_pose(
     source: list[Samples],
     target: list[Samples],
     bound: FloatArray,
@@ -336,7 +336,7 @@ class Made:
     margin: float = 0.0
 
 
-def wanted(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
+def wanted_surfaces(context: Context) -> Iterator[tuple[str, str, float, float, float]]:
     """Name (or `ALL_RULED`), kind of segment, tolerance [m], share, and margin [m] left out along its edge,
     of each surface of the part that the operations are to make, from the operations alone."""
     for one in context.problem.operations:

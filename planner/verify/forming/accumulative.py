@@ -68,7 +68,7 @@ class Wanted:
         return out
 
 
-def wanted(text: str, prefer: str) -> Wanted:
+def wanted_conditions(text: str, prefer: str) -> Wanted:
     """What the table in ``text`` wants, of all solutions the one with the smallest position angle ("angle")
     or the largest gap ("gap"), the other one deciding between equals. Raises ``ValueError`` for a text that
     is no such table."""

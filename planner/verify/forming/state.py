@@ -234,7 +234,7 @@ class Formed:
         return self.balls.near(self.knots)
 
     @cached_property
-    def left(self) -> Face:
+    def remaining_face(self) -> Face:
         """The face as the ball leaves it where it reaches no nearer: with fillets of its own radius."""
         return left_by(self.face, self.claim.radius, self.claim.side, self.claim.start)
 

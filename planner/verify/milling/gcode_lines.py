@@ -215,8 +215,8 @@ def lines(words: Words, stated: ProgramFile) -> Lines:
     }
     _known(codes, rows, numbers)
     first = _stated(stated)
-    mode = {name: held_values(own, first.get(name, np.nan)) for name, own in set_by.items()}
-    speed = held_values(word["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
+    mode = {name: modal_values(own, first.get(name, np.nan)) for name, own in set_by.items()}
+    speed = modal_values(word["S"], np.nan if stated.spindle_rpm is None else stated.spindle_rpm)
     tool, spindle = _tools(word["T"], others, speed, stated, numbers)
     shifts = np.array([[0.0, 0.0, 0.0], *(shift for _, shift in stated.offsets)]) * MILLIMETRE
     places = {float(name[1:]): k for k, (name, _) in enumerate(stated.offsets, 1)}
@@ -249,7 +249,7 @@ def _dwell(asked: FloatArray, waits: BoolArray, stated: ProgramFile, numbers: In
     return np.asarray(out)
 
 
-def held_values(given: FloatArray, before: float) -> FloatArray:
+def modal_values(given: FloatArray, before: float) -> FloatArray:
     """Values (L,) that stay until another is given; NaN is none, ``before`` the first one."""
     last = np.maximum.accumulate(np.where(np.isnan(given), -1, np.arange(len(given))))
     return np.where(last >= 0, given[np.maximum(last, 0)], before) if len(given) else given
@@ -346,7 +346,7 @@ def _tools(
     spindle as the problem states it."""
     running = 1.0 if stated.spindle_rpm is not None else 0.0
     change = np.isfinite(others["change"])
-    tool = held_values(np.where(change, held_values(asked, np.nan), np.nan), 0.0)
+    tool = modal_values(np.where(change, modal_values(asked, np.nan), np.nan), 0.0)
     before = np.concatenate([[0.0], tool[:-1]])
     other = change & (tool != before)
     if stated.tool is None:
@@ -354,7 +354,7 @@ def _tools(
     way = np.where(other, running, np.nan)
     for code, value in SPINDLE_CODES.items():
         way = np.where(others["spindle"] == code, value, way)
-    way = held_values(way, running)
+    way = modal_values(way, running)
     return tool, np.where(way == 0.0, 0.0, way * speed)
 
 

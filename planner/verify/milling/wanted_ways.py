@@ -109,11 +109,11 @@ def passes(program: MillsProgram) -> tuple[Pass, ...]:
         zip((np.flatnonzero(edge > 0) - 1).tolist(), (np.flatnonzero(edge < 0) - 1).tolist(), strict=True), 1
     ):
         pauses = [line for line, at in way.pauses if before < at - 1 <= first]
-        spoken = [dialogue.FILE_LINE.say(line=line) for line in pauses]
+        spoken = [dialogue.FILE_LINE.filled(line=line) for line in pauses]
         own = float(way.spindle[last])
         if own != speed:
-            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).say(rpm=abs(own)))
-        question = dialogue.GO_ON.say(asked=", ".join(spoken)) if spoken else ""
+            spoken.append((dialogue.SPEED if own > 0.0 else dialogue.SPEED_BACK).filled(rpm=abs(own)))
+        question = dialogue.GO_ON.filled(asked=", ".join(spoken)) if spoken else ""
         rows = slice(first, last + 1)
         if _extent(way, rows) > SAME_PLACE:
             out.append(Pass(number, _part(way, rows), question))

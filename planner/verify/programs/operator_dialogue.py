@@ -356,7 +356,7 @@ class Part:
     optional: bool = False
 
 
-def wanted(context: Context) -> dict[str, list[Part]]:
+def wanted_dialogue(context: Context) -> dict[str, list[Part]]:
     """What each task should say, in order, by its name."""
     tasks = context.job.tasks
     out: dict[str, list[Part]] = {task.name: [Part(Place("start"), _start(context, task))] for task in tasks}
@@ -448,7 +448,7 @@ DIALOGUE = "verify.dialogue"
 """Code of the rule that asks for these sentences."""
 
 
-def told_choice(context: Context) -> Context:
+def chosen_groups(context: Context) -> Context:
     """The same proof with the one group of each `OneOf` that the text names at the operation's first targets.
 
     Where it names none, or more than one, the first group stands in, and ``untold`` has a fault of

@@ -338,11 +338,12 @@ def between(steps: tuple[Step, ...], count: int) -> list[list[Step]]:
     return out
 
 
-def waits(steps: list[Step]) -> float:
+def dwell_time(steps: list[Step]) -> float:
+    """Seconds that the steps wait for."""
     return sum(step.pause for step in steps if isinstance(step, WaitStep))
 
 
-def holds(steps: list[Step]) -> bool:
+def needs_standstill(steps: list[Step]) -> bool:
     """Whether the steps need the arm to stand: waits and questions to the operator, not settings."""
     return any(
         isinstance(step, WaitStep) or (isinstance(step, MessageStep) and step.confirm) for step in steps

@@ -27,7 +27,7 @@ from planner.verify.programs.program_text import segment_of_name
 from planner.verify.programs.steps import Step
 from planner.verify.replay import arm_model, inverse_kinematics, moves
 from planner.verify.replay.motion import Fault, Motion, Poses
-from planner.verify.replay.moves import Row, between, holds, make_law, make_row, waits
+from planner.verify.replay.moves import Row, between, dwell_time, make_law, make_row, needs_standstill
 
 SAMPLE_TIME = 0.004
 """Time between samples [s]."""
@@ -159,7 +159,7 @@ class _Player:
             own = 0.0
             for step in steps.get(task.name, []):
                 self.events.append((self.clock + own, number, task.name, step))
-                own += waits([step])
+                own += dwell_time([step])
             spent = max(spent, own)
         self.clock += spent
         return spent
@@ -180,9 +180,11 @@ class _Player:
                 self.events += [(self.clock, number, task.name, step) for step in stage.steps[task.name]]
         logic_steps = {task.name: between(stage.steps[task.name], count) for task in movers}
         pauses = np.array(
-            [max(waits(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+            [max(dwell_time(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
         )
-        logic = np.array([any(holds(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)])
+        logic = np.array(
+            [any(needs_standstill(logic_steps[task.name][i]) for task in movers) for i in range(count + 1)]
+        )
         fine = np.array([any(row.moves[i].zone.fine for row in rows) for i in range(count)])
         stop = np.concatenate([[True], fine | logic[1:]])
         stop[-1] = True
@@ -272,7 +274,7 @@ class _Player:
                 own = 0.0
                 for step in steps:
                     self.events.append((float(at[i]) + own, number, task.name, step))
-                    own += waits([step])
+                    own += dwell_time([step])
 
     def _play(self, row: Row, law: moves.TimeLaw, at: FloatArray, carried: _Carried | None = None) -> None:
         name = row.task.arm.name

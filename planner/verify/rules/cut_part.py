@@ -20,7 +20,7 @@ from planner.verify.result import CutFace
 from planner.verify.rules.wire import wire_issue
 from planner.verify.wire.cut_surface import Sweep, cut_face, deepest, part_obj, unreached
 from planner.verify.wire.slits import in_slit, slits
-from planner.verify.wire.walls import Walls, taken, taken_by_bent, walls
+from planner.verify.wire.walls import Walls, taken_by_bent, taken_depth, walls
 from planner.verify.wire.wire_motion import Wire, end_error, to_block
 
 
@@ -303,7 +303,7 @@ def _beside(context: Context, wires: tuple[Wire, ...], part: tuple[CutsSurface, 
     for claim, sweep in zip(context.surfaces, sweeps(context, wires), strict=True):
         if len(sweep.points) < 2:
             continue
-        take = taken if claim.segment.key in straight else taken_by_bent
+        take = taken_depth if claim.segment.key in straight else taken_by_bent
         for other in part:
             found = None if other is claim else take(claim, sweep, other, part, context.datum.box)
             if found is None:

@@ -27,7 +27,7 @@ from planner.verify.programs.operator_dialogue import (
     fit,
     spoken_steps,
     tolerance,
-    wanted,
+    wanted_dialogue,
 )
 from planner.verify.programs.operator_dialogue import sentence_text as sentence_of
 from planner.verify.programs.steps import ChoiceStep, MessageStep, SettingStep, Step, WaitStep
@@ -73,11 +73,11 @@ class Heard:
 
 
 @rule("verify.dialogue", OneOf, OperatorDialogue)
-def told_and_asked(context: Context) -> Outcome:
+def messages_and_questions(context: Context) -> Outcome:
     """The operator is told and asked what follows from the problem, word for word and figure for figure, by
     the task and at the place where it belongs, confirmed by one button, with the signals and waits between
     and every arm at rest; nothing else is shown, also in handlers."""
-    found, said = wanted(context), spoken_steps(context.job)
+    found, said = wanted_dialogue(context), spoken_steps(context.job)
     issues: list[Issue] = list(context.untold)
     for task in context.job.tasks:
         _, faults = _compared(task, found[task.name], said[task.name], found)
@@ -88,10 +88,10 @@ def told_and_asked(context: Context) -> Outcome:
 
 
 @rule("verify.dialogue_figures", OperatorDialogue)
-def told_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
+def message_figures(context: Context, wires: tuple[Wire, ...]) -> Outcome:
     """Figures that the operator is told and that follow from the motion are those of the motion: how far the
     clamps of a bent wire are apart and how it leaves them, how thick spacers are."""
-    found, said = wanted(context), spoken_steps(context.job)
+    found, said = wanted_dialogue(context), spoken_steps(context.job)
     issues: list[Issue] = []
     worst = 0.0
     for task in context.job.tasks:

@@ -160,7 +160,7 @@ def _pressed_by_table(state: SheetState, group: Sequence[Claim]) -> float:
     deep = 0.0
     for claim in group:
         if isinstance(claim, FormsByTable) and claim.segment == state.segment:
-            table = accumulative.wanted(claim.table, claim.prefer)
+            table = accumulative.wanted_conditions(claim.table, claim.prefer)
             down = table.apart(claim.thickness, sum(claim.radii), claim.give)[:, 1]
             deep = max(deep, claim.thickness - claim.projection + sum(claim.radii) - float(down.min()))
     return deep

@@ -316,7 +316,7 @@ def _all(
     face = Head.of(profile, 0.0) if former or profile[0, 0] < 0.0 else whole
     level = None if former or not held else levels(one)
     there = None if level is None else (state.side, _at_rows(one, level)[still.rows])
-    out.append(face.into(_places(one.face if former else one.left), still, state.tolerance, there))
+    out.append(face.into(_places(one.face if former else one.remaining_face), still, state.tolerance, there))
     if not former:
         out += _own_side(one, centre, max(-float(profile[0, 0]), 0.0), state, level)
     return out
@@ -337,7 +337,7 @@ def _own_side(
     first, last, off = one.pieces.first, one.pieces.last, one.pieces.off
     begin, end = np.searchsorted(one.knots, first), np.searchsorted(one.knots, last)
     step = np.linalg.norm(centre[last] - centre[first], axis=1)
-    face = one.left  # corners that the forming ball does not reach are not there
+    face = one.remaining_face  # corners that the forming ball does not reach are not there
     near = face.nearest(centre[one.knots])
     room = -state.side * near.signed
     doubt = np.flatnonzero(0.5 * (room[begin] + room[end] - step) - off < ball - state.tolerance)

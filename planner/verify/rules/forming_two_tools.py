@@ -15,7 +15,7 @@ from planner.claims.forming import FollowsOpposite, FormsByTable, SupportsBorder
 from planner.geometry.arrays import FloatArray, IntArray, dots
 from planner.issues import Issue
 from planner.verify.context import Context, Outcome, at_sample, mm, rule
-from planner.verify.forming.accumulative import Wanted, Way, wanted
+from planner.verify.forming.accumulative import Wanted, Way, wanted_conditions
 from planner.verify.forming.face import Face, Nearest
 from planner.verify.forming.state import (
     TOUCHED_WITHIN,
@@ -392,7 +392,7 @@ def by_table(context: Context, forming: Forming) -> Outcome:
             what = f"{' and '.join(claim.arms)} never form {claim.segment} together"
             issues.append(Issue("verify.adsif", what, field=str(claim.segment)))
             continue
-        table = wanted(claim.table, claim.prefer)
+        table = wanted_conditions(claim.table, claim.prefer)
         issues += _conditions(claim, table)
         off, aside, place = way.fitting(table)
         level = way.start - claim.projection + claim.radii[0]

@@ -57,7 +57,7 @@ class _Found:
     share: float = 1.0
     limit: float = 1.0
 
-    def held(self, file: str, places: int, share: float, limit: float) -> None:
+    def record(self, file: str, places: int, share: float, limit: float) -> None:
         """Count places of a file, with the share of them that is good and the one that is wanted."""
         self.looked[file] = self.looked.get(file, 0) + places
         if share - limit < self.room:
@@ -99,7 +99,7 @@ def part_file(context: Context, sweeps: Sequence[Sweep], forming: Forming, milli
 def _surfaces(context: Context, part: Any, sweeps: Sequence[Sweep], milling: Milling, found: _Found) -> None:
     """Surfaces that wires and cutters make."""
     block = np.asarray(context.problem.stock.size)
-    whole = {name for name, *_ in comparison.wanted(context)}
+    whole = {name for name, *_ in comparison.wanted_surfaces(context)}
     surfaces = stated(part, float(block[2]), not whole.isdisjoint((comparison.ALL_RULED, "edges")))
     at = _stated_place(part, surfaces, block)
     pairs = _paired(surfaces, _made(context, surfaces, sweeps, milling, found), at, found)
@@ -126,7 +126,7 @@ def _made(
     faces = ("front", "back") if part.get("front") else ()  # ruled surfaces may have these names too
     ruled = [surface.name for surface in surfaces if surface.name not in faces]
     known = {claim.segment.key: k for k, claim in enumerate(context.surfaces)}
-    for name, kind, tolerance, share, margin in comparison.wanted(context):
+    for name, kind, tolerance, share, margin in comparison.wanted_surfaces(context):
         every = [name]
         if name == comparison.ALL_RULED:
             every = ruled
@@ -229,7 +229,7 @@ def _place(
     ways = range(max(len(surface.samples) for surface, _ in pairs))
     for all_around, k in itertools.product((False, True), ways):
         source = [surface.samples[min(k, len(surface.samples) - 1)] for surface, _ in pairs]
-        at = comparison.found(source, target, bound, middle, all_around)
+        at = comparison.aligned_pose(source, target, bound, middle, all_around)
         share = [
             _Tried(surface, one, own.moved(at), at, milling).share
             for (surface, one), own in zip(pairs, source, strict=True)
@@ -277,7 +277,7 @@ class _Tried:
     def judge(self, found: _Found) -> None:
         """Tell what is found."""
         surface, one, seen = self.surface, self.one, int(self.counts.sum())
-        found.held(surface.file, seen, self.share, self.wanted)
+        found.record(surface.file, seen, self.share, self.wanted)
         fewest = FEWEST_PLACES_OF_STRIP if one.margin > 0.0 else min(FEWEST_PLACES, len(self.good))
         if seen < fewest:
             what = f"{seen} places of {surface.name} of {surface.file} were looked at, wanted: {fewest}"
@@ -328,7 +328,7 @@ def _lies_on(surface: Surface, one: Made, at: FloatArray, found: _Found) -> None
     apart[known] = comparison.off_facets(points[known], facets)
     limit, wanted = one.tolerance + surface.spare + READING_ERROR, one.share - SHARE_NOISE
     share = float((apart <= limit).mean())
-    found.held(surface.file, len(points), share, wanted)
+    found.record(surface.file, len(points), share, wanted)
     if share < wanted:
         found.issues.append(_Told(surface.file, one.segment, share, wanted, limit).issue(places, apart))
 
@@ -357,7 +357,7 @@ def _sheet(context: Context, part: Any, forming: Forming, found: _Found) -> None
     spare = READING_ERROR + sheet.tolerance
     good = (off <= allowed + spare) & (off >= -tolerance - spare)
     share = float(good.mean())
-    found.held(sheet.file, len(off), share, shares)
+    found.record(sheet.file, len(off), share, shares)
     if share < shares:
         limit = float(allowed.max())
         found.issues.append(_Told(sheet.file, segment, share, shares, limit).issue(sheet.walls, off))

@@ -219,7 +219,7 @@ def load(context: Context) -> Outcome:
                         issues.append(at_step("verify.load", what, task, step, "GripLoad load0 first"))
                         known = None
     return Outcome(
-        tuple(issues), where="" if any(s.holds for s in context.setup_claims) else "nothing is held"
+        tuple(issues), where="" if any(s.stock_holders for s in context.setup_claims) else "nothing is held"
     )
 
 

@@ -30,7 +30,7 @@ from planner.verify.programs.steps import (
     Step,
     WaitStep,
 )
-from planner.verify.replay.moves import between, waits
+from planner.verify.replay.moves import between, dwell_time
 
 POWER_IDLE = "verify.power_idle"
 """Code of the rule about power before anything moves."""
@@ -153,12 +153,12 @@ class _Walk:
                 power.on = bool(step.value)
             elif power.on:
                 self._endless(slot, switches, step)
-            now += waits([step])
+            now += dwell_time([step])
         if power.on:
             for name, steps in slot.steps.items():
                 for step in steps if name != switches else ():
                     self._endless(slot, name, step)
-            power.spent += max(waits(list(steps)) for steps in slot.steps.values()) - since
+            power.spent += max(dwell_time(list(steps)) for steps in slot.steps.values()) - since
             self._judge(slot)
         if slot.moved:
             power.by, power.spent = "", 0.0
@@ -391,4 +391,4 @@ def _moves(step: Step) -> bool:
 def _busy(task: TaskText) -> float:
     """How long [s] a task moves and waits by what it states."""
     moves = sum(step.time or 0.0 for step in task.steps if isinstance(step, MoveStep))
-    return moves + waits([step for step in task.steps if isinstance(step, WaitStep)])
+    return moves + dwell_time([step for step in task.steps if isinstance(step, WaitStep)])

@@ -18,7 +18,7 @@ from planner.verify.context import FEED_SLACK, Context, Outcome, Phase, at_sampl
 from planner.verify.job import TaskText
 from planner.verify.programs.steps import MessageStep, MoveStep, SignalStep, Step, WaitStep
 from planner.verify.replay.motion import steps_across
-from planner.verify.wire.wire_motion import Wire, held_lengths
+from planner.verify.wire.wire_motion import Wire, end_distances
 
 MOST_RESIDUAL = 1e-6
 """A wire's shape is in balance where no residual of its equations is larger than this."""
@@ -39,7 +39,7 @@ def wire_length(context: Context, wires: tuple[Wire, ...]) -> Outcome:
             continue
         if wire.path is None or wire.phase is None or not isinstance(claim, WireJoins):
             continue
-        share = held_lengths(context, wire.phase) / claim.length
+        share = end_distances(context, wire.phase) / claim.length
         worst = max(worst, float(share.max()))
         if share.max() >= TAUT_SHARE:
             message = (

@@ -199,7 +199,7 @@ class Taken:
     half: float
 
 
-def taken(
+def taken_depth(
     claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
 ) -> Taken | None:
     """What the slot of a cut takes from another surface of the part inside the block (2, 3), beyond that
@@ -252,8 +252,8 @@ def taken(
 def taken_by_bent(
     claim: CutsSurface, sweep: Sweep, other: CutsSurface, part: tuple[CutsSurface, ...], block: FloatArray
 ) -> Taken | None:
-    """As :func:`taken`, by a bent wire: where its points come nearer to the other surface than half their
-    slot, or pass through it from one look to the next.
+    """As :func:`taken_depth`, by a bent wire: where its points come nearer to the other surface than half
+    their slot, or pass through it from one look to the next.
 
     Where a point is outside of the surface that it cuts, what the slot reaches is outside of the part, or on
     this side of that surface; so what counts is beyond the rim of that surface, or deep below it.

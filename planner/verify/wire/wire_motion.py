@@ -115,7 +115,7 @@ def follow_wire(context: Context, phase: Phase) -> Wire:
     if not len(rows) or missing:
         fault = f"no program for arm {missing[0]}" if missing else "the wire is never moved"
         return _lost(context, phase, rows[:0], fault)
-    farthest = float(held_lengths(context, phase).max())
+    farthest = float(end_distances(context, phase).max())
     if farthest >= claim.length:
         fault = f"its ends are {farthest * 1e3:.3f} mm apart; it is {claim.length * 1e3:.3f} mm long"
         return _lost(context, phase, rows[:0], fault)
@@ -218,7 +218,7 @@ def to_block(points: FloatArray, stock: Stock) -> FloatArray:
     return np.asarray(np.where(outside > 0.0, outside, over.max(axis=-1)))
 
 
-def held_lengths(context: Context, phase: Phase) -> FloatArray:
+def end_distances(context: Context, phase: Phase) -> FloatArray:
     """Distance (S,) [m] of the two ends at every sample of a phase."""
     a, b = (context.motion.tcp[arm].place[samples(context, phase)] for arm in phase.claim.arms)
     return np.asarray(np.linalg.norm(a - b, axis=1))
