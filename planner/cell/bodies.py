@@ -238,12 +238,13 @@ EDGE_FILTERED: Final = {
     "link_6": "the edge is fixed to the flange",
     "link_5": "kept apart by the robot's own build",
 }
+"""Why an arm's own edge is not held apart from these bodies of the arm."""
 HELD_FILTERED: Final = {
     "tool": "the block is held by the tool",
     "link_6": "the block is fixed to the flange",
     "link_5": "of one arm and always near each other",
 }
-"""Why an arm's own edge, and a block that it holds, are not held apart from these bodies of the arm."""
+"""Why a block that an arm holds is not held apart from these bodies of the arm."""
 
 BUILT_APART: Final = frozenset({(0, 2), (1, 3), (2, 4), (3, 5), (4, 6), (5, 7)})
 """Places in the chain of pairs two joints apart whose solids, fatter than the real links, would touch."""

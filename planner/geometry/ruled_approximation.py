@@ -200,7 +200,7 @@ _RULINGS_PER_STRIP: Final = 240
 _SAME_FOLD: Final = 2e-5
 """Folds of two curves that differ by less of the parameter are on one ruling."""
 KINK_ANGLE: Final = 2.0 * DEG
-"""A curve that turns by more than this at one edge between facets has a kink there."""
+"""A curve that turns by more than this [rad] at one edge between facets has a kink there."""
 SMOOTH_FACET_LENGTH: Final = 3e-3
 """[m] facets shorter than this stand for a smooth surface."""
 

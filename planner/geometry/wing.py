@@ -246,8 +246,10 @@ WIDEST_TRAILING_EDGE: Final = 0.10
 """Widest trailing edge, per chord; a larger gap means that points are missing."""
 _MAX_SECTION_BYTES: Final = 2_000_000
 """Files of sections larger than this [bytes] are refused unread."""
-_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
-_PAIR: Final = re.compile(rf"^\s*\(?\s*({_NUMBER})[\s,;]+({_NUMBER})\s*\)?\s*$")
+_COORDINATE: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+"""A number, perhaps with an exponent as in Fortran."""
+_COORDINATE_PAIR: Final = re.compile(rf"^\s*\(?\s*({_COORDINATE})[\s,;]+({_COORDINATE})\s*\)?\s*$")
+"""A line with the two coordinates of a point."""
 
 
 def read_airfoil(path: Path, field: str) -> tuple[FloatArray, list[Issue]]:
@@ -287,7 +289,7 @@ def _numbers(path: Path, field: str) -> FloatArray:
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        pair = _PAIR.match(line)
+        pair = _COORDINATE_PAIR.match(line)
         if pair is None:
             if found and remark is None:
                 remark = number, line.strip()[:40]

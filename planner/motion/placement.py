@@ -60,7 +60,7 @@ SIDE_UP_TURNS: Final = np.array(
 """Turns [rad] that bring each of a held block's six sides up."""
 
 ENOUGH_MARGIN_RAD: Final = np.deg2rad(40.0)
-"""Margins wider than this count no more."""
+"""Margins wider than this [rad] count no more."""
 
 ROUND_POSITION_M: Final = 0.005
 """[m] round figures of a place: positions are multiples of this,"""

@@ -31,9 +31,10 @@ SAME_SHAPE: Final = 1e-6
 """Relative poses of the TCPs that differ by less [m, rad] count as the same."""
 
 LIFTS_M: Final = (0.1, 0.2, 0.3, 0.45, 0.6)
+"""Heights [m] by which a pair of tools is lifted between cuts, smallest first."""
 MOST_TURN_RAD: Final = np.deg2rad(1.0)
-"""A turn of the pair is cut into moves of at most this angle, since straight moves of both ends shorten the
-pair."""
+"""A turn of the pair is cut into moves of at most this angle [rad], since straight moves of both ends
+shorten the pair."""
 
 CHECK_SPACING_M: Final = 0.02
 """Distance [m] between checks along a transit move."""

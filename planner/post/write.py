@@ -72,7 +72,10 @@ def controller_texts(job: Job, plan: Plan, problem: Problem) -> dict[str, str]:
     return out
 
 
-_ALONE: Final = "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+_ONE_CONTROLLER_HINT: Final = (
+    "one controller for both arms (sync: multimove) is ABB's; KUKA arms have one each"
+)
+"""Said where arms that are not ABB's shall have one controller."""
 
 
 def used(problem: Problem, made: Sequence[Targets]) -> list[Arm]:
@@ -94,7 +97,7 @@ def controller_refusals(problem: Problem, made: Sequence[Targets]) -> tuple[Issu
     if together and any(map(speaks_krl, arms)) and problem.cell.controller.sync != "handshake":
         names = " and ".join(f"{arm.name} ({arm.robot})" for arm in arms)
         hint = "set controller: {sync: handshake} and wire two outputs each way, or take ABB robots for both"
-        return (Issue("post.controller", f"{names} cannot move together: {_ALONE}", hint=hint),)
+        return (Issue("post.controller", f"{names} cannot move together: {_ONE_CONTROLLER_HINT}", hint=hint),)
     issues = []
     for arm in filter(speaks_krl, arms):
         wanted = _signals(problem, made, arm, together)

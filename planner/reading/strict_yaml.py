@@ -29,8 +29,9 @@ MAX_VALUES = 500_000
 """At most so many values in a file, aliases written out: a few lines of them can stand for billions."""
 MAX_DEPTH = 50
 """Mappings and lists inside one another at most: deeper ones would exhaust the stack."""
-_TOO_MANY = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
-_TOO_DEEP = f"is nested more than {MAX_DEPTH} deep; write it flatter"
+_TOO_MANY_VALUES = f"has over {MAX_VALUES} values; put meshes and point lists into files of their own"
+_TOO_DEEPLY_NESTED = f"is nested more than {MAX_DEPTH} deep; write it flatter"
+"""What is said of files beyond these two limits."""
 PLAIN_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "seq", "map", "merge")
 }
@@ -110,7 +111,7 @@ def read(path: Path) -> Document:
     except OSError as error:
         raise _not_yaml(name, f"cannot be read: {error.strerror}; see to its permissions") from error
     except RecursionError as error:
-        raise _not_yaml(name, _TOO_DEEP) from error
+        raise _not_yaml(name, _TOO_DEEPLY_NESTED) from error
     except (
         yaml.YAMLError,
         ValueError,
@@ -158,7 +159,7 @@ def _refuse_too_large(text: str, name: str) -> None:
             depth += isinstance(event, yaml.CollectionStartEvent)
         if nodes > 2 * MAX_VALUES or depth > MAX_DEPTH:
             line = event.start_mark.line + 1 if event.start_mark else None
-            raise _not_yaml(name, _TOO_DEEP if depth > MAX_DEPTH else _TOO_MANY, line)
+            raise _not_yaml(name, _TOO_DEEPLY_NESTED if depth > MAX_DEPTH else _TOO_MANY_VALUES, line)
 
 
 def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
@@ -173,7 +174,7 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
         if id(node) in open_nodes:
             raise _not_yaml(name, "has an alias that contains itself; write the values out", line)
         if depth > MAX_DEPTH:
-            raise _not_yaml(name, _TOO_DEEP, line)
+            raise _not_yaml(name, _TOO_DEEPLY_NESTED, line)
         if node.tag not in PLAIN_TAGS:
             raise _not_yaml(name, f"has a value with the tag {node.tag!r}; write plain values", line)
         if isinstance(node, yaml.ScalarNode):
@@ -199,7 +200,7 @@ def _refuse_what_is_not_plain(root: yaml.Node, name: str) -> None:
         total = 1 + sum(size(child, depth + 1) for child in children)
         open_nodes.remove(id(node))
         if total > MAX_VALUES:
-            raise _not_yaml(name, _TOO_MANY, line)
+            raise _not_yaml(name, _TOO_MANY_VALUES, line)
         sizes[id(node)] = total
         return total
 

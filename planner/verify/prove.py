@@ -68,7 +68,8 @@ TEXT_RULES: _RuleTable = (
     text.digest,
 )
 """Rules about the text alone."""
-_OF_TEXT = frozenset(rule.code for rule in TEXT_RULES)
+_TEXT_CODES = frozenset(rule.code for rule in TEXT_RULES)
+"""Codes of rules that need no motion."""
 ROBOT_RULES: _RuleTable = (robot_motion.robot_model,)
 """Rules about the robots' data."""
 TASK_RULES: _RuleTable = (
@@ -194,7 +195,7 @@ NEEDED_RULES = (
 )
 """What must hold for a motion to follow from the text."""
 
-_ALL = (
+_ALL_RULES = (
     *(
         TEXT_RULES,
         ROBOT_RULES,
@@ -207,14 +208,15 @@ _ALL = (
     ),
     *(MILLED_RULES, MILLING_RULES, WIRE_RULES, OTHER_RULES),
 )
-RULE_CODES: tuple[str, ...] = tuple(rule.code for table in _ALL for rule in table)
+"""All rules, in the order in which they run."""
+RULE_CODES: tuple[str, ...] = tuple(rule.code for table in _ALL_RULES for rule in table)
 """Codes of all rules."""
 
-RULE_TITLES: Mapping[str, str] = {rule.code: rule.title for table in _ALL for rule in table}
+RULE_TITLES: Mapping[str, str] = {rule.code: rule.title for table in _ALL_RULES for rule in table}
 """What each rule asks, by code."""
 PROVEN_BY: Final[Mapping[type, tuple[str, ...]]] = {
-    kind: tuple(rule.code for table in _ALL for rule in table if kind in rule.proves)
-    for kind in dict.fromkeys(kind for table in _ALL for rule in table for kind in rule.proves)
+    kind: tuple(rule.code for table in _ALL_RULES for rule in table if kind in rule.proves)
+    for kind in dict.fromkeys(kind for table in _ALL_RULES for rule in table for kind in rule.proves)
 }
 """The rules that prove each kind of claim."""
 
@@ -369,7 +371,7 @@ class _Run:
         return text.marks(self.context.job)
 
     def add(self, code: str, outcome: Outcome) -> None:
-        at_moves = code not in _OF_TEXT
+        at_moves = code not in _TEXT_CODES
         self.issues += [
             text.with_pendant_cause(self._changed, with_remedy(issue))
             if at_moves

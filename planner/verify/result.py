@@ -186,19 +186,20 @@ def _peaks(values: FloatArray, rows: IntArray) -> FloatArray:
     return np.asarray(np.where(high > -low, high, low))
 
 
-SHOWN_CURVES: dict[str, str] = {
+SHOWN_RESULTS: dict[str, str] = {
     "verify.clearance": "clearance",
     "verify.joint_limits": "joint limits",
     "verify.joint_speed": "joint speed",
     "verify.singularity": "singularity",
     "verify.surface": "cut surface",
 }
+"""Rules whose results a person at the robot is shown, with their names there."""
 
 
 def text(proof: Proof) -> dict[str, str]:
     """Results of the rules that a person at the robot asks for: {name: "worst (limit)"}."""
     out = {}
-    for code, name in SHOWN_CURVES.items():
+    for code, name in SHOWN_RESULTS.items():
         rule = next((r for r in proof.rules if r.code == code), None)
         if rule is not None and rule.worst is not None:
             limit = "" if rule.limit is None else f", allowed {rule.limit:.4g} {rule.unit}"

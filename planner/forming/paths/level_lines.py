@@ -30,7 +30,7 @@ from planner.units import DEG
 _SAME_PLACE: Final = 1e-7
 """Places of a line nearer than this [m], with the same normal, are one."""
 _SAME_NORMAL: Final = 1e-4
-"""Unit normals that differ by less are the same."""
+"""Unit normals whose difference is shorter than this [-] are the same."""
 _FAN_STEP: Final = np.radians(2.0)
 """Step [rad] of the normals between which a ball rolls over a crease at one place."""
 _LEAST_LOOP: Final = 2e-4

@@ -34,11 +34,12 @@ BENT_TOO_SHARPLY: Final = "bent too sharply"
 """Why a wire cannot be there: a thinner one could."""
 WOULD_SNAP: Final = "it would snap"
 """Why a wire cannot be there: its shape is not stable."""
-_WAVES = 3  # a clamped elastica with so many inflections is never stable (Sachkov, arXiv 0705.1003)
+_UNSTABLE_INFLECTIONS = 3
+"""A clamped elastica with so many inflections is never stable (Sachkov, arXiv 0705.1003)."""
 _PROBE_SECTIONS = 9
 """Sections by which a direction is judged before the whole face is fitted."""
 _HOPELESS = 1.5  # times the tolerance: shapes this far off are not looked at any further
-_WORST = 1.0  # m: stands for a shape that cannot be held at all
+_NO_SHAPE = 1.0  # m: stands for a shape that cannot be held at all
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,10 +147,10 @@ class Screen:
         cuts = self._sections(self.half_slot(op), degrees, op.is_normal)
         longest = max(float(sections.length.max()) for _, sections, _ in cuts)
         if longest + 2.0 * margin > length:
-            return Sweep(degrees, _WORST, _WORST, longest, own, 2.0 * _WORST, "too short")
+            return Sweep(degrees, _NO_SHAPE, _NO_SHAPE, longest, own, 2.0 * _NO_SHAPE, "too short")
         alone = self.shape_alone(own, degrees)[0]
         if self._snaps[(self.half_slot(op), degrees, op.is_normal)]:
-            return Sweep(degrees, alone, _WORST, longest, own, 2.0 * _WORST, WOULD_SNAP)
+            return Sweep(degrees, alone, _NO_SHAPE, longest, own, 2.0 * _NO_SHAPE, WOULD_SNAP)
         if alone > _HOPELESS * op.shape_tol_mm * MM:
             return Sweep(degrees, alone, hold, longest, own, alone)
         gravity = wire.load * self.setup.stock.gravity
@@ -164,9 +165,11 @@ class Screen:
             bare = float(np.quantile(np.abs(got.residual), op.share))
             if bare > _HOPELESS * op.shape_tol_mm * MM:
                 return Sweep(degrees, shape, hold, longest, own, bare)
-            feel = np.minimum(end_sensitivity(made, got.foot[:, [0, -1]]).ends * op.end_error_mm * MM, _WORST)
+            feel = np.minimum(
+                end_sensitivity(made, got.foot[:, [0, -1]]).ends * op.end_error_mm * MM, _NO_SHAPE
+            )
             sag, _ = heavy.sag_out_of_plane(made, load[:, 2], wire.section)
-            off = np.abs(got.residual) + (lean * np.minimum(sag, _WORST) + feel)[:, None]
+            off = np.abs(got.residual) + (lean * np.minimum(sag, _NO_SHAPE) + feel)[:, None]
             hold = max(hold, float(feel.max()))
             alls = max(alls, float(np.quantile(off, op.share)))
             ends = np.stack([made.start, made.end], axis=1)
@@ -195,7 +198,7 @@ class Screen:
                 full = sections.length > 0.5 * sections.length.max()
                 fitted = fit_curves(sections.points[full])
                 off = max(off, float(np.quantile(np.abs(fitted.residual), op.share)))
-                snaps = snaps or bool((_inflections(fitted) >= _WAVES).any())
+                snaps = snaps or bool((_inflections(fitted) >= _UNSTABLE_INFLECTIONS).any())
             self._alone[key], self._snaps[key] = (off, longest), snaps
         return self._alone[key]
 

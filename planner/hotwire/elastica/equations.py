@@ -145,6 +145,7 @@ class Flow:
 
     @property
     def count(self) -> int:
+        """Nodes along each wire."""
         return int(self.theta.shape[1])
 
     def at(self, sigma: FloatArray) -> FloatArray:

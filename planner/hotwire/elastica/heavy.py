@@ -22,7 +22,7 @@ from planner.hotwire.elastica.fit import TAIL_WEIGHT, fit_curves
 from planner.issues import Issue, TandemError
 
 _ACCEPT = 1e-9  # of the length
-_STEPS = 12  # from a guess to clamps that Newton does not reach at once
+_HOMOTOPY_STEPS = 12  # from a guess to clamps that Newton does not reach at once
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,11 @@ class HeavyShape:
 
     @property
     def stable_in_plane(self) -> BoolArray:
+        """Whether (B,) wires keep their shape in its plane."""
         return self.margin_in_plane > clamped.STABLE
 
     def stable_out_of_plane(self, section: Section) -> BoolArray:
+        """Whether (B,) wires of a ``section`` stay in their plane."""
         return self.margin_out_of_plane(section) > clamped.STABLE
 
     def flow(self, count: int | None = None) -> Flow:
@@ -150,7 +152,9 @@ def solve(
     middle = _follow(length, start, end, weight, guess_params, steps=1)
     late = np.flatnonzero(np.isnan(middle[:, 0]))
     if late.size:
-        middle[late] = _follow(length[late], start[late], end[late], weight[late], guess_params[late], _STEPS)
+        middle[late] = _follow(
+            length[late], start[late], end[late], weight[late], guess_params[late], _HOMOTOPY_STEPS
+        )
     ok = np.isfinite(middle[:, 0])
     shape = _with_gaps(middle, length, weight, n, ok)
     if strict and not ok.all():

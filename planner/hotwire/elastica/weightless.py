@@ -96,6 +96,7 @@ class Shape:
 
     @property
     def stable_in_plane(self) -> BoolArray:
+        """Whether (...,) wires keep their shape in its plane."""
         return self.ok & (np.nan_to_num(self.margin_in_plane, nan=-1.0) > clamped.STABLE)
 
     def margin_out_of_plane(self, section: Section) -> FloatArray:
@@ -104,6 +105,7 @@ class Shape:
         return np.asarray(clamped.out_of_plane(theta, k, force, length, section).reshape(self.length.shape))
 
     def stable_out_of_plane(self, section: Section) -> BoolArray:
+        """Whether (...,) wires of a ``section`` stay in their plane."""
         return self.ok & (np.nan_to_num(self.margin_out_of_plane(section), nan=-1.0) > clamped.STABLE)
 
     def _quadrature(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

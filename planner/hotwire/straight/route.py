@@ -33,7 +33,7 @@ from planner.tooling import Bow
 from planner.units import MM
 
 SAME_DIRECTION: Final = np.deg2rad(0.5)
-"""Directions that differ by less need no place to turn."""
+"""Directions that differ by less [rad] need no place to turn."""
 NEARER_ROOM: Final = 1e-4
 """[m] a way may come nearer to the block by this than its ends are."""
 BELOW_FACTOR: Final = 10.0

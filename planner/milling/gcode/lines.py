@@ -106,24 +106,27 @@ CODES_WITH_AXES: Final = frozenset({"G10", "G28", "G30", "G52", "G53", "G92"})
 ARGUMENT_LETTERS: Final = "DEHLPQ"
 """Words that belong to codes; beside one that is not carried out they are passed over with it."""
 
-_CYCLE = "canned cycles are not carried out; let the CAM system write them as moves"
-_OFFSET = "places of the file are stated in the problem (origin, offsets); take it out"
-_HOME = "the robot goes home its own safe way; take the line out, or name the code in skip"
-_COMP = "the radius of the tool is not offset here; let the CAM system write the path of the tip"
-_MODE = "how exactly corners are passed is for the problem's tolerances to say; name it in skip"
-_COOLANT = "no signal is known for coolant; name it in skip and switch it by hand"
-_SPLINE = "only straight moves and arcs are read; let the CAM system write these"
-_CALL = "subprograms and variables are not read; let the CAM system write one plain program"
+_CYCLE_REASON = "canned cycles are not carried out; let the CAM system write them as moves"
+_OFFSET_REASON = "places of the file are stated in the problem (origin, offsets); take it out"
+_HOME_REASON = "the robot goes home its own safe way; take the line out, or name the code in skip"
+_COMPENSATION_REASON = (
+    "the radius of the tool is not offset here; let the CAM system write the path of the tip"
+)
+_PATH_MODE_REASON = "how exactly corners are passed is for the problem's tolerances to say; name it in skip"
+_COOLANT_REASON = "no signal is known for coolant; name it in skip and switch it by hand"
+_SPLINE_REASON = "only straight moves and arcs are read; let the CAM system write these"
+_SUBPROGRAM_REASON = "subprograms and variables are not read; let the CAM system write one plain program"
+"""Why codes of each kind are refused, and what to do."""
 
 REFUSALS: Final[dict[str, str]] = {
-    **{f"G{n}": _CYCLE for n in (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)},
-    **dict.fromkeys(("G10", "G52", "G92"), _OFFSET),
-    **dict.fromkeys(("G53", "G28", "G30"), _HOME),
-    **dict.fromkeys(("G41", "G42"), _COMP),
-    **dict.fromkeys(("G61", "G64"), _MODE),
-    **dict.fromkeys(("M7", "M8", "M9"), _COOLANT),
-    **dict.fromkeys(("G5", "G5.1", "G5.2", "G6.2"), _SPLINE),
-    **dict.fromkeys(("G65", "G66", "M98", "M99"), _CALL),
+    **{f"G{n}": _CYCLE_REASON for n in (73, 74, 76, 81, 82, 83, 84, 85, 86, 87, 88, 89)},
+    **dict.fromkeys(("G10", "G52", "G92"), _OFFSET_REASON),
+    **dict.fromkeys(("G53", "G28", "G30"), _HOME_REASON),
+    **dict.fromkeys(("G41", "G42"), _COMPENSATION_REASON),
+    **dict.fromkeys(("G61", "G64"), _PATH_MODE_REASON),
+    **dict.fromkeys(("M7", "M8", "M9"), _COOLANT_REASON),
+    **dict.fromkeys(("G5", "G5.1", "G5.2", "G6.2"), _SPLINE_REASON),
+    **dict.fromkeys(("G65", "G66", "M98", "M99"), _SUBPROGRAM_REASON),
     "G70": "inches are G20; write that",
     "G71": "millimetres are G21; write that",
 }

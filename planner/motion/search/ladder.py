@@ -21,8 +21,8 @@ from planner.motion.arm_kinematics import FULL_TURN, Chain
 from planner.motion.search.reach import Grid, Rungs
 
 LARGEST_STEP = np.deg2rad(100.0)
-"""A joint that would move more than this in one linear move has changed its branch, whatever its number says.
-"""
+"""A joint that would move more than this [rad] in one linear move has changed its branch, whatever its
+number says."""
 
 TIE_SHARE = 0.02
 """Weight of the motion of all joints together against that of the slowest: it settles ties."""

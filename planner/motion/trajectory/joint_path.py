@@ -24,8 +24,8 @@ from planner.targets import Targets
 from planner.units import MM
 
 JOINT_STEP_RAD: Final = np.deg2rad(2.0)
-"""A move that turns a joint farther than this gets samples of its own, since a line in space bends in the
-joints."""
+"""A move that turns a joint farther than this [rad] gets samples of its own, since a line in space bends in
+the joints."""
 
 MOST_MOVE_SAMPLES: Final = 24
 """Samples of one move at most."""
@@ -309,6 +309,7 @@ class CornerConstraint(LinearConstraint):  # type: ignore[misc]
         self.identical = True
 
     def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *args: Any) -> tuple[Any, ...]:
+        """Coefficients (a, b, c, F, g, u, x) of toppra: F (a u + b x + c) <= g."""
         return self._slope, self._bend, np.zeros_like(self._slope), self._rows, self._most, None, None
 
 

@@ -38,7 +38,8 @@ from planner.motion.trajectory.joint_path import (
 from planner.targets import FEED_SHARE
 
 RELAXATION: Final = 1e-4
-"""Without it fine grids are reported as infeasible (drake 20619, 21381); not every release offers it."""
+"""Relaxation of TOPPRA's constraints: without it fine grids are reported as infeasible (drake 20619, 21381);
+not every release offers it."""
 
 GRID_STRIDES: Final = (1, 2, 4, 8)
 """Every so many points of a grid are taken, in this order, until TOPPRA finds a solution."""

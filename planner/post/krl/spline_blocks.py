@@ -65,6 +65,7 @@ _HERMITE: Final = np.array(
 )
 """Coefficients of what slopes and curvatures at the two ends of a move add to it."""
 _POWERS: Final = _CURVE_GRID ** np.arange(6)[:, None]
+"""(6, G) powers of the places of the grid."""
 _CURVE_VALUES: Final = _HERMITE @ _POWERS
 """(4, G) what these coefficients add to a curve's places."""
 _CURVE_RATES: Final = (_HERMITE[:, 1:] * np.arange(1, 6)) @ _POWERS[:5]

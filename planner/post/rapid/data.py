@@ -204,6 +204,7 @@ def _loads(task: TaskProgram) -> list[str]:
 CELL_CHECK = "check_cell"
 """Name of the procedure that holds the cell's set-up against the problem."""
 _AXES = "xyz"
+"""Components of a position."""
 
 
 def check_procedures(task: TaskProgram, job: Job, plan: Plan, tools: Tools, robot: str) -> list[str]:

@@ -127,6 +127,7 @@ def _step(partner: Partner, step: PartnerStep) -> list[str]:
 NameArray = NDArray[np.str_]
 
 _INDENT = "  "
+"""One level of indentation."""
 _PROC_BYTES = 1500
 """Bytes of a procedure without its moves."""
 _CALL_BYTES = 20

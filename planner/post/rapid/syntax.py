@@ -37,14 +37,15 @@ BOX_LINES: Final = 5
 UNUSED_AXES: Final = "[9E9,9E9,9E9,9E9,9E9,9E9]"
 """External axes that are not there."""
 
-_WORDS: Final = """
+_RESERVED_TEXT: Final = """
 alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
 endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module
 nostepin not noview or pers proc raise readonly record retry return step sysmodule task test then to
 trap true trynext undo var viewonly while with xor load stop set reset main tool0 wobj0 fine load0 errno
 high low edge pi intno
 """
-RESERVED: Final = frozenset(_WORDS.split())
+"""Words that no name may be."""
+RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Reserved words of the language and built-in names that a label could be taken for."""
 
 

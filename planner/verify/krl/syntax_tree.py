@@ -208,7 +208,7 @@ NAME_LENGTH: Final = 24
 LINE_LENGTH: Final = 200
 """Longest line that is read [characters]."""
 
-_WORDS = """
+_RESERVED_TEXT = """
 and b_and b_exor b_not b_or bool brake c_dis c_ori c_ptp c_spl c_vel case channel char circ circ_rel const
 continue ccontinue cwrite decl def default defdat defdt deffct delay distance do else end enddat endfct endfor
 endif endloop endspline endswitch endwhile enum exit exor ext extfct fals false for frame global goto halt if
@@ -219,7 +219,8 @@ tool_data base_data main bas ir_stopm krlmsg_t krlmsgpar_t krlmsgopt_t krlmsgdlg
 exists_krlmsg exists_krldlg clear_krlmsg tm_msg tm_par tm_opt tm_key tm_ticket tm_state tm_answer tm_gone
 tm_shift tm_turn
 """
-RESERVED: Final = frozenset(_WORDS.split())
+"""Words that no name may be."""
+RESERVED: Final = frozenset(_RESERVED_TEXT.split())
 """Words of the language, names of its own routines and types, and those of our variables."""
 
 

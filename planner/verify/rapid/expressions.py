@@ -207,6 +207,7 @@ def aggregate(cursor: Cursor, longest: int, depth: int) -> Expr:
 
 
 _DECODER = json.JSONDecoder()
+"""Reads text of brackets and numbers fast."""
 
 
 def number_list(text: str, start: int) -> tuple[list[Any], int] | None:

@@ -114,10 +114,12 @@ class Runner(Evaluator):
     # ---- statements ----
 
     def block(self, statements: Sequence[Statement]) -> None:
+        """Runs statements one after the other."""
         for statement in statements:
             self.statement(statement)
 
     def statement(self, statement: Statement) -> None:
+        """Runs one statement; what it does is appended to ``steps``."""
         self._spend(statement, 5 if isinstance(statement, Move) else 1)
         match statement:
             case Move():

@@ -110,7 +110,7 @@ def build(kind: str, items: Any) -> Value:
         except (TypeError, ValueError, OverflowError):
             pass  # the walk below finds what is wrong and says so
     conform(kind, items, kind)
-    convert = _CONVERT.get(kind)
+    convert = _CONVERTERS.get(kind)
     return convert(items) if convert else items
 
 
@@ -187,7 +187,7 @@ def _zone(items: Any) -> Zone:
     return Zone(fine, *lengths, math.radians(angle), linear * 1e-3, math.radians(rotary))
 
 
-_CONVERT: dict[str, Callable[[Any], Value]] = {
+_CONVERTERS: dict[str, Callable[[Any], Value]] = {
     "num": float,
     "pos": _pos,
     "orient": singles,
@@ -201,6 +201,7 @@ _CONVERT: dict[str, Callable[[Any], Value]] = {
     "zonedata": _zone,
     "tasks": lambda items: items[0],
 }
+"""What makes a value of each type from parsed data."""
 
 _UNIT_POSE = [[0, 0, 0], [1, 0, 0, 0]]
 """The pose that moves nothing."""

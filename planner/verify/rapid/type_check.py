@@ -38,6 +38,7 @@ from planner.verify.rapid.syntax_tree import (
 _SIGNAL_TYPES = ("signaldo", "signaldi")
 """Types of signals."""
 _MOVE_OPTIONS = ("id", "time", "velocity", "wobj")
+"""Fields of a move whose types are checked: numbers, and the work object."""
 
 
 class Checker:

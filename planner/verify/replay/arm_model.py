@@ -347,7 +347,8 @@ MODEL_AGREEMENT: Final = 1e-8
 """How far catalogue and URDF may differ, in m, rad and rad/s: files round to 1e-9."""
 REINSTALL_HINT: Final = "install tandem-planner again, or restore the file"
 """What to do where robot data do not agree."""
-_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+_LINK_LENGTHS: Final = ("a1", "a2", "b", "c1", "c2", "c3", "c4")
+"""Lengths of an arm with a spherical wrist, as the catalogue names them."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -388,7 +389,7 @@ def differences(machine: Machine) -> list[str]:
     shape, chain, data = machine.shape, machine.chain, machine.data
     planned = data.opw
     out = []
-    for key in _LENGTHS:
+    for key in _LINK_LENGTHS:
         here, there = getattr(shape, key), getattr(planned, key)
         if not abs(here - there) <= MODEL_AGREEMENT:
             out.append(

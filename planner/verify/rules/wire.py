@@ -279,6 +279,7 @@ def wire_issue(
     limit: float = 0.0,
     unit: str = "",
 ) -> Issue:
+    """An issue of a wire at its station ``k``, with what was got and allowed where ``value`` is given."""
     measure = None if value is None else (value, limit, unit)
     return at_sample(code, message, context.motion, wire.arms[0], int(wire.sample[k]), measure)
 

@@ -28,9 +28,9 @@ from planner.verify.wire.rod_energy import (
 CONVERGED = 1e-9  # rotation [rad] of the last Newton step; the error left is of its square
 # raises all eigenvalues a little: neutral shapes count as stable, and Newton does not drift along them
 EIGENVALUE_LIFT = 1e-6 * 4.0 * np.pi**2
-_STEP = 0.5  # longest rotation [rad] of a segment in one Newton step
-_SHRINK = 0.3  # most that the second Newton step may be of the first, ...
-_SMALL = 2e-3  # ... or this rotation [rad]
+_LONGEST_ROTATION = 0.5  # longest rotation [rad] of a segment in one Newton step
+_SECOND_STEP_SHARE = 0.3  # most that the second Newton step may be of the first, ...
+_SMALL_ROTATION = 2e-3  # ... or this rotation [rad]
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ def newton(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 12) ->
         rotation = step[: 3 * n].reshape(n, 3).T[..., None]
         largest = float(np.abs(rotation).max())
         first = largest if count == 0 else first
-        steady = steady and (count != 1 or largest <= max(_SHRINK * first, _SMALL))
-        short = min(1.0, _STEP / max(largest, 1e-300))
+        steady = steady and (count != 1 or largest <= max(_SECOND_STEP_SHARE * first, _SMALL_ROTATION))
+        short = min(1.0, _LONGEST_ROTATION / max(largest, 1e-300))
         state = moved(state, short * rotation, short * step[3 * n :, None])
         if largest < CONVERGED:
             return Outcome(state, np.array([True]), np.array([negatives - 3]), np.array([steady]))
@@ -261,8 +261,8 @@ def newton_many(stiffness: FloatArray, state: State, ends: Ends, rounds: int = 8
         if count == 0:
             first[left] = largest
         if count == 1:
-            steady[left] = largest <= np.maximum(_SHRINK * first[left], _SMALL)
-        short = np.minimum(1.0, _STEP / np.maximum(largest, 1e-300))
+            steady[left] = largest <= np.maximum(_SECOND_STEP_SHARE * first[left], _SMALL_ROTATION)
+        short = np.minimum(1.0, _LONGEST_ROTATION / np.maximum(largest, 1e-300))
         part = moved(part, short * rotation, short * force)
         q[:, :, left], total[:, left] = part.q, part.force
         done = sound & (largest < CONVERGED)
