@@ -15,10 +15,10 @@ from planner.claims.claim import Claim
 from planner.claims.dialogue import (
     DialogueStop,
     OperatorDialogue,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.forming import (
     FollowsOpposite,
@@ -236,12 +236,14 @@ def dialogue(
     come its pulses, any number: they are counted by the claim ``sinks``."""
     sheet = setup.stock.sheet
     x, y, z = (float(size) for size in setup.stock.size / MM)
-    first = [tell_step(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)]
+    first = [
+        message_step(words.SHEET, x_mm=x, y_mm=y, z_mm=z, metal="" if sheet is None else sheet.metal.name)
+    ]
     if wanted.sinking is not None:
-        first.append(ask_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
-    first.append(ask_step(words.SHEET_READY))
+        first.append(question_step(words.RIM, high_mm=float(np.ptp(wanted.vertices[:, 2])) / MM))
+    first.append(question_step(words.SHEET_READY))
     stops: tuple[DialogueStop, ...] = ()
     if sinks is not None:
         pulse = (*power_on_steps(sinks.signal, sinks.pulse), *power_off_steps(sinks.signal, sinks.pulse))
         stops = (DialogueStop(sinks.segment, "in", pulse, repeats=True),)
-    return OperatorDialogue(operation.arms, tuple(first), (ask_step(words.FORMED),), stops)
+    return OperatorDialogue(operation.arms, tuple(first), (question_step(words.FORMED),), stops)

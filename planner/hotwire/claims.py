@@ -34,10 +34,10 @@ from planner.claims.dialogue import (
     DialogueStop,
     Figure,
     OperatorDialogue,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.segments import Segment
 from planner.claims.wire_physics import cold_length, slot, stiffness
@@ -242,11 +242,11 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
     material = f" {op.wire_material}" if op.wire_material.strip() else ""
     wire: dict[str, Figure] = {"diameter_mm": 2.0 * bow.radius / MM, "material": material}
     if op.power_w is not None:
-        mounted = tell_step(dialogue.BOW_POWER, **wire, power_w=op.power_w)
+        mounted = message_step(dialogue.BOW_POWER, **wire, power_w=op.power_w)
     else:
-        mounted = tell_step(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
+        mounted = message_step(dialogue.BOW_SLOT, **wire, kerf_mm=op.kerf_mm)
     on, off = power_on_steps(op.signal, op.heat_up_s), power_off_steps(op.signal, op.cool_down_s)
-    spaced = (*off, tell_step(dialogue.SPACERS, kerf_mm=op.kerf_mm), ask_step(dialogue.SPACED), *on)
+    spaced = (*off, message_step(dialogue.SPACERS, kerf_mm=op.kerf_mm), question_step(dialogue.SPACED), *on)
     stops = []
     for cut in cuts if op.spacers and setup.stock.held_by is None else ():
         lean = 0.0 if cut.ruled.closed else abs(float(_normal(cut.ruled) @ setup.stock.gravity))
@@ -255,8 +255,8 @@ def _straight_dialogue(op: Straight, bow: Bow, setup: Setup, cuts: list[Claimed]
             stops.append(DialogueStop(cut.segment.at("out"), "behind", spaced, optional=optional))
     return OperatorDialogue(
         op.arms,
-        (mounted, ask_step(dialogue.TAUT), *on),
-        (*off, ask_step(dialogue.COLD)),
+        (mounted, question_step(dialogue.TAUT), *on),
+        (*off, question_step(dialogue.COLD)),
         tuple(stops),
     )
 
@@ -357,14 +357,14 @@ def _elastic_dialogue(op: ElasticWire, own: WireFile) -> OperatorDialogue:
     return OperatorDialogue(
         op.arms,
         (
-            tell_step(dialogue.WIRE, material=own.material, size=own.size),
-            tell_step(dialogue.MOUNT, cold_mm=cold / MM),
-            tell_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            ask_step(dialogue.CLAMPED),
+            message_step(dialogue.WIRE, material=own.material, size=own.size),
+            message_step(dialogue.MOUNT, cold_mm=cold / MM),
+            message_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(dialogue.CLAMPED),
             *power_on_steps(op.signal, op.heat_up_s),
-            ask_step(dialogue.LOCKED, hot_mm=own.length_mm),
+            question_step(dialogue.LOCKED, hot_mm=own.length_mm),
         ),
-        (*power_off_steps(op.signal, op.cool_down_s), ask_step(dialogue.TAKEN_OFF)),
+        (*power_off_steps(op.signal, op.cool_down_s), question_step(dialogue.TAKEN_OFF)),
         joined=True,
     )
 

@@ -9,7 +9,13 @@ import numpy as np
 
 from planner.claims import dialogue
 from planner.claims.claim import Claim, ContactOnlyIn, FeedWindow
-from planner.claims.dialogue import OperatorDialogue, ask_step, power_off_steps, power_on_steps, tell_step
+from planner.claims.dialogue import (
+    OperatorDialogue,
+    message_step,
+    power_off_steps,
+    power_on_steps,
+    question_step,
+)
 from planner.claims.milling import (
     DrawnCurve,
     Engraves,
@@ -73,17 +79,17 @@ def _dialogue(work: Work) -> OperatorDialogue:
     block = {"x_mm": float(size[0]), "y_mm": float(size[1]), "z_mm": float(size[2])}
     cutter = {"kind": work.cutter.kind, "diameter_mm": 2.0 * work.cutter.radius / MM}
     if op.by_files:
-        tell = tell_step(dialogue.BLOCK_OF_FILE, **block, **cutter)
+        tell = message_step(dialogue.BLOCK_OF_FILE, **block, **cutter)
     else:
-        tell = tell_step(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
+        tell = message_step(dialogue.BLOCK, **block, **cutter, rpm=float(op.spindle_rpm))
     return OperatorDialogue(
         op.arms,
         (
             tell,
-            ask_step(dialogue.BLOCK_READY),
+            question_step(dialogue.BLOCK_READY),
             *power_on_steps(op.signal, op.spin_up_s),
         ),
-        (*power_off_steps(op.signal, op.spin_down_s), ask_step(dialogue.STANDS)),
+        (*power_off_steps(op.signal, op.spin_down_s), question_step(dialogue.STANDS)),
     )
 
 

@@ -13,10 +13,10 @@ from planner.claims.claim import ContactOnlyIn, OneOf, WireJoins
 from planner.claims.dialogue import (
     DialogueStop,
     OperatorDialogue,
-    ask_step,
+    message_step,
     power_off_steps,
     power_on_steps,
-    tell_step,
+    question_step,
 )
 from planner.claims.segments import Segment
 from planner.post import write
@@ -61,13 +61,13 @@ def bent_claims():
     spoken = OperatorDialogue(
         ("left", "right"),
         (
-            tell_step(dialogue.MOUNT, cold_mm=COLD_MM),
-            tell_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
-            ask_step(dialogue.CLAMPED),
+            message_step(dialogue.MOUNT, cold_mm=COLD_MM),
+            message_step(dialogue.CLAMPS, apart_mm=None, start_deg=None, end_deg=None),
+            question_step(dialogue.CLAMPED),
             *power_on_steps(SIGNAL, 10.0),
-            ask_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
+            question_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH),
         ),
-        (*power_off_steps(SIGNAL, 30.0), ask_step(dialogue.TAKEN_OFF)),
+        (*power_off_steps(SIGNAL, 30.0), question_step(dialogue.TAKEN_OFF)),
         joined=True,
     )
     return {"panel": _with(small_job.claims()["panel"], spoken)}
@@ -94,10 +94,10 @@ def choice_claims():
 def _wire(longer, size="1.5 mm round"):
     (group,) = bent_claims().values()
     (spoken,) = (claim for claim in group if isinstance(claim, OperatorDialogue))
-    named = tell_step(dialogue.WIRE, material="spring_steel", size=size)
+    named = message_step(dialogue.WIRE, material="spring_steel", size=size)
     first = [named, *spoken.first]
-    first[1] = tell_step(dialogue.MOUNT, cold_mm=COLD_MM + longer)
-    first[-1] = ask_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
+    first[1] = message_step(dialogue.MOUNT, cold_mm=COLD_MM + longer)
+    first[-1] = question_step(dialogue.LOCKED, hot_mm=1e3 * LENGTH + longer)
     group = _with(group, dataclasses.replace(spoken, first=tuple(first)))
     return tuple(
         dataclasses.replace(claim, length=LENGTH + 1e-3 * longer) if isinstance(claim, WireJoins) else claim
@@ -154,11 +154,11 @@ def bow_claims():
     out = {}
     for number, (name, group) in enumerate(straight_job.claims().items()):
         segment = Segment("cut", straight_job.NAMES[number]).at("out")
-        steps = (*off, tell_step(dialogue.SPACERS, kerf_mm=None), ask_step(dialogue.SPACED), *on)
+        steps = (*off, message_step(dialogue.SPACERS, kerf_mm=None), question_step(dialogue.SPACED), *on)
         spoken = OperatorDialogue(
             ("left",),
-            (tell_step(dialogue.BOW_POWER, **wire), ask_step(dialogue.TAUT), *on),
-            (*off, ask_step(dialogue.COLD)),
+            (message_step(dialogue.BOW_POWER, **wire), question_step(dialogue.TAUT), *on),
+            (*off, question_step(dialogue.COLD)),
             (DialogueStop(segment, "behind", steps),) if number == 0 else (),
         )
         out[name] = _with(group, spoken)

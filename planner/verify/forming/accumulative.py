@@ -216,7 +216,7 @@ class Way:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         return Contacts(row, np.einsum("mk,mkd->md", share, corners[triangle]), normal)
 
-    def seen(self, found: Contacts) -> tuple[FloatArray, FloatArray]:
+    def support_offset(self, found: Contacts) -> tuple[FloatArray, FloatArray]:
         """Where the support is at contacts (M,) from the forming ball, in the plane upright to the wall there
         (M, 2) [m]: outward from the feature's inside, and behind the sheet; and how far off that plane
         (M,)."""
@@ -231,7 +231,7 @@ class Way:
         the wall, how far off that plane, infinite where the ball touches no wall, and the place (K, 3) [m]
         that it touches: of several that which fits best."""
         claim, found = self.claim, self.contacts
-        got, aside = self.seen(found)
+        got, aside = self.support_offset(found)
         curve = table.apart(claim.thickness, sum(claim.radii), claim.give)
         wall = np.arccos(np.clip(found.normal[:, 2], -1.0, 1.0))
         off = table.off(wall, got, curve, WALL_ANGLE_ERROR)

@@ -19,7 +19,7 @@ from scipy.interpolate import BSpline
 
 from planner.claims import dialogue
 from planner.claims.claim import Claim, FeedWindow
-from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, ask_step
+from planner.claims.dialogue import DialogueStep, DialogueStop, OperatorDialogue, question_step
 from planner.claims.milling import DrawnCurve, Engraves, MillsAlong, MillsProgram, SafeWays, SparesPart
 from planner.claims.segments import Segment
 from planner.geometry.arrays import FloatArray
@@ -154,7 +154,7 @@ def program_dialogue(
     for program in programs:
         for number, one in enumerate(known[program.name]):
             segment = Segment(MILL, f"{program.name}_{one.number}")
-            question = ask_step(dialogue.PLAIN, text=one.question)
+            question = question_step(dialogue.PLAIN, text=one.question)
             if one.question and program.first and number == 0:
                 first = (*first[:1], question, *first[1:])
             elif one.question:

@@ -31,8 +31,8 @@ from planner.claims.dialogue import (
     Figure,
     OperatorDialogue,
     Sentence,
-    ask_step,
-    tell_step,
+    message_step,
+    question_step,
 )
 from planner.geometry.arrays import FloatArray
 from planner.issues import Issue
@@ -410,23 +410,23 @@ def _start(context: Context, task: TaskText) -> tuple[DialogueStep, ...]:
         question = dialogue.CLEAR if first else dialogue.READY
     partner = _partner(context, task)
     if partner:
-        earlier = ask_step(dialogue.KRL_EARLIER if krl else dialogue.EARLIER, other=partner)
+        earlier = question_step(dialogue.KRL_EARLIER if krl else dialogue.EARLIER, other=partner)
         if not lead:
-            return earlier, tell_step(dialogue.READY_TO_MEET, other=partner)
+            return earlier, message_step(dialogue.READY_TO_MEET, other=partner)
         both = {"other": partner, "arm": task.arm.name, "start": question.words}
         return (
             earlier,
-            tell_step(dialogue.START_PARTNER, other=partner),
-            ask_step(dialogue.PARTNER_READY, **both),
+            message_step(dialogue.START_PARTNER, other=partner),
+            question_step(dialogue.PARTNER_READY, **both),
         )
     if not lead:
         return ()
-    return (ask_step(dialogue.NO_WIRE if joined(context) and not krl else question),)
+    return (question_step(dialogue.NO_WIRE if joined(context) and not krl else question),)
 
 
 def _setup(setup: Setup) -> tuple[DialogueStep, ...]:
-    steps = (tell_step(dialogue.PLAIN, text=step) for step in setup.steps)
-    return (*steps, ask_step(dialogue.PLAIN, text=setup.confirmation))
+    steps = (message_step(dialogue.PLAIN, text=step) for step in setup.steps)
+    return (*steps, question_step(dialogue.PLAIN, text=setup.confirmation))
 
 
 def _operation(number: int, claim: OperatorDialogue) -> Sequence[Part]:
